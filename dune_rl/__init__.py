@@ -1,0 +1,71 @@
+"""Off-road navigation among moving actors: one batched environment, three interfaces.
+
+`parallel_env` gives a PettingZoo environment, `gym_env` a Gymnasium one, `make` a
+batched TorchRL one. Each takes every setting that the command lines take.
+"""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from dune_rl.errors import CheckpointError, ConfigError, DuneError, PhysicsError, WorldError
+
+if TYPE_CHECKING:
+    from dune_rl.env.gymnasium import GymnasiumEnv
+    from dune_rl.env.pettingzoo import ParallelDuneEnv
+    from dune_rl.env.torchrl import DuneEnv
+
+__all__ = [
+    "CheckpointError",
+    "ConfigError",
+    "DuneError",
+    "PhysicsError",
+    "WorldError",
+    "gym_env",
+    "make",
+    "parallel_env",
+]
+__version__ = "0.1.0"
+
+# The functions import what they need when called: torch and the physics engine take seconds to load,
+# and Gymnasium loads this package for every user of its registry.
+
+
+def parallel_env(
+    world: str = "inspection", seed: int = 0, *, overrides: Iterable[str] = (), **settings: Any
+) -> "ParallelDuneEnv":
+    """A PettingZoo `ParallelEnv`: the agent `rover`, and one for each actor whose controller is external.
+
+    `settings` are sections of the configuration: a name chooses an option
+    (`actors="external_walkers"`), a mapping changes values
+    (`task={"max_steps": 100}`). `overrides` are command-line words
+    (`["task.max_steps=100"]`). Raises `ConfigError` naming every fault.
+    """
+    from dune_rl.config.build import make_parallel_env
+    from dune_rl.config.compose import compose_environment
+
+    return make_parallel_env(compose_environment(world, overrides, settings), seed)
+
+
+def gym_env(
+    world: str = "inspection", seed: int = 0, *, overrides: Iterable[str] = (), **settings: Any
+) -> "GymnasiumEnv":
+    """A Gymnasium `Env` of the rover alone; arguments as for `parallel_env`."""
+    from dune_rl.config.build import make_gymnasium_env
+    from dune_rl.config.compose import compose_environment
+
+    return make_gymnasium_env(compose_environment(world, overrides, settings), seed)
+
+
+def make(
+    world: str = "inspection",
+    num_scenes: int = 16,
+    seed: int = 0,
+    *,
+    overrides: Iterable[str] = (),
+    **settings: Any,
+) -> "DuneEnv":
+    """A TorchRL environment of batch size (num_scenes,); the other arguments as for `parallel_env`."""
+    from dune_rl.config.build import make_torchrl_env
+    from dune_rl.config.compose import compose_environment
+
+    return make_torchrl_env(compose_environment(world, overrides, settings), num_scenes, seed)

@@ -1,0 +1,113 @@
+"""Paths over the terrain that scripted actors walk, and a bank of them to draw from."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+
+SPACING_M = 0.05
+_CANDIDATES = 200
+
+
+def spline_path(way_points: Array, terrain: HeightField) -> Array:
+    """Poses every 5 cm along a cubic spline through `way_points` (n, 2), shape (P, 4): x, y, z, yaw.
+
+    Elevation is the terrain's; yaw points to the next pose, and the last is
+    repeated (Vice & Sukthankar 2025, section 2.4). Distances are horizontal.
+    """
+    chords = np.hypot(*np.diff(way_points, axis=0).T)
+    knots = np.concatenate([[0.0], np.cumsum(chords)])
+    # A line through two points is its own spline; three points bend freely at their ends.
+    spline = CubicSpline(knots, way_points, bc_type="natural")
+    fine = spline(np.linspace(0.0, knots[-1], max(16, int(knots[-1] / 0.01))))
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    stations = np.arange(0.0, travelled[-1], SPACING_M)
+    xy = np.stack([np.interp(stations, travelled, fine[:, axis]) for axis in (0, 1)], axis=1)
+    step = np.diff(xy, axis=0)
+    yaw = np.arctan2(step[:, 1], step[:, 0])
+    return np.column_stack([xy, terrain.height(xy), np.concatenate([yaw, yaw[-1:]])])
+
+
+def there_and_back(path: Array) -> Array:
+    """The closed loop that walks `path` (P, 4) to its end and returns, (2P - 2, 4), facing where it goes."""
+    back = path[-1:0:-1].copy()
+    back[:, 3] = (path[-2::-1, 3] + 2 * np.pi) % (2 * np.pi) - np.pi
+    return np.concatenate([path[:-1], back])
+
+
+@dataclass(frozen=True)
+class PathBank:
+    """Closed loops, end to end in one array, so that a batch is looked up in one go.
+
+    `poses` (total, 4); loop b holds `lengths[b]` of them from `starts[b]`.
+    """
+
+    poses: Array
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, loops: Sequence[Array]) -> "PathBank":
+        """A bank of `loops`, each (L, 4)."""
+        lengths = np.array([len(loop) for loop in loops])
+        return cls(np.concatenate(loops), np.concatenate([[0], np.cumsum(lengths)[:-1]]), lengths)
+
+    def pose(self, loop: NDArray[np.int64], travelled_m: Array) -> Array:
+        """Pose (..., 4) on loops `loop` (...) after `travelled_m` (...), interpolated between its points."""
+        place = travelled_m / SPACING_M
+        whole = np.floor(place)
+        part = (place - whole)[..., None]
+        index = whole.astype(np.int64)
+        start, length = self.starts[loop], self.lengths[loop]
+        here = self.poses[start + index % length]
+        there = self.poses[start + (index + 1) % length]
+        pose = here + part * (there - here)
+        pose[..., 3] = here[..., 3]
+        return pose
+
+    def far_end(self, loop: NDArray[np.int64]) -> Array:
+        """Pose (..., 4) half-way round loops `loop` (...): where a there-and-back path turns."""
+        return self.poses[self.starts[loop] + self.lengths[loop] // 2]
+
+
+def random_paths(
+    world: World,
+    sample_points: Callable[[np.random.Generator, int, float], Array],
+    rng: np.random.Generator,
+    count: int,
+    radius_m: float,
+    length_range_m: tuple[float, float],
+) -> list[Array]:
+    """`count` random paths, each (P, 4), that keep `radius_m` from every obstacle.
+
+    Each runs through three free points drawn by `sample_points(rng, n,
+    radius_m)`. Raises WorldError where obstacles leave no room for any.
+    """
+    shortest, longest = length_range_m
+    found: list[Array] = []
+    for _ in range(_CANDIDATES):
+        points = sample_points(rng, 3 * count, radius_m).reshape(count, 3, 2)
+        legs = np.hypot(*np.moveaxis(np.diff(points, axis=1), -1, 0))
+        fitting = (legs.sum(axis=1) > shortest) & (legs.sum(axis=1) < longest) & (legs.min(axis=1) > 1.0)
+        # A hairpin in the middle is no way to walk.
+        turn = np.sum(np.diff(points, axis=1)[:, 0] * np.diff(points, axis=1)[:, 1], axis=1)
+        for way_points in points[fitting & (turn > 0)]:
+            path = spline_path(way_points, world.terrain)
+            if world.clearance(path[:, :2]).min() >= radius_m:
+                found.append(path)
+                if len(found) == count:
+                    return found
+    if found:
+        return found
+    raise WorldError(
+        f"no path of {shortest:g} to {longest:g} m for an actor of radius {radius_m:g} m was found in {world.name}: "
+        "shorten actors.length_range_m, give its waypoints, or enlarge task.spawn.region_m"
+    )

@@ -1,0 +1,119 @@
+"""What the command lines share: their arguments, and how they end."""
+
+import errno
+import signal
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import NoReturn
+
+from hydra._internal.utils import get_args_parser
+from rich.console import Console
+from rich.table import Table
+
+from dune_rl.errors import ConfigError, DuneError
+from dune_rl.paths import conf_folder
+
+# What a user can mend about a folder or file; other operating system errors are faults of ours.
+_MENDABLE = {
+    errno.EACCES: "no permission",
+    errno.EPERM: "no permission",
+    errno.EEXIST: "a file of that name is in the way",
+    errno.ENOTDIR: "a part of the path is a file",
+    errno.EISDIR: "it is a folder",
+    errno.EROFS: "the file system is read-only",
+    errno.ENOSPC: "the disk is full",
+}
+
+
+class ReportedError(DuneError):
+    """A fault whose message has been shown already."""
+
+
+class Terminated(BaseException):
+    """SIGTERM, as an exception that runs every `finally` on its way out."""
+
+
+def run(body: Callable[[], None]) -> NoReturn:
+    """Call `body` and end the process: 0, 2 for what the user can mend, 130 for Ctrl-C, 143 for SIGTERM."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        body()
+    except ReportedError:
+        sys.exit(2)
+    except (DuneError, OSError) as error:
+        message = mendable(error)
+        if message is None:
+            raise
+        fail(message)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    except Terminated:
+        sys.exit(128 + signal.SIGTERM)
+    sys.exit(0)
+
+
+def mendable(error: DuneError | OSError) -> str | None:
+    """What to tell a user about an error that can be mended; None for a fault of ours."""
+    if isinstance(error, DuneError):
+        return str(error)
+    reason = _MENDABLE.get(error.errno or 0)
+    return f"cannot write {error.filename or 'a file'}: {reason}; choose another place" if reason else None
+
+
+def fail(message: str) -> NoReturn:
+    """Show a message on standard error and end with 2."""
+    say(message)
+    sys.exit(2)
+
+
+def say(message: str) -> None:
+    """Show a message on standard error."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def arguments(words: Sequence[str]) -> Namespace:
+    """Hydra's flags and the overrides among the words of a command line; `ConfigError` for unknown flags."""
+    parsed, unknown = get_args_parser().parse_known_args(list(words))
+    flags = [word for word in unknown if word.startswith("-")]
+    if flags:
+        raise ConfigError(f"there is no flag {flags[0]}; settings are written key=value (see --help)")
+    # Overrides that stand behind a flag end up among the unknown.
+    parsed.overrides += unknown
+    return parsed
+
+
+def config_dirs(parsed: Namespace) -> list[str]:
+    """Further folders of options, from `--config-dir`."""
+    return [parsed.config_dir] if parsed.config_dir else []
+
+
+def group_settings() -> list[tuple[str, str]]:
+    """A line of help for each group of options, with its options."""
+    found = []
+    for folder in sorted(path for path in conf_folder().iterdir() if path.is_dir()):
+        if folder.name != "experiment":
+            plus = "+" if folder.name == "world" else ""
+            found.append((f"{plus}{folder.name}=NAME", ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))))
+    return sorted(found, key=lambda item: not item[0].startswith("+"))
+
+
+def show_help(title: str, usage: Sequence[str], settings: Sequence[tuple[str, str]], closing: str) -> None:
+    """Print a page of help: usage lines, then a table of settings."""
+    console = Console(highlight=False)
+    console.print(f"[bold]{title}[/bold]\n")
+    for line in usage:
+        console.print(f"  {line}", markup=False)
+    table = Table(box=None, show_header=False, padding=(0, 2))
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    for name, meaning in settings:
+        table.add_row(name, meaning)
+    console.print()
+    console.print(table)
+    console.print(f"\n{closing}", markup=False)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated

@@ -1,0 +1,51 @@
+"""Environments built from settings: the one place that names concrete classes."""
+
+from functools import lru_cache
+
+from dune_rl.config.schema import EnvConf, WorldConf
+from dune_rl.env.batch import Batch
+from dune_rl.env.gymnasium import GymnasiumEnv
+from dune_rl.env.pettingzoo import ParallelDuneEnv
+from dune_rl.env.torchrl import DuneEnv
+from dune_rl.physics.bullet import BulletScene
+from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.worlds.flat import FlatConf, build_flat
+from dune_rl.worlds.inspection import build_inspection
+from dune_rl.worlds.world import World
+
+
+def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
+    """The batch core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found."""
+    return Batch(
+        world=build_world(conf.world),
+        make_robot=lambda scenes: RoverZero(conf.robot, scenes),
+        make_scene=BulletScene,
+        actors=conf.actors,
+        sensors=conf.sensors,
+        physics=conf.physics,
+        task=conf.task,
+        metrics=conf.metrics,
+        num_scenes=num_scenes,
+        seed=seed,
+    )
+
+
+@lru_cache(maxsize=4)
+def build_world(conf: WorldConf) -> World:
+    """The world; equal settings share one, which nothing ever changes."""
+    return build_flat(conf) if isinstance(conf, FlatConf) else build_inspection(conf)
+
+
+def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
+    """A TorchRL environment of batch size (num_scenes,)."""
+    return DuneEnv(make_batch(conf, num_scenes, seed))
+
+
+def make_parallel_env(conf: EnvConf, seed: int) -> ParallelDuneEnv:
+    """A PettingZoo environment of one scene."""
+    return ParallelDuneEnv(make_batch(conf, 1, seed))
+
+
+def make_gymnasium_env(conf: EnvConf, seed: int) -> GymnasiumEnv:
+    """A Gymnasium environment of one scene's rover."""
+    return GymnasiumEnv(make_batch(conf, 1, seed))

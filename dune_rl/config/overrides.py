@@ -1,0 +1,136 @@
+"""What a user asks for on the command line: read, checked and made right before Hydra sees it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.object_type import ObjectType
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
+
+from dune_rl.config.checks import closest, one_of
+
+
+@dataclass(frozen=True)
+class Request:
+    """Overrides by what they do, with the faults that can be told before anything is composed.
+
+    `groups` choose options ("world" to "flat"), `values` change settings, and
+    `engine` are Hydra's own. A faulty override is in none of them.
+    """
+
+    groups: tuple[Override, ...]
+    values: tuple[Override, ...]
+    engine: tuple[Override, ...]
+    faults: tuple[str, ...]
+    faulty_groups: frozenset[str]
+
+    def words(self, present: Iterable[str], *, first_of_sweep: bool = False) -> list[str]:
+        """The overrides as Hydra wants them, given the groups that are `present` in its defaults list.
+
+        Settings are forced in with `++`: Hydra's refusals come one at a time,
+        while the schema reports all unknown settings together. A swept
+        override is kept, or stands for its first value.
+        """
+        words = [_text(override, "", first_of_sweep) for override in self.engine]
+        for override in self.groups:
+            prefix = "" if override.get_key_element().lstrip("+~") in present else "+"
+            words.append(_text(override, prefix, first_of_sweep))
+        words += [_text(override, "++", first_of_sweep) for override in self.values]
+        return words
+
+    def has_sweep(self) -> bool:
+        """Whether some override has several values."""
+        return any(override.is_sweep_override() for override in (*self.groups, *self.values, *self.engine))
+
+
+def read(overrides: Sequence[str], loader: ConfigLoader) -> Request:
+    """Sort overrides into what they do, and say what is wrong with those that do nothing."""
+    parser = OverridesParser.create(config_loader=loader)
+    groups: list[Override] = []
+    values: list[Override] = []
+    engine: list[Override] = []
+    faults: list[str] = []
+    faulty_groups: set[str] = set()
+    for text in overrides:
+        try:
+            override = parser.parse_override(text)
+        except HydraException:
+            faults.append(_unreadable(text))
+            continue
+        key = override.key_or_group
+        if override.is_hydra_override() or key.startswith("hydra."):
+            engine.append(override)
+        elif _is_group(loader, key) and not isinstance(override.value(), dict):
+            found = _unknown_options(override, loader)
+            faults += found
+            (faulty_groups.add(key) if found else groups.append(override))
+        elif "/" in key:
+            faults.append(f"there is no group {key!r}; choose from {', '.join(group_names(loader))}")
+        else:
+            values.append(override)
+    return Request(tuple(groups), tuple(values), tuple(engine), tuple(faults), frozenset(faulty_groups))
+
+
+def group_names(loader: ConfigLoader) -> list[str]:
+    """The folders of options: world, robot, ..."""
+    return [name for name in loader.get_group_options("", ObjectType.GROUP) if name != "hydra"]
+
+
+def option_names(loader: ConfigLoader, group: str) -> list[str]:
+    """The options of a group: flat, inspection, ..."""
+    return sorted(loader.get_group_options(group))
+
+
+def values_of(override: Override) -> list[Override]:
+    """An override for each value of a swept one; the override itself where it has one value."""
+    if not override.is_sweep_override():
+        return [override]
+    key = override.get_key_element()
+    parser = OverridesParser.create()
+    return [parser.parse_override(f"{key}={value}") for value in override.sweep_string_iterator()]
+
+
+def _is_group(loader: ConfigLoader, key: str) -> bool:
+    return key in group_names(loader)
+
+
+def _unknown_options(override: Override, loader: ConfigLoader) -> list[str]:
+    group = override.key_or_group
+    if override.is_delete():
+        return []
+    options = option_names(loader, group)
+    chosen: list[object] = []
+    for single in values_of(override):
+        value = single.value()
+        chosen += value if isinstance(value, list) else [value]
+    found = []
+    for option in chosen:
+        if option not in options:
+            near = closest(str(option), options)
+            hint = f"did you mean {near}?" if near and len(options) > 6 else f"choose {one_of(options)}"
+            found.append(f"there is no {group} {str(option)!r}; {hint}")
+    return found
+
+
+def _unreadable(text: str) -> str:
+    if "=" not in text:
+        where = f"; a file or folder goes behind a key, such as resume={text}" if Path(text).exists() else ""
+        return f"cannot read {text!r}; write key=value{where}"
+    return (
+        f"cannot read {text!r}; write key=value, and quote a value that holds spaces, commas, "
+        f"brackets or equals signs: '{text.partition('=')[0]}=\"...\"'"
+    )
+
+
+def _text(override: Override, prefix: str, first_of_sweep: bool) -> str:
+    if first_of_sweep:
+        override = values_of(override)[0]
+    if override.type is OverrideType.DEL or override.is_hydra_override():
+        return override.input_line or ""
+    key = override.get_key_element().lstrip("+")
+    if override.is_sweep_override():
+        return f"{prefix}{key}={(override.input_line or '').partition('=')[2]}"
+    return f"{prefix}{key}={override.get_value_element_as_str()}"

@@ -1,0 +1,80 @@
+"""Every setting there is: one class for training, one for evaluation, both around an environment's."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from dune_rl.actors.actor import ActorConf
+from dune_rl.learning.checkpoint import CheckpointConf
+from dune_rl.learning.collect import CollectorConf
+from dune_rl.learning.evaluation import EvaluationConf
+from dune_rl.learning.replay import ReplayConf
+from dune_rl.learning.sac import SacConf
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.physics.interface import PhysicsConf
+from dune_rl.robots.rover_zero import RoverZeroConf
+from dune_rl.sensors.suite import SensorsConf
+from dune_rl.settings import Settings
+from dune_rl.tasks.point_goal import PointGoalConf
+from dune_rl.worlds.flat import FlatConf
+from dune_rl.worlds.inspection import InspectionConf
+
+WorldConf = Annotated[FlatConf | InspectionConf, Field(discriminator="name")]
+
+
+class EnvConf(Settings):
+    """What an environment is made of; the world has no default."""
+
+    world: WorldConf
+    robot: RoverZeroConf = RoverZeroConf()
+    actors: tuple[ActorConf, ...] = ()
+    sensors: SensorsConf = SensorsConf()
+    physics: PhysicsConf = PhysicsConf()
+    task: PointGoalConf = PointGoalConf()
+    metrics: MetricsConf = MetricsConf()
+
+
+class LearningConf(SacConf):
+    """Soft actor-critic and the machinery around it."""
+
+    replay: ReplayConf = ReplayConf()
+    collector: CollectorConf = CollectorConf()
+    evaluation: EvaluationConf = EvaluationConf()
+    checkpoint: CheckpointConf = CheckpointConf()
+
+    @model_validator(mode="after")
+    def _replay_holds_a_batch(self) -> "LearningConf":
+        if self.replay.capacity < self.batch_size:
+            raise ValueError(
+                f"replay.capacity must be at least batch_size "
+                f"(got {self.replay.capacity} and {self.batch_size})"
+            )
+        return self
+
+
+class Conf(EnvConf):
+    """A training run."""
+
+    learning: LearningConf = LearningConf()
+    seed: int = Field(0, ge=0)
+    total_frames: int = Field(5_000_000, ge=1)
+    device: Literal["cpu", "cuda"] = "cpu"
+    run_dir: str = Field("runs", min_length=1)
+    resume: str | None = None
+
+
+class EvaluateConf(EnvConf):
+    """An evaluation of a checkpoint or of a built-in policy."""
+
+    checkpoint: str | None = None
+    policy: Literal["go_to_goal", "random"] | None = None
+    episodes: int = Field(100, ge=1)
+    scenes: int = Field(16, ge=1)
+    seed: int = Field(0, ge=0)
+    out: str | None = None
+
+    @model_validator(mode="after")
+    def _one_policy(self) -> "EvaluateConf":
+        if (self.checkpoint is None) == (self.policy is None):
+            raise ValueError("choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random")
+        return self

@@ -1,0 +1,377 @@
+"""M scenes stepped together: physics one after another, everything else as arrays over M."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.actors.actor import ActorConf, Actors
+from dune_rl.actors.shapes import ray_shapes
+from dune_rl.env.motion import Motion
+from dune_rl.env.scene import scene_spec, standing_pose
+from dune_rl.geometry.rays import RayScene
+from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
+from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
+from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.seeding import stream
+from dune_rl.sensors.imu import Imu
+from dune_rl.sensors.lidar import Lidar
+from dune_rl.sensors.suite import SensorsConf
+from dune_rl.tasks.point_goal import PointGoalConf
+from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
+from dune_rl.tasks.snapshot import Snapshot
+from dune_rl.tasks.spawn import Spawner
+from dune_rl.tasks.terminations import Endings, endings
+from dune_rl.tasks.walking import walker_observation, walker_reward
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+_SETTLE_S = 0.1
+# A new touch of the same body counts as a new encounter after this long without one.
+_ENCOUNTER_GAP_S = 1.0
+_EDGE_M = 0.3
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step gives; arrays have the leading axis M, walkers' E as the second."""
+
+    rover_reward: Floats
+    walker_reward: Floats
+    terminated: Flags
+    truncated: Flags
+
+
+class Batch:
+    """The batch core that every environment wraps.
+
+    Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so
+    on. All that is random in an episode depends on (seed, episode id) alone,
+    so any two batches of equal seed start an episode alike.
+    """
+
+    def __init__(
+        self,
+        *,
+        world: World,
+        make_robot: Callable[[int], RoverZero],
+        make_scene: Callable[[SceneSpec], PhysicsScene],
+        actors: tuple[ActorConf, ...],
+        sensors: SensorsConf,
+        physics: PhysicsConf,
+        task: PointGoalConf,
+        metrics: MetricsConf,
+        num_scenes: int,
+        seed: int = 0,
+        first_episode: int = 0,
+    ) -> None:
+        self.world, self.task, self.sensors, self.physics = world, task, sensors, physics
+        self.num_scenes = num_scenes
+        self.robot = make_robot(num_scenes)
+        self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
+        self._actor_confs = actors
+        self.actors = self._new_actors(seed)
+        solid = world.solid_mesh()
+        self.lidar = Lidar(sensors.lidar, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
+        self.imu = Imu(sensors.imu, num_scenes)
+        self.motion = Motion(num_scenes, self.robot)
+        spec = scene_spec(world, self.robot, self.actors, physics)
+        self._scenes = [make_scene(spec) for _ in range(num_scenes)]
+        self._metrics = EpisodeMetrics(metrics, num_scenes)
+        self._last_touch = np.zeros((num_scenes, len(spec.statics) + len(spec.kinematics)), np.int64)
+        self._encounter_gap = round(_ENCOUNTER_GAP_S * physics.control_hz)
+        self.steps = np.zeros(num_scenes, np.int64)
+        self.goals_w = np.zeros((num_scenes, 2))
+        self._goal_distance = np.zeros(num_scenes)
+        self._reward_sums = np.zeros((num_scenes, len(REWARD_TERMS)))
+        self._goal_streams: list[np.random.Generator | None] = [None] * num_scenes
+        self._history = np.zeros((num_scenes, 64, 2 + 2 * len(self.actors.external)), np.float32)
+        self.reseed(seed, first_episode)
+
+    def _new_actors(self, seed: int) -> Actors:
+        paths = stream(seed, "paths")
+        return Actors(self._actor_confs, self.world, self.spawner.sample_points, paths, self.num_scenes)
+
+    # -- episodes ---------------------------------------------------------------------------------
+
+    def reseed(self, seed: int, first_episode: int = 0) -> None:
+        """Begin again at episode `first_episode` of `seed`; the next `reset` must be of all scenes."""
+        if getattr(self, "seed", seed) != seed:
+            self.actors = self._new_actors(seed)
+        self.seed = seed
+        self.episodes = first_episode + np.arange(self.num_scenes) - self.num_scenes
+
+    def reset(self, mask: Flags | None = None) -> None:
+        """Start the next episode in the scenes in `mask` (M,), in all without one."""
+        if mask is None:
+            mask = np.ones(self.num_scenes, bool)
+        self.episodes = np.where(mask, self.episodes + self.num_scenes, self.episodes)
+        self._start(mask)
+
+    def _start(self, mask: Flags) -> None:
+        """Put the scenes in `mask` (M,) at the beginning of their present episodes."""
+        self.robot.reset(mask)
+        self._metrics.reset(mask, self.episodes)
+        self.steps[mask] = 0
+        self._reward_sums[mask] = 0.0
+        self._last_touch[mask] = -self._encounter_gap - 1
+        settle = round(_SETTLE_S * self.physics.physics_hz)
+        still = [0.0] * len(self.robot.body.drive_joints)
+        for scene in np.flatnonzero(mask).tolist():
+            episode = int(self.episodes[scene])
+            draws = stream(self.seed, "spawn", episode)
+            placement = self.spawner.sample(draws)
+            self._goal_streams[scene] = draws
+            self.goals_w[scene] = placement.goal_x, placement.goal_y
+            position, quaternion = standing_pose(
+                self.world, self.robot, placement.x, placement.y, placement.yaw
+            )
+            self.actors.reset(scene, stream(self.seed, "actors", episode), position[:2])
+            physics = self._scenes[scene]
+            physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
+            physics.step(settle, still, self.actors.poses[scene])
+            self.motion.set_row(scene, physics.body_state())
+        self.motion.begin(mask)
+        self.imu.begin(mask, self.motion.rotation, self.motion.velocity_w, self.motion.angular_w)
+        distance = self._distance_to_goal()
+        self._goal_distance = np.where(mask, distance, self._goal_distance)
+
+    def _distance_to_goal(self) -> Array:
+        offset = self.goals_w - self.motion.position_w[:, :2]
+        return np.hypot(offset[:, 0], offset[:, 1])
+
+    # -- a step -----------------------------------------------------------------------------------
+
+    def step(self, rover_actions: Floats, walker_actions: Floats | None = None) -> Outcome:
+        """Advance all scenes by one control step.
+
+        `rover_actions` (M, 2) are speed [m/s] and heading relative to the
+        present one [rad]; `walker_actions` (M, E, 2) likewise for the actors
+        that are agents.
+        """
+        if walker_actions is None:
+            walker_actions = np.zeros((self.num_scenes, len(self.actors.external), 2), np.float32)
+        self._remember(rover_actions, walker_actions)
+        step_s = self.physics.control_step_s
+        walker_distance = self._walker_goal_distance()
+        wanted = np.asarray(rover_actions, np.float64)
+        commands = self.robot.wheel_commands(wanted, self.motion.angular_b[:, 2], step_s).tolist()
+        self.actors.move(np.asarray(walker_actions, np.float64), step_s)
+        self._advance_physics(commands)
+        self.imu.measure(self.motion.rotation, self.motion.velocity_w, self.motion.angular_w, step_s)
+        self.steps += 1
+        now = self._snapshot()
+        end = endings(now, self.task.termination)
+        terms = reward_terms(now, self.task.reward, end.reached, end.stuck, end.flipped)
+        rewards = terms.sum(axis=1)
+        self._reward_sums += terms
+        self._measure(now, end, rewards)
+        if self.task.termination.continue_after_goal:
+            self._renew_goals(end.reached & ~end.terminated & ~end.truncated)
+        return Outcome(
+            rewards.astype(np.float32),
+            self._walker_reward(walker_distance, now),
+            end.terminated,
+            end.truncated,
+        )
+
+    def _remember(self, rover_actions: Floats, walker_actions: Floats) -> None:
+        longest = int(self.steps.max())
+        if longest >= self._history.shape[1]:
+            self._history = np.concatenate([self._history, np.zeros_like(self._history)], axis=1)
+        rows = np.arange(self.num_scenes)
+        self._history[rows, self.steps, :2] = rover_actions
+        self._history[rows, self.steps, 2:] = walker_actions.reshape(self.num_scenes, -1)
+
+    def _advance_physics(self, commands: list[list[float]]) -> None:
+        substeps, poses = self.physics.substeps, self.actors.poses
+        self._touches: list[tuple[int, int]] = []
+        states = []
+        for index, scene in enumerate(self._scenes):
+            scene.step(substeps, commands[index], poses[index])
+            states.append(scene.body_state())
+            self._touches += [(index, body) for body in scene.touched()]
+        self.motion.update(np.array(states))
+
+    def _encounters(self) -> tuple[NDArray[np.int64], Flags]:
+        """Encounters that begin now, and whether anything is touched, each (M,)."""
+        begun = np.zeros(self.num_scenes, np.int64)
+        touching = np.zeros(self.num_scenes, bool)
+        for scene, body in set(self._touches):
+            begun[scene] += self.steps[scene] - self._last_touch[scene, body] > self._encounter_gap
+            self._last_touch[scene, body] = self.steps[scene]
+            touching[scene] = True
+        return begun, touching
+
+    def clearance(self) -> Array:
+        """Distance [m], (M,), from each hull to the nearest obstacle or actor; 0 on contact, inf without any."""
+        centres, radius = self.motion.hull_circles()
+        nearest = self.world.clearance(centres).min(axis=1)
+        if len(self._actor_confs):
+            offset = centres[:, :, None, :] - self.actors.poses[:, None, :, :2]
+            apart = np.hypot(offset[..., 0], offset[..., 1]) - self.actors.radius
+            nearest = np.minimum(nearest, apart.min(axis=(1, 2)))
+        return np.maximum(nearest - radius, 0.0)
+
+    def _snapshot(self) -> Snapshot:
+        motion = self.motion
+        previous, self._goal_distance = self._goal_distance, self._distance_to_goal()
+        begun, touching = self._encounters()
+        clearance = self.clearance()
+        clearance[touching] = 0.0
+        xmin, xmax, ymin, ymax = self.world.extent
+        x, y = motion.position_w[:, 0], motion.position_w[:, 1]
+        outside = (x < xmin + _EDGE_M) | (x > xmax - _EDGE_M) | (y < ymin + _EDGE_M) | (y > ymax - _EDGE_M)
+        return Snapshot(
+            position_w=motion.position_w,
+            roll_pitch_yaw=motion.roll_pitch_yaw,
+            tilt=motion.tilt(),
+            speed=motion.velocity_b[:, 0],
+            angular_b=motion.angular_b,
+            acceleration_b=self.imu.acceleration_b,
+            goal_distance=self._goal_distance,
+            previous_goal_distance=previous,
+            goal_heading=motion.bearing(self.goals_w),
+            clearance=clearance,
+            new_collisions=begun,
+            touching=touching,
+            steps=self.steps,
+            steps_since_moved=motion.steps_since_moved(self.task.termination.stuck_distance_m),
+            out_of_world=outside,
+            diverged=motion.diverged,
+        )
+
+    def _measure(self, now: Snapshot, end: Endings, rewards: Array) -> None:
+        velocity = self.motion.velocity_w
+        self._metrics.update(
+            steps=self.steps,
+            step_s=self.physics.control_step_s,
+            reward=rewards,
+            clearance=now.clearance,
+            acceleration_b=now.acceleration_b,
+            angular_b=now.angular_b,
+            ground_speed=np.hypot(velocity[:, 0], velocity[:, 1]),
+            tilt=now.tilt,
+            new_collisions=now.new_collisions,
+            reached=end.reached,
+            flags={
+                "diverged": end.diverged,
+                "stuck": end.stuck,
+                "flipped": end.flipped,
+                "out_of_world": end.out_of_world,
+                "timeout": end.timeout,
+            },
+        )
+
+    def _renew_goals(self, mask: Flags) -> None:
+        for scene in np.flatnonzero(mask).tolist():
+            draws = self._goal_streams[scene]
+            assert draws is not None
+            goal = self.spawner.sample(draws)
+            self.goals_w[scene] = goal.goal_x, goal.goal_y
+        if mask.any():
+            self._goal_distance = self._distance_to_goal()
+
+    # -- what agents see --------------------------------------------------------------------------
+
+    def observe(self) -> dict[str, Floats]:
+        """The rovers' observation, each (M, n); asking twice gives the same."""
+        motion = self.motion
+        out: dict[str, Floats] = {}
+        for name in self.sensors.enabled:
+            if name == "lidar":
+                ranges = self.lidar.ranges(motion.position_w, motion.rotation, self.actors.poses)
+                out[name] = self.lidar.segments(ranges)
+            elif name == "imu":
+                out[name] = self.imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)
+            elif name == "goal":
+                limit = self.world_diagonal_m
+                distance = np.minimum(self._goal_distance, limit)
+                out[name] = np.stack([distance, motion.bearing(self.goals_w)], axis=1).astype(np.float32)
+            else:
+                out[name] = motion.sensed_velocity()
+        return out
+
+    def observe_walkers(self) -> dict[str, Floats]:
+        """What the E actors that are agents sense, each (M, E, n)."""
+        actors, columns = self.actors, self.actors.external
+        return walker_observation(
+            actors.poses[:, columns],
+            actors.velocity_w[:, columns],
+            actors.goals_w[:, columns],
+            self.motion.position_w,
+            self.motion.velocity_w,
+            self.world_diagonal_m,
+        )
+
+    @property
+    def world_diagonal_m(self) -> float:
+        """The farthest that two points of the world can be apart [m]."""
+        xmin, xmax, ymin, ymax = self.world.extent
+        return float(np.hypot(xmax - xmin, ymax - ymin))
+
+    def _walker_goal_distance(self) -> Array:
+        columns = self.actors.external
+        offset = self.actors.goals_w[:, columns] - self.actors.poses[:, columns, :2]
+        return np.hypot(offset[..., 0], offset[..., 1])
+
+    def _walker_reward(self, before: Array, now: Snapshot) -> Floats:
+        columns = self.actors.external
+        if not len(columns):
+            return np.zeros((self.num_scenes, 0), np.float32)
+        progress = before - self._walker_goal_distance()
+        # A way point reached in this step has given way to the next, whose distance says nothing of progress.
+        progress = np.where(np.abs(progress) > self.actors.top_speed[columns] * 0.1 + 0.05, 0.0, progress)
+        offset = now.position_w[:, None, :2] - self.actors.poses[:, columns, :2]
+        apart = np.hypot(offset[..., 0], offset[..., 1]) - self.actors.radius[columns] - self.robot.width_m / 2
+        return walker_reward(progress, np.maximum(apart, 0.0), self.task.walking).astype(np.float32)
+
+    # -- metrics and state ------------------------------------------------------------------------
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of the columns of `metrics`."""
+        return (*METRICS, *(f"reward/{name}" for name in REWARD_TERMS))
+
+    def metrics(self) -> Floats:
+        """Running values of the present episodes, (M, n), final where an episode has ended."""
+        return np.concatenate([self._metrics.values, self._reward_sums], axis=1).astype(np.float32)
+
+    def state(self) -> dict[str, Any]:
+        """All that brings this moment back, as plain containers: each episode's id and actions so far."""
+        return {
+            "seed": self.seed,
+            "episodes": self.episodes.tolist(),
+            "actions": [self._history[scene, : self.steps[scene]].tolist() for scene in range(self.num_scenes)],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Bring a `state` back, bit for bit, by playing its episodes again from their starts."""
+        self.reseed(int(state["seed"]))
+        self.episodes = np.array(state["episodes"], np.int64)
+        lengths = [len(actions) for actions in state["actions"]]
+        longest = max(lengths, default=0)
+        width = self._history.shape[2]
+        rows = np.zeros((longest, self.num_scenes, width), np.float32)
+        for scene, actions in enumerate(state["actions"]):
+            if actions:
+                rows[longest - len(actions) :, scene] = np.array(actions, np.float32)
+        self._start(np.ones(self.num_scenes, bool))
+        for turn in range(longest):
+            late = np.array([longest - turn == length for length in lengths])
+            if late.any():
+                self._start(late)
+            self.step(rows[turn, :, :2], rows[turn, :, 2:].reshape(self.num_scenes, -1, 2))
+        finished = np.array(lengths) == 0
+        if finished.any():
+            self._start(finished)
+
+    def close(self) -> None:
+        """Free the physics engine's memory."""
+        for scene in self._scenes:
+            scene.close()

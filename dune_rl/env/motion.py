@@ -1,0 +1,96 @@
+"""The rovers' true motion over a batch, derived once per step from what physics gives."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, wrap_angle
+from dune_rl.robots.rover_zero import RoverZero
+
+Array = NDArray[np.float64]
+
+# No rover of ours moves or falls this fast, and no world reaches so far: beyond, physics has diverged.
+_MAX_SPEED_MPS = 50.0
+_MAX_TURN_RADPS = 200.0
+MAX_SENSED_SPEED_MPS = 10.0
+MAX_SENSED_TURN_RADPS = 34.9
+
+
+class Motion:
+    """Pose and twist of the M rovers.
+
+    `position_w` (M, 3), `rotation` (M, 3, 3) body to world, `velocity_w` and
+    `angular_w` (M, 3), the same in the body frame with `_b`, and
+    `roll_pitch_yaw` (M, 3). Where physics diverges, the last good state stands
+    and `diverged` (M,) says so.
+    """
+
+    def __init__(self, num_scenes: int, robot: RoverZero) -> None:
+        self._states = np.zeros((num_scenes, 13))
+        self._states[:, 6] = 1.0
+        self._offsets, self._radius = robot.footprint_circles()
+        self.diverged = np.zeros(num_scenes, bool)
+        self._anchor = np.zeros((num_scenes, 2))
+        self._since = np.zeros(num_scenes, np.int64)
+        self._derive()
+
+    def set_row(self, scene: int, state: tuple[float, ...]) -> None:
+        """Take the physics state of one scene, at the start of an episode; `begin` completes it."""
+        self._states[scene] = state
+
+    def begin(self, mask: NDArray[np.bool_]) -> None:
+        """Start afresh in the scenes in `mask` (M,)."""
+        self.diverged[mask] = False
+        self._derive()
+        self._anchor[mask] = self.position_w[mask, :2]
+        self._since[mask] = 0
+
+    def update(self, states: Array) -> None:
+        """Take the physics states after a step, (M, 13): position, quaternion, linear and angular velocity."""
+        speed = np.abs(states[:, 7:10]).max(axis=1)
+        turn = np.abs(states[:, 10:13]).max(axis=1)
+        far = np.abs(states[:, :3]).max(axis=1)
+        # Written so that NaN, which compares false, counts as bad.
+        good = (speed < _MAX_SPEED_MPS) & (turn < _MAX_TURN_RADPS) & (far < 1e5)
+        self.diverged = ~good
+        self._states = states if good.all() else np.where(good[:, None], states, self._states)
+        self._derive()
+
+    def _derive(self) -> None:
+        states = self._states
+        self.position_w = states[:, 0:3]
+        self.velocity_w = states[:, 7:10]
+        self.angular_w = states[:, 10:13]
+        self.rotation = rotation_matrices(states[:, 3:7])
+        self.roll_pitch_yaw = roll_pitch_yaw(self.rotation)
+        self.velocity_b = to_body(self.rotation, self.velocity_w)
+        self.angular_b = to_body(self.rotation, self.angular_w)
+
+    def tilt(self) -> Array:
+        """Angle between the body's z and the world's [rad], (M,)."""
+        return np.arccos(np.clip(self.rotation[:, 2, 2], -1.0, 1.0))
+
+    def bearing(self, points_w: Array) -> Array:
+        """Bearing of points (M, 2) from each rover's heading [rad], in [-pi, pi), (M,)."""
+        offset = points_w - self.position_w[:, :2]
+        return wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - self.roll_pitch_yaw[:, 2])
+
+    def hull_circles(self) -> tuple[Array, float]:
+        """Centres (M, C, 2) [m] and radius [m] of the circles that cover each rover, seen from above."""
+        axis = self.rotation[:, :2, 0]
+        return self.position_w[:, None, :2] + self._offsets[None, :, None] * axis[:, None, :], self._radius
+
+    def steps_since_moved(self, radius_m: float) -> NDArray[np.int64]:
+        """Steps, (M,), since each rover was last `radius_m` from where it had been. Call it once per step."""
+        offset = self.position_w[:, :2] - self._anchor
+        moved = np.hypot(offset[:, 0], offset[:, 1]) > radius_m
+        self._anchor[moved] = self.position_w[moved, :2]
+        self._since += 1
+        self._since[moved] = 0
+        return self._since.copy()
+
+    def sensed_velocity(self) -> NDArray[np.float32]:
+        """Forward speed [m/s] and yaw rate [rad/s] as sensed, clipped to the sensor's range, (M, 2)."""
+        out = np.empty((len(self.position_w), 2), np.float32)
+        out[:, 0] = np.clip(self.velocity_b[:, 0], -MAX_SENSED_SPEED_MPS, MAX_SENSED_SPEED_MPS)
+        out[:, 1] = np.clip(self.angular_b[:, 2], -MAX_SENSED_TURN_RADPS, MAX_SENSED_TURN_RADPS)
+        return out

@@ -1,0 +1,122 @@
+"""The PettingZoo environment: a batch of one, whose rover and learnable actors are agents."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from dune_rl.env.batch import Batch
+from dune_rl.env.bounds import (
+    Bounds,
+    rover_action_bounds,
+    rover_observation_bounds,
+    walker_action_bounds,
+    walker_observation_bounds,
+)
+
+Floats = NDArray[np.float32]
+Observation = dict[str, Floats]
+
+ROVER = "rover_0"
+
+
+def _box(bounds: Bounds) -> gymnasium.spaces.Box:
+    return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
+
+
+class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
+    """`rover_0` and, for each actor with `controller: external`, `walker_0`, `walker_1`, ...
+
+    All agents act at every step until the episode ends, which it does with the
+    rover's: where the rover terminates, the others are truncated. Observations
+    are dicts of float32 boxes; `infos` hold the episode's running metrics for
+    the rover, under the same keys at every step, -1 where a value is not defined yet.
+    """
+
+    metadata = {"name": "dune_rl_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
+    render_mode = None
+
+    def __init__(self, batch: Batch) -> None:
+        if batch.num_scenes != 1:
+            raise ValueError(f"the PettingZoo environment wraps a batch of one scene, not of {batch.num_scenes}")
+        self._batch = batch
+        self.possible_agents = [ROVER, *batch.actors.names]
+        self.agents: list[str] = []
+        rover = gymnasium.spaces.Dict({k: _box(v) for k, v in rover_observation_bounds(batch).items()})
+        self.observation_spaces = {ROVER: rover}
+        self.action_spaces = {ROVER: _box(rover_action_bounds(batch))}
+        self._walkers = batch.actors.names
+        for name in self._walkers:
+            self.observation_spaces[name] = gymnasium.spaces.Dict(
+                {k: _box(v) for k, v in walker_observation_bounds(batch).items()}
+            )
+            self.action_spaces[name] = _box(walker_action_bounds(batch))
+        self._rover_action = np.zeros((1, 2), np.float32)
+        self._walker_actions = np.zeros((1, len(self._walkers), 2), np.float32)
+
+    def observation_space(self, agent: str) -> gymnasium.spaces.Dict:
+        """The agent's observation space; the same object at every call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gymnasium.spaces.Box:
+        """The agent's action space, in physical units; the same object at every call."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, float]]]:
+        """Start the next episode; with `seed` the first of that seed."""
+        if seed is not None:
+            self._batch.reseed(seed)
+        self._batch.reset()
+        self.agents = self.possible_agents[:]
+        return self._observations(), self._infos()
+
+    def step(
+        self, actions: dict[str, NDArray[np.floating]]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, float]],
+    ]:
+        """Advance 1 / control_hz seconds; actions of agents that are not in the episode are ignored."""
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        self._rover_action[0] = actions[ROVER]
+        for index, name in enumerate(self._walkers):
+            self._walker_actions[0, index] = actions[name]
+        outcome = self._batch.step(self._rover_action, self._walker_actions)
+        terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
+        ended = terminated or truncated
+        rewards = {ROVER: float(outcome.rover_reward[0])}
+        terminations, truncations = {ROVER: terminated}, {ROVER: truncated}
+        for index, name in enumerate(self._walkers):
+            rewards[name] = float(outcome.walker_reward[0, index])
+            terminations[name], truncations[name] = False, ended
+        observations, infos = self._observations(), self._infos()
+        if ended:
+            self.agents = []
+        return observations, rewards, terminations, truncations, infos
+
+    def _observations(self) -> dict[str, Observation]:
+        out = {ROVER: {name: value[0] for name, value in self._batch.observe().items()}}
+        if self._walkers:
+            walkers = self._batch.observe_walkers()
+            for index, name in enumerate(self._walkers):
+                out[name] = {key: value[0, index] for key, value in walkers.items()}
+        return out
+
+    def _infos(self) -> dict[str, dict[str, float]]:
+        infos: dict[str, dict[str, float]] = {name: {} for name in self.possible_agents}
+        # Wrappers compare infos and freeze their keys, which NaN and missing ones would break.
+        values = np.nan_to_num(self._batch.metrics()[0], nan=-1.0)
+        infos[ROVER] = dict(zip(self._batch.metric_names, values.tolist(), strict=True))
+        return infos
+
+    def close(self) -> None:
+        """Free the physics engine's memory."""
+        self._batch.close()

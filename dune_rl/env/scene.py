@@ -1,0 +1,44 @@
+"""From a world, a robot and actors to what the physics engine builds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.actors.actor import Actors
+from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
+from dune_rl.physics.interface import PhysicsConf, SceneSpec, StaticBody
+from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+
+# Room under the wheels at the start, so that no contact begins with penetration.
+_DROP_M = 0.005
+
+
+def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsConf) -> SceneSpec:
+    """The bodies of one scene: terrain, solid props, actors and the robot."""
+    vertices, faces = world.terrain.mesh()
+    statics = [StaticBody("terrain", vertices, faces, world.friction, ground=True)]
+    statics += [
+        StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=prop.drivable)
+        for prop in world.props
+        if prop.solid
+    ]
+    return SceneSpec(
+        statics=tuple(statics),
+        kinematics=actors.bodies(),
+        robot=robot.body,
+        timestep_s=1.0 / physics.physics_hz,
+        solver_iterations=physics.solver_iterations,
+    )
+
+
+def standing_pose(world: World, robot: RoverZero, x: float, y: float, yaw: float) -> tuple[Array, Array]:
+    """Position (3,) and quaternion (4,) of a robot that stands on the terrain at (x, y), just above contact."""
+    normal = world.terrain.normal(np.array([x, y]))
+    quaternion = quaternion_on_slope(normal, np.asarray(yaw))
+    wheels = robot.wheel_positions_b @ rotation_matrices(quaternion).T
+    ground, normals = world.terrain.height_and_normal(wheels[:, :2] + [x, y])
+    # The lowest point of a round wheel over sloping ground lies radius / cos(slope) below its centre.
+    lift = ground + robot.standing_height_m / normals[:, 2] - wheels[:, 2]
+    return np.array([x, y, lift.max() + _DROP_M]), quaternion

@@ -1,0 +1,120 @@
+"""Measure a policy on numbered episodes: `python -m dune_rl.evaluate checkpoint=runs/NAME episodes=100`."""
+
+import os
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import yaml
+from rich.console import Console
+from rich.progress import Progress
+
+from dune_rl import command
+from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.compose import compose_evaluation, given
+from dune_rl.config.schema import EvaluateConf
+from dune_rl.errors import ConfigError
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
+from dune_rl.learning.evaluation import Row, evaluate, summary, write_csv
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.policies import GoToGoal, Policy, UniformRandom, load_policy
+from dune_rl.learning.table import results_table
+
+USAGE = (
+    "python -m dune_rl.evaluate checkpoint=runs/NAME [setting=value ...]",
+    "python -m dune_rl.evaluate policy=go_to_goal +world=inspection [setting=value ...]",
+)
+CLOSING = (
+    "A checkpoint brings the settings of its run; +world=NAME and other settings change them.\n"
+    "Equal seeds and settings give every policy the same episodes, so that results pair."
+)
+SETTINGS = (
+    ("checkpoint=PATH", "a run's folder, or a file of weights"),
+    ("policy=NAME", "go_to_goal or random, instead of a checkpoint"),
+    ("episodes=N", "how many to run"),
+    ("seed=N", "of the episodes"),
+    ("scenes=N", "episodes side by side; no result depends on it"),
+    ("out=FILE", "CSV with a row for each episode"),
+)
+
+
+def main() -> None:
+    """Run the command line; ends the process."""
+    command.run(partial(_main, sys.argv[1:]))
+
+
+def _main(words: Sequence[str]) -> None:
+    parsed = command.arguments(words)
+    if parsed.help:
+        command.show_help(
+            "Measure a policy on numbered episodes.", USAGE, [*SETTINGS, *command.group_settings()], CLOSING
+        )
+        return
+    if parsed.multirun:
+        raise ConfigError("evaluate runs one evaluation; leave -m out")
+    checkpoint = given(parsed.overrides, "checkpoint")
+    saved = None
+    if checkpoint is not None:
+        file = find(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+        saved = read(file, "policy", "checkpoint")["config"]
+    conf = compose_evaluation(parsed.overrides, command.config_dirs(parsed), saved)
+    if parsed.cfg:
+        print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+        return
+    _evaluate(conf)
+
+
+def _evaluate(conf: EvaluateConf) -> None:
+    out = Path(conf.out) if conf.out else _default_out(conf)
+    _check_writable(out)
+    console = Console()
+    env = make_torchrl_env(conf, min(conf.scenes, conf.episodes), conf.seed)
+    policy, name = _policy(conf, Layout.of(env))
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task("episodes", total=conf.episodes)
+        rows = evaluate(
+            policy, env, conf.episodes, conf.seed, progress=lambda done: bar.update(task, completed=done)
+        )
+    env.close()
+    title = f"{conf.world.name}: {conf.episodes} episodes of seed {conf.seed}"
+    console.print(results_table({name: summary(rows)}, title))
+    write_csv(out, [_record(name, conf, row) for row in rows])
+    console.print(f"Episodes: {out}", highlight=False, soft_wrap=True)
+
+
+def _policy(conf: EvaluateConf, layout: Layout) -> tuple[Policy, str]:
+    if conf.checkpoint is not None:
+        path = Path(conf.checkpoint)
+        return load_policy(path, layout)[0], path.name if path.is_dir() else path.parent.name or path.stem
+    if conf.policy == "random":
+        return UniformRandom(layout, conf.seed), "random"
+    return GoToGoal(layout), "go_to_goal"
+
+
+def _record(name: str, conf: EvaluateConf, row: Row) -> dict[str, object]:
+    return {
+        "policy": name,
+        "world": conf.world.name,
+        "seed": conf.seed,
+        **{key: int(value) if float(value).is_integer() else value for key, value in row.items()},
+    }
+
+
+def _default_out(conf: EvaluateConf) -> Path:
+    stem = f"{conf.world.name}_seed{conf.seed}.csv"
+    if conf.checkpoint is None:
+        return Path(f"episodes_{conf.policy}_{stem}")
+    path = Path(conf.checkpoint)
+    return (path if path.is_dir() else path.parent) / f"episodes_{stem}"
+
+
+def _check_writable(out: Path) -> None:
+    # Before the episodes are run, not after.
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.is_dir() or not os.access(out.parent, os.W_OK):
+        raise ConfigError(f"out={out} cannot be written; choose another file")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Rotations and angles over a batch. Quaternions are xyzw; frames end in `_w` (world) or `_b` (body)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap_angle(angle: Array) -> Array:
+    """The same angle [rad] in [-pi, pi), any shape."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def rotation_matrices(quaternion: Array) -> Array:
+    """Body-to-world rotation, shape (..., 3, 3), of unit quaternions xyzw, shape (..., 4)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    out = np.empty((*quaternion.shape[:-1], 3, 3))
+    xx, yy, zz = x * x, y * y, z * z
+    xy, xz, yz = x * y, x * z, y * z
+    wx, wy, wz = w * x, w * y, w * z
+    out[..., 0, 0] = 1 - 2 * (yy + zz)
+    out[..., 0, 1] = 2 * (xy - wz)
+    out[..., 0, 2] = 2 * (xz + wy)
+    out[..., 1, 0] = 2 * (xy + wz)
+    out[..., 1, 1] = 1 - 2 * (xx + zz)
+    out[..., 1, 2] = 2 * (yz - wx)
+    out[..., 2, 0] = 2 * (xz - wy)
+    out[..., 2, 1] = 2 * (yz + wx)
+    out[..., 2, 2] = 1 - 2 * (xx + yy)
+    return out
+
+
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3): yaw about z, then pitch, then roll.
+
+    Pitch lies in [-pi/2, pi/2] and is positive nose down (x forward, z up).
+    """
+    out = np.empty(rotation.shape[:-1])
+    out[..., 0] = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
+    out[..., 1] = -np.arcsin(np.clip(rotation[..., 2, 0], -1.0, 1.0))
+    out[..., 2] = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+    return out
+
+
+def to_world(rotation: Array, vector_b: Array) -> Array:
+    """Body vectors (..., 3) in the world frame, by rotations (..., 3, 3)."""
+    return np.einsum("...ij,...j->...i", rotation, vector_b)
+
+
+def to_body(rotation: Array, vector_w: Array) -> Array:
+    """World vectors (..., 3) in the body frame, by rotations (..., 3, 3)."""
+    return np.einsum("...ji,...j->...i", rotation, vector_w)
+
+
+def quaternion_on_slope(normal: Array, yaw: Array) -> Array:
+    """Quaternion xyzw (..., 4) of a body turned by `yaw` (...) [rad] and then tilted so that its z is `normal` (..., 3)."""
+    up = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    zero = np.zeros_like(yaw)
+    turn = np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1)
+    axis = np.cross(np.broadcast_to([0.0, 0.0, 1.0], up.shape), up)
+    tilt = np.concatenate([axis, 1.0 + up[..., 2:3]], axis=-1)
+    tilt /= np.linalg.norm(tilt, axis=-1, keepdims=True)
+    return multiply_quaternions(tilt, turn)
+
+
+def multiply_quaternions(first: Array, second: Array) -> Array:
+    """Hamilton product xyzw (..., 4): the rotation `second`, then `first`."""
+    x1, y1, z1, w1 = np.moveaxis(first, -1, 0)
+    x2, y2, z2, w2 = np.moveaxis(second, -1, 0)
+    return np.stack(
+        [
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,99 @@
+"""Terrain as a regular grid of heights, two triangles a cell."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class HeightField:
+    """Heights `(ny, nx)` [m] at `origin` + `spacing_m` * (column, row), joined by two triangles a cell.
+
+    Each cell is split along the diagonal from its lower left to its upper
+    right corner, and every query is exact on these triangles: it agrees with
+    the mesh that physics and rays see. A point beyond the edge is answered by
+    the nearest point of the edge, and a NaN by the first corner.
+    """
+
+    def __init__(self, heights: ArrayLike, spacing_m: float, origin: tuple[float, float]) -> None:
+        grid = np.array(heights, dtype=np.float64)
+        if grid.ndim != 2 or min(grid.shape) < 2:
+            raise ValueError(f"heights must be a grid of at least 2 by 2, not of shape {grid.shape}")
+        if not np.isfinite(grid).all():
+            raise ValueError("heights must be finite")
+        if not spacing_m > 0:
+            raise ValueError(f"spacing_m must be positive, not {spacing_m}")
+        grid.flags.writeable = False
+        self.heights: Array = grid
+        self.spacing_m = float(spacing_m)
+        self.origin = (float(origin[0]), float(origin[1]))
+        rows, columns = grid.shape
+        self.extent: tuple[float, float, float, float] = (
+            self.origin[0],
+            self.origin[0] + (columns - 1) * self.spacing_m,
+            self.origin[1],
+            self.origin[1] + (rows - 1) * self.spacing_m,
+        )
+        self._origin = np.array(self.origin)
+        self._inverse_spacing = 1.0 / self.spacing_m
+        self._last = np.array([columns - 1, rows - 1], dtype=np.float64)
+        self._last_cell = np.array([columns - 2, rows - 2])
+        self._strides = np.array([2, 2 * (columns - 1)])
+        self._planes, self._normals = self._triangle_tables()
+
+    def _triangle_tables(self) -> tuple[Array, Array]:
+        # Two rows a cell, upper left triangle first: height at the cell's corner and its rise per cell
+        # along x and y; and the unit normal. One look-up then answers a point.
+        z = self.heights
+        low_left, low_right, up_left, up_right = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
+        planes = np.empty((*low_left.shape, 2, 3))
+        planes[..., 0] = low_left[..., None]
+        planes[..., 0, 1], planes[..., 0, 2] = up_right - up_left, up_left - low_left
+        planes[..., 1, 1], planes[..., 1, 2] = low_right - low_left, up_right - low_right
+        normals = np.empty_like(planes)
+        normals[..., :2] = -planes[..., 1:] * self._inverse_spacing
+        normals[..., 2] = 1.0
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        return planes.reshape(-1, 3), normals.reshape(-1, 3)
+
+    def _locate(self, xy: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+        # The triangle of every point, and where in its cell the point is, (..., 2) in [0, 1].
+        at = (np.asarray(xy, dtype=np.float64) - self._origin) * self._inverse_spacing
+        at = np.fmin(np.fmax(at, 0.0), self._last)
+        cell = np.minimum(at.astype(np.intp), self._last_cell)
+        at -= cell
+        return cell @ self._strides + (at[..., 0] >= at[..., 1]), at
+
+    def height(self, xy: ArrayLike) -> Array:
+        """Height [m], shape (...), at points (..., 2)."""
+        triangle, at = self._locate(xy)
+        plane = self._planes[triangle]
+        return plane[..., 0] + plane[..., 1] * at[..., 0] + plane[..., 2] * at[..., 1]
+
+    def normal(self, xy: ArrayLike) -> Array:
+        """Upward unit normal in the world frame, shape (..., 3), at points (..., 2)."""
+        return self._normals[self._locate(xy)[0]]
+
+    def height_and_normal(self, xy: ArrayLike) -> tuple[Array, Array]:
+        """Both `height` and `normal`, for one search of the triangles."""
+        triangle, at = self._locate(xy)
+        plane = self._planes[triangle]
+        height = plane[..., 0] + plane[..., 1] * at[..., 0] + plane[..., 2] * at[..., 1]
+        return height, self._normals[triangle]
+
+    def slope(self, xy: ArrayLike) -> Array:
+        """Angle between the ground and the horizontal [rad], shape (...), at points (..., 2)."""
+        return np.arccos(np.minimum(self.normal(xy)[..., 2], 1.0))
+
+    def mesh(self) -> tuple[Array, NDArray[np.int32]]:
+        """Vertices (V, 3) [m] and faces (F, 3), counter-clockwise from above: the triangles queried."""
+        rows, columns = self.heights.shape
+        x = self.origin[0] + self.spacing_m * np.arange(columns)
+        y = self.origin[1] + self.spacing_m * np.arange(rows)
+        grid_x, grid_y = np.meshgrid(x, y)
+        vertices = np.stack([grid_x, grid_y, self.heights], axis=-1).reshape(-1, 3)
+        corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
+        upper = np.stack([corner, corner + columns + 1, corner + columns], axis=-1)
+        lower = np.stack([corner, corner + 1, corner + columns + 1], axis=-1)
+        faces = np.stack([upper, lower], axis=1).reshape(-1, 3).astype(np.int32)
+        return vertices, faces

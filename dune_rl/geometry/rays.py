@@ -1,0 +1,62 @@
+"""Ray casting against triangle meshes, on Embree."""
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore import EmbreeDevice
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+_device: EmbreeDevice | None = None
+
+
+def _shared_device() -> EmbreeDevice:
+    # One device serves every scene of a process: each further one costs threads and memory.
+    global _device
+    if _device is None:
+        _device = EmbreeDevice()
+    return _device
+
+
+class RayScene:
+    """A static set of triangles that rays are cast against.
+
+    `vertices` (V, 3) [m] and `faces` (F, 3) are copied into Embree.
+    """
+
+    def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+        self._scene = EmbreeScene(_shared_device())
+        self._mesh = TriangleMesh(
+            self._scene,
+            np.ascontiguousarray(vertices, dtype=np.float32),
+            np.ascontiguousarray(faces, dtype=np.int32),
+        )
+
+    def shorten(
+        self,
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        ranges: NDArray[np.float32],
+    ) -> NDArray[np.int32]:
+        """Shorten `ranges` (N,) in place to the first hit, and give the face hit, (N,), -1 for none.
+
+        `origins` and `directions` are (N, 3), C-contiguous; directions of unit
+        length make the ranges metres. A ray whose range is already shorter
+        than its first hit keeps it, so several scenes can be asked in turn.
+        """
+        return self._scene.run(origins, directions, dists=ranges)
+
+    def first_hit(
+        self,
+        origins: NDArray[np.floating],
+        directions: NDArray[np.floating],
+        range_m: float,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Range to the first hit (N,), `range_m` for none, and its geometric normal (N, 3), not normalised."""
+        ranges = np.full(len(origins), range_m, np.float32)
+        found = self._scene.run(
+            np.ascontiguousarray(origins, np.float32),
+            np.ascontiguousarray(directions, np.float32),
+            dists=ranges,
+            output=True,
+        )
+        return np.asarray(found["tfar"]), np.asarray(found["Ng"])

@@ -1,0 +1,120 @@
+"""Checkpoints: written atomically, read without executing anything in them."""
+
+import os
+import pickle
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+from pydantic import Field
+
+from dune_rl.errors import CheckpointError
+from dune_rl.settings import Settings
+
+FORMAT = "dune_rl"
+VERSION = 1
+CHECKPOINT_FILE = "checkpoint.pt"
+BEST_POLICY_FILE = "policy.pt"
+LAST_POLICY_FILE = "policy_last.pt"
+
+
+class CheckpointConf(Settings):
+    """How often a run is saved; it is always saved at its end and when interrupted."""
+
+    every_frames: int = Field(200_000, ge=1)
+    replay: bool = Field(True, description="keep the replay buffer too; an interrupted run always does")
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place, whole and on disk, unless the block fails."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        # mkstemp's 0600 would hide results from the group.
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
+    """Write `content` (plain containers and tensors) as a file of this `kind`; raises CheckpointError."""
+    try:
+        with replaced(path) as temporary:
+            torch.save({"format": FORMAT, "version": VERSION, "kind": kind, **content}, temporary)
+    except OSError as error:
+        raise CheckpointError(
+            f"{path} cannot be written: {error.strerror or error}.\n"
+            "Free some space or allow writing there; what was saved before is intact."
+        ) from error
+
+
+def read(path: Path, *kinds: str) -> dict[str, Any]:
+    """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy."""
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise CheckpointError(
+            f"There is no {path}.\nGive a run's folder, or a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} inside one."
+        ) from error
+    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise CheckpointError(_unreadable(path, error)) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise CheckpointError(
+            f"{path} was not written by dune_rl.\nGive a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of a run."
+        )
+    if content["version"] > VERSION:
+        raise CheckpointError(
+            f"{path} has format {content['version']}; this dune_rl reads up to {VERSION}.\n"
+            "Update dune_rl to the version that wrote it, or a later one."
+        )
+    if content["kind"] not in kinds:
+        raise CheckpointError(f"{path} is a {content['kind']}, but a {' or '.join(kinds)} is needed here.")
+    return content
+
+
+def _unreadable(path: Path, error: Exception) -> str:
+    if isinstance(error, OSError):
+        return f"{path} cannot be read: {error.strerror or error}.\nCheck the path and its permissions."
+    if path.stat().st_size and zipfile.is_zipfile(path):
+        return (
+            f"{path} is damaged, or was not written by dune_rl.\n"
+            f"Give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE}; a run's folder may hold several."
+        )
+    return (
+        f"{path} is truncated or no checkpoint at all ({path.stat().st_size} bytes).\n"
+        f"Copy it again, or give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE}; a run's folder may hold several."
+    )
+
+
+def find(path: Path, *names: str) -> Path:
+    """`path` itself if it is a file, else the first of the files `names` in the folder; raises CheckpointError."""
+    if not path.is_dir():
+        return path
+    for name in names:
+        if (path / name).is_file():
+            return path / name
+    raise CheckpointError(
+        f"The folder {path} holds no {' or '.join(names)}.\n"
+        "Give the folder of one run; one that was killed before its first save holds none."
+    )

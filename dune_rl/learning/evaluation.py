@@ -1,0 +1,133 @@
+"""Evaluation on numbered episodes, the same for every policy."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from pydantic import Field
+from torchrl.envs import EnvBase
+
+from dune_rl.errors import CheckpointError
+from dune_rl.learning.checkpoint import replaced
+from dune_rl.learning.policies import Policy
+from dune_rl.learning.random_state import undisturbed
+from dune_rl.learning.statistics import Estimate, PairedTest, mcnemar, mean, proportion
+from dune_rl.settings import Settings
+
+Row = dict[str, float]
+
+
+class EvaluationConf(Settings):
+    """When training pauses to measure its policy, and on how much."""
+
+    every_frames: int = Field(100_000, ge=1)
+    episodes: int = Field(50, ge=1)
+    scenes: int = Field(16, ge=1, description="episodes run side by side; no result depends on it")
+    seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed: training never sees these")
+
+
+@torch.no_grad()
+def evaluate(
+    policy: Policy,
+    env: EnvBase,
+    episodes: int,
+    seed: int,
+    *,
+    stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[int], None] = lambda done: None,
+) -> list[Row]:
+    """The metrics of episodes 0 to `episodes` - 1 of `seed`, in that order, each run exactly once.
+
+    `env` is a batch of scenes, seeded anew here; how many there are changes
+    no row. The process's random states are left as they were. When `stop`
+    says so, the rows finished by then are returned. `progress` is told how
+    many are done.
+    """
+    found: dict[int, Row] = {}
+    names = env.metric_names
+    with undisturbed():
+        env.set_seed(seed)
+        observation = env.reset()
+        while len(found) < episodes and not stop():
+            after, observation = env.step_and_maybe_reset(policy(observation))
+            finished = after["next", "done"].squeeze(-1)
+            if not finished.any():
+                continue
+            for values in after["next", "metrics"][finished].tolist():
+                row = dict(zip(names, values, strict=True))
+                # A scene goes on with later ids while others are still at theirs.
+                if row["episode"] < episodes:
+                    found[int(row["episode"])] = row
+            progress(len(found))
+    return [found[episode] for episode in sorted(found)]
+
+
+# Short names as in the paper: (key, title, unit, how an episode's row gives it).
+MEASURES: dict[str, tuple[str, str]] = {
+    "SR": ("success rate: goal reached without collision", ""),
+    "TR": ("traversal rate: goal reached", ""),
+    "TC": ("collisions per episode", ""),
+    "MTT": ("mean time to traverse", "s"),
+    "OC": ("obstacle clearance, mean over time", "m"),
+    "VR": ("vertical roughness", "m/s²"),
+    "VORT": ("velocity over rough terrain", "m/s"),
+    "TSR": ("total smoothness of route, lower is smoother", ""),
+}
+_COLUMNS = {
+    "SR": "success",
+    "TR": "reached",
+    "TC": "collisions",
+    "MTT": "time_to_goal",
+    "OC": "clearance",
+    "VR": "vertical_roughness",
+    "VORT": "vort",
+    "TSR": "smoothness",
+}
+
+
+def averages(rows: Sequence[Mapping[str, float]]) -> Row:
+    """Each of `MEASURES` over the episodes `rows`, with the mean return and length; NaN where none was measured."""
+    columns = {**_COLUMNS, "return": "return", "steps": "steps"}
+    if not rows:
+        return dict.fromkeys(columns, float("nan"))
+    values = {name: np.array([row[column] for row in rows]) for name, column in columns.items()}
+    return {
+        name: float(column[~np.isnan(column)].mean()) if not np.isnan(column).all() else float("nan")
+        for name, column in values.items()
+    }
+
+
+def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
+    """Each of `MEASURES` with its 95 % interval.
+
+    SR and TR are shares of episodes; the rest are means over the episodes
+    that have a value: MTT over those that reached the goal, VORT over those
+    that met an uneven section.
+    """
+    return {
+        name: (proportion if name in ("SR", "TR") else mean)([row[column] for row in rows])
+        for name, column in _COLUMNS.items()
+    }
+
+
+def compare(rows_a: Sequence[Mapping[str, float]], rows_b: Sequence[Mapping[str, float]]) -> PairedTest:
+    """Exact paired test of success between two evaluations of the same episodes; raises ValueError if not the same."""
+    ids_a, ids_b = ([row["episode"] for row in rows] for rows in (rows_a, rows_b))
+    if ids_a != ids_b:
+        raise ValueError("the two evaluations ran different episodes, so they do not pair")
+    return mcnemar([row["success"] > 0 for row in rows_a], [row["success"] > 0 for row in rows_b])
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write `rows` atomically, one line each, with the columns of the first; raises CheckpointError."""
+    try:
+        with replaced(path) as temporary, temporary.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise CheckpointError(
+            f"{path} cannot be written: {error.strerror or error}.\nGive a folder that allows writing."
+        ) from error

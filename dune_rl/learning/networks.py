@@ -1,0 +1,127 @@
+"""The policy and the action-value network, and the running normalisation before them."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
+from torchrl.modules import ProbabilisticActor, TanhNormal
+
+from dune_rl.learning.layout import Layout
+
+FEATURES = "features"
+_LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
+
+
+class Normaliser(nn.Module):
+    """Running mean and variance of observation vectors (..., n), which it scales to about unit size."""
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, size: int, clip: float) -> None:
+        super().__init__()
+        self.clip = clip
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("variance", torch.ones(size))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    @torch.no_grad()
+    def observe(self, vectors: Tensor) -> None:
+        """Merge `vectors` (k, n) into the statistics (Chan, Golub and LeVeque's pairwise update)."""
+        batch = vectors.double()
+        k = len(batch)
+        mean, variance = batch.mean(0), batch.var(0, correction=0)
+        total = self.count + k
+        shift = mean - self.mean.double()
+        merged = self.variance.double() * self.count + variance * k + shift**2 * (self.count * k / total)
+        self.mean.copy_(self.mean.double() + shift * (k / total))
+        self.variance.copy_(merged / total)
+        self.count.copy_(total)
+
+    def forward(self, vectors: Tensor) -> Tensor:
+        """`vectors` normalised and clipped, same shape."""
+        # The floor keeps a part that never moves (an empty LiDAR) from amplifying its first change.
+        return ((vectors - self.mean) / (self.variance + 1e-4).sqrt()).clamp(-self.clip, self.clip)
+
+
+class Features(nn.Module):
+    """Concatenates the observation's parts and normalises them; an image encoder would join here."""
+
+    def __init__(self, layout: Layout, clip: float) -> None:
+        super().__init__()
+        self.normaliser = Normaliser(layout.observation_size, clip)
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        """Features (..., n) of the parts (..., n_i), in the layout's order."""
+        return self.normaliser(torch.cat(parts, -1))
+
+
+def _perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for width in hidden:
+        layers += [nn.Linear(n_in, width), nn.ReLU()]
+        n_in = width
+    return nn.Sequential(*layers, nn.Linear(n_in, n_out))
+
+
+class Actor(nn.Module):
+    """Location and scale of the action before its tanh, each (..., A), from features."""
+
+    def __init__(self, layout: Layout, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.body = _perceptron(layout.observation_size, hidden, 2 * layout.action_size)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """In float32 also under autocast: the log-probability of a squashed action needs it."""
+        loc, raw = self.body(features).float().chunk(2, -1)
+        share = (torch.tanh(raw) + 1) / 2
+        return loc, torch.exp(_LOG_SCALE_MIN + (_LOG_SCALE_MAX - _LOG_SCALE_MIN) * share)
+
+
+class ActionValue(nn.Module):
+    """Q(features, action), (..., 1), for actions in physical units, which it scales to [-1, 1]."""
+
+    middle: Tensor
+    half_range: Tensor
+
+    def __init__(self, layout: Layout, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.body = _perceptron(layout.observation_size + layout.action_size, hidden, 1)
+        self.register_buffer("middle", layout.middle)
+        self.register_buffer("half_range", layout.half_range)
+
+    def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        """In float32 also under autocast: targets are differences of large values."""
+        scaled = (action - self.middle) / self.half_range
+        return self.body(torch.cat([features, scaled], -1)).float()
+
+
+def make_policy(
+    layout: Layout, hidden: Sequence[int], clip: float, device: torch.device | str = "cpu"
+) -> TensorDictSequential:
+    """From the observation's parts to "action": features, then a tanh-normal over the action's bounds.
+
+    Its first module holds the normaliser, its second is the actor that a loss takes.
+    """
+    features = TensorDictModule(Features(layout, clip), in_keys=layout.keys, out_keys=[FEATURES])
+    actor = ProbabilisticActor(
+        module=TensorDictModule(Actor(layout, hidden), in_keys=[FEATURES], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        distribution_kwargs={
+            "low": torch.tensor(layout.low, device=device),
+            "high": torch.tensor(layout.high, device=device),
+        },
+    )
+    return TensorDictSequential(features, actor).to(device)
+
+
+def make_action_value(
+    layout: Layout, hidden: Sequence[int], device: torch.device | str = "cpu"
+) -> TensorDictModule:
+    """From features and action to "state_action_value"."""
+    return TensorDictModule(
+        ActionValue(layout, hidden), in_keys=[FEATURES, "action"], out_keys=["state_action_value"]
+    ).to(device)

@@ -1,0 +1,88 @@
+"""Policies to evaluate: built-in references, and trained ones from their files."""
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.networks import make_policy
+
+
+class Policy(Protocol):
+    """Writes "action" (M, A) into what a batch of M scenes observes."""
+
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase: ...
+
+
+class GoToGoal:
+    """Turns towards the goal, then drives at it, whatever lies between."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._top_speed = layout.high[0]
+
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
+        """Commands the goal's heading, and the speed's share that points at the goal."""
+        heading = observation.get("goal")[..., 1]
+        speed = self._top_speed * heading.cos().clamp(min=0)
+        return observation.set("action", torch.stack([speed, heading], -1))
+
+
+class UniformRandom:
+    """Draws every action uniformly within its bounds, from a stream of its own."""
+
+    def __init__(self, layout: Layout, seed: int = 0) -> None:
+        self._low = torch.tensor(layout.low)
+        self._width = torch.tensor(layout.high) - self._low
+        self._generator = torch.Generator().manual_seed(seed)
+
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
+        """Ignores what is observed but for its batch size."""
+        share = torch.rand((*observation.batch_size, len(self._low)), generator=self._generator)
+        return observation.set("action", self._low + share * self._width)
+
+
+class Deterministic:
+    """A trained policy's most likely behaviour: the squashed location of its distribution."""
+
+    def __init__(self, module: torch.nn.Module) -> None:
+        self._module = module
+
+    @torch.no_grad()
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
+        """Acts without noise and without changing the module's statistics."""
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self._module(observation)
+
+
+def policy_content(
+    module: torch.nn.Module, layout: Layout, hidden: tuple[int, ...], clip: float, config: dict[str, Any]
+) -> dict[str, Any]:
+    """What a policy's file holds: weights, statistics, layout, and the settings that made it."""
+    weights = {key: value.detach().cpu().clone() for key, value in module.state_dict().items()}
+    return {
+        "policy": weights,
+        "layout": layout.plain(),
+        "hidden": list(hidden),
+        "observation_clip": clip,
+        "config": config,
+    }
+
+
+def load_policy(path: Path, here: Layout) -> tuple[Deterministic, dict[str, Any]]:
+    """The policy of a file or run folder, on the CPU, and the resolved settings that made it.
+
+    A folder gives its best policy. Raises CheckpointError if the file is
+    unreadable, or was made for another layout than that of the environment `here`.
+    """
+    file = find(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    content = read(file, "policy", "checkpoint")
+    layout = Layout.from_plain(content["layout"])
+    layout.require(here, str(file))
+    module = make_policy(layout, content["hidden"], content["observation_clip"])
+    weights = content["policy"] if content["kind"] == "policy" else content["learner"]["policy"]
+    module.load_state_dict(weights)
+    return Deterministic(module), content["config"]

@@ -1,0 +1,125 @@
+"""How a run reports on itself while it goes on."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a run is: counts, recent speeds [1/s], and the success rate over recent training episodes."""
+
+    frames: int
+    total_frames: int
+    frames_per_s: float
+    updates_per_s: float
+    success_rate: float
+    doing: str = "training"
+
+    @property
+    def seconds_left(self) -> float:
+        """Time to the end at the recent speed [s]; NaN while that is unknown."""
+        left = self.total_frames - self.frames
+        return left / self.frames_per_s if self.frames_per_s > 0 else math.nan
+
+    def figures(self) -> str:
+        """Speeds, success rate and time left, in one line."""
+        rate = "–" if math.isnan(self.success_rate) else f"{100 * self.success_rate:.0f} %"
+        return (
+            f"{self.frames_per_s:,.0f} frames/s  {self.updates_per_s:,.0f} updates/s  "
+            f"success {rate}  {_clock(self.seconds_left)} left"
+        )
+
+
+def _clock(seconds: float) -> str:
+    if math.isnan(seconds):
+        return "?"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+class Reporter(Protocol):
+    """Is entered before the first `update` and left after the last."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def update(self, status: Status) -> None:
+        """Take note of `status`; called often."""
+
+
+class Silent:
+    """Reports nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def update(self, status: Status) -> None:
+        """Do nothing."""
+
+
+class Bar:
+    """A progress bar on a terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[figures]}"),
+            console=console,
+            expand=True,
+        )
+        self._task = self._bar.add_task("training", total=None, figures="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def update(self, status: Status) -> None:
+        """Redraw the bar, as often as its console refreshes."""
+        self._bar.update(
+            self._task,
+            completed=status.frames,
+            total=status.total_frames,
+            description=f"{status.doing}  {status.frames:,} of {status.total_frames:,} frames",
+            figures=status.figures(),
+        )
+
+
+class Lines:
+    """One plain line to `emit` every `interval_s`, for logs and pipes."""
+
+    def __init__(self, emit: Callable[[str], None], interval_s: float = 15.0) -> None:
+        self._emit = emit
+        self._interval_s = interval_s
+        self._last = -math.inf
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def update(self, status: Status) -> None:
+        """Emit a line if the last is old enough."""
+        now = time.monotonic()
+        if now - self._last >= self._interval_s:
+            self._last = now
+            self._emit(f"{status.doing}  {status.frames:,} of {status.total_frames:,} frames  {status.figures()}")

@@ -1,0 +1,115 @@
+"""The paper's navigation metrics, accumulated over each episode of a batch."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+METRICS = (
+    "episode",
+    "steps",
+    "return",
+    "success",
+    "reached",
+    "goals",
+    "collisions",
+    "time_to_goal",
+    "clearance",
+    "min_clearance",
+    "vertical_roughness",
+    "vort",
+    "smoothness",
+    "diverged",
+    "stuck",
+    "flipped",
+    "out_of_world",
+    "timeout",
+)
+
+
+class MetricsConf(Settings):
+    """Thresholds of the metrics."""
+
+    # Clearance counts up to this; the paper's LiDAR range, which it reports where there is no obstacle.
+    max_clearance_m: float = Field(12.0, gt=0.0)
+    # A rover tilted more than this is on uneven ground.
+    uneven_tilt_rad: float = Field(np.deg2rad(5.0), ge=0.0)
+
+
+class EpisodeMetrics:
+    """Running values for M scenes; a row is final when its episode is.
+
+    Definitions (Vice & Sukthankar 2025, section 2.5; gravity is left out of
+    accelerations): `clearance` is OC, the mean over time of the distance from
+    the hull to the nearest obstacle or actor [m]; `vertical_roughness` VR, the
+    mean of |z acceleration| [m/s²]; `vort` VORT, the mean of the horizontal
+    speed on uneven ground [m/s], NaN where there was none; `smoothness` TSR,
+    the mean of |acceleration| + |angular velocity|. `success` is to reach a
+    goal without collision, `time_to_goal` the time of the first [s].
+    """
+
+    def __init__(self, conf: MetricsConf, num_scenes: int) -> None:
+        self._conf = conf
+        self._sums = np.zeros((num_scenes, 4))
+        self._uneven = np.zeros(num_scenes)
+        self.values = np.zeros((num_scenes, len(METRICS)))
+        self._column = {name: index for index, name in enumerate(METRICS)}
+
+    def reset(self, mask: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
+        """Start episodes with ids `episodes` (M,) in the scenes in `mask` (M,)."""
+        self._sums[mask] = 0.0
+        self._uneven[mask] = 0.0
+        self.values[mask] = 0.0
+        self.values[mask, self._column["episode"]] = episodes[mask]
+        for name in ("time_to_goal", "vort"):
+            self.values[mask, self._column[name]] = np.nan
+        for name in ("clearance", "min_clearance"):
+            self.values[mask, self._column[name]] = self._conf.max_clearance_m
+
+    def update(
+        self,
+        *,
+        steps: NDArray[np.int64],
+        step_s: float,
+        reward: Array,
+        clearance: Array,
+        acceleration_b: Array,
+        angular_b: Array,
+        ground_speed: Array,
+        tilt: Array,
+        new_collisions: NDArray[np.int64],
+        reached: NDArray[np.bool_],
+        flags: dict[str, NDArray[np.bool_]],
+    ) -> None:
+        """Add one control step of all scenes; arrays have the leading axis M."""
+        values, column = self.values, self._column
+        near = np.minimum(clearance, self._conf.max_clearance_m)
+        uneven = tilt > self._conf.uneven_tilt_rad
+        acceleration = np.sqrt(np.einsum("ij,ij->i", acceleration_b, acceleration_b))
+        turning = np.sqrt(np.einsum("ij,ij->i", angular_b, angular_b))
+        sums = self._sums
+        sums[:, 0] += near
+        sums[:, 1] += np.abs(acceleration_b[:, 2])
+        sums[:, 2] += acceleration + turning
+        sums[:, 3] += np.where(uneven, ground_speed, 0.0)
+        self._uneven += uneven
+        count = np.maximum(steps, 1)
+        values[:, column["steps"]] = steps
+        values[:, column["return"]] += reward
+        values[:, column["collisions"]] += new_collisions
+        values[:, column["goals"]] += reached
+        first = reached & (values[:, column["reached"]] == 0.0)
+        values[first, column["time_to_goal"]] = steps[first] * step_s
+        values[:, column["reached"]] = np.maximum(values[:, column["reached"]], reached)
+        values[:, column["success"]] = values[:, column["reached"]] * (values[:, column["collisions"]] == 0)
+        values[:, column["clearance"]] = sums[:, 0] / count
+        values[:, column["min_clearance"]] = np.minimum(values[:, column["min_clearance"]], near)
+        values[:, column["vertical_roughness"]] = sums[:, 1] / count
+        values[:, column["smoothness"]] = sums[:, 2] / count
+        with np.errstate(invalid="ignore"):
+            values[:, column["vort"]] = sums[:, 3] / self._uneven
+        for name, flag in flags.items():
+            values[:, column[name]] = flag

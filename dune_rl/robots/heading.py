@@ -1,0 +1,43 @@
+"""The PID controller that turns a heading command into a yaw rate."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import wrap_angle
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+
+class HeadingConf(Settings):
+    """Gains of the published controller, which runs at the control rate."""
+
+    kp: float = Field(2.0, ge=0.0)
+    ki: float = Field(0.0, ge=0.0)
+    kd: float = Field(0.1, ge=0.0)
+
+
+class HeadingController:
+    """A PID loop over the heading error for each of M scenes."""
+
+    def __init__(self, conf: HeadingConf, max_yaw_rate_radps: float, num_scenes: int) -> None:
+        self._conf = conf
+        self._limit = max_yaw_rate_radps
+        self._integral = np.zeros(num_scenes)
+        self._previous = np.full(num_scenes, np.nan)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the past of the scenes in `mask` (M,)."""
+        self._integral[mask] = 0.0
+        self._previous[mask] = np.nan
+
+    def yaw_rate(self, heading_error: Array, step_s: float) -> Array:
+        """Commanded yaw rate [rad/s], (M,), for the shortest angle to the desired heading [rad], (M,)."""
+        conf = self._conf
+        previous = np.where(np.isnan(self._previous), heading_error, self._previous)
+        change = wrap_angle(heading_error - previous) / step_s
+        self._previous = heading_error.copy()
+        self._integral += heading_error * step_s
+        wanted = conf.kp * heading_error + conf.ki * self._integral + conf.kd * change
+        return np.clip(wanted, -self._limit, self._limit)

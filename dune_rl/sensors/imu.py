@@ -1,0 +1,67 @@
+"""An inertial measurement unit: accelerometer with gravity, gyroscope, orientation."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import to_body
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+GRAVITY_MPS2 = 9.81
+
+
+class ImuConf(Settings):
+    """Mount and ranges; readings beyond a range are clipped, as the part itself does."""
+
+    acceleration_range_mps2: float = Field(156.9, gt=GRAVITY_MPS2)
+    angular_range_radps: float = Field(34.9, gt=0.0)
+    mount_b: tuple[float, float, float] = (0.0, 0.0, 0.096)
+
+
+class Imu:
+    """Readings of M units.
+
+    The acceleration is the change of the mount's velocity over the last
+    control step, the mean of what the unit felt during it.
+    """
+
+    def __init__(self, conf: ImuConf, num_scenes: int) -> None:
+        self.conf = conf
+        self._previous_velocity = np.zeros((num_scenes, 3))
+        self.acceleration_b = np.zeros((num_scenes, 3))
+        self._mount = np.asarray(conf.mount_b)
+
+    def begin(self, mask: NDArray[np.bool_], rotation: Array, velocity_w: Array, angular_w: Array) -> None:
+        """Start from the present motion, unaccelerated, in the scenes in `mask` (M,)."""
+        velocity = self._mount_velocity(rotation, velocity_w, angular_w)
+        self._previous_velocity = np.where(mask[:, None], velocity, self._previous_velocity)
+        self.acceleration_b = np.where(mask[:, None], 0.0, self.acceleration_b)
+
+    def _mount_velocity(self, rotation: Array, velocity_w: Array, angular_w: Array) -> Array:
+        return velocity_w + np.cross(angular_w, rotation @ self._mount)
+
+    def measure(self, rotation: Array, velocity_w: Array, angular_w: Array, step_s: float) -> Array:
+        """Acceleration without gravity in the body frame [m/s²], (M, 3), over the last `step_s`.
+
+        `rotation` (M, 3, 3); `velocity_w` and `angular_w` (M, 3) are the
+        body's. Call it once per control step: it keeps the velocity.
+        """
+        velocity = self._mount_velocity(rotation, velocity_w, angular_w)
+        acceleration_w = (velocity - self._previous_velocity) / step_s
+        self._previous_velocity = velocity
+        self.acceleration_b = to_body(rotation, acceleration_w)
+        return self.acceleration_b
+
+    def reading(self, rotation: Array, angular_b: Array, roll_pitch_yaw: Array) -> NDArray[np.float32]:
+        """Specific force [m/s²], angular velocity [rad/s], and roll, pitch, yaw [rad], body frame, (M, 9).
+
+        At rest on level ground the accelerometer reads (0, 0, +9.81).
+        """
+        conf = self.conf
+        out = np.empty((len(rotation), 9), np.float32)
+        force = self.acceleration_b + GRAVITY_MPS2 * rotation[:, 2, :]
+        out[:, 0:3] = np.clip(force, -conf.acceleration_range_mps2, conf.acceleration_range_mps2)
+        out[:, 3:6] = np.clip(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
+        out[:, 6:9] = roll_pitch_yaw
+        return out

@@ -1,0 +1,188 @@
+"""Where an episode starts, and where it shall end."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.errors import WorldError
+from dune_rl.settings import Settings
+from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.world import Rectangle, World
+
+Array = NDArray[np.float64]
+
+_GOAL_TRIES = 16
+
+
+class SpawnConf(Settings):
+    """Settings of `Spawner`.
+
+    `region` is "world" for the world's own rectangle, "anywhere" for all of the
+    world, or a rectangle (xmin, xmax, ymin, ymax) [m].
+    """
+
+    region: Literal["world", "anywhere"] | Rectangle = "world"
+    max_slope_deg: float = Field(default=25.0, gt=0.0, le=60.0, description="steepest ground to cross")
+    margin_m: float = Field(default=0.1, ge=0.0, le=5.0, description="room beside the footprint")
+    min_goal_distance_m: float = Field(default=2.0, ge=0.0, le=1000.0)
+
+    @model_validator(mode="after")
+    def _region_has_an_area(self) -> "SpawnConf":
+        if not isinstance(self.region, str):
+            xmin, xmax, ymin, ymax = self.region
+            if xmin >= xmax or ymin >= ymax:
+                raise ValueError(f"region must be (xmin, xmax, ymin, ymax) with min < max, not {self.region}")
+        return self
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A spawn position and yaw, and a goal, in the world frame [m, rad]."""
+
+    x: float
+    y: float
+    yaw: float
+    goal_x: float
+    goal_y: float
+
+
+class Spawner:
+    """Draws spawn poses and goals that a round robot of `footprint_radius_m` can go between.
+
+    All lie in one connected part of the free space, the one that has most of
+    the region. Raises WorldError when the world cannot give that, naming the
+    setting to change.
+    """
+
+    def __init__(self, world: World, conf: SpawnConf, footprint_radius_m: float) -> None:
+        self._world = world
+        self._conf = conf
+        self._footprint_radius_m = footprint_radius_m
+        self._max_slope = np.deg2rad(conf.max_slope_deg)
+        self.region: Rectangle = self._resolve_region()
+        self._points_by_radius: dict[float, Array] = {}
+        self.free_space = FreeSpace(world, footprint_radius_m, conf.max_slope_deg)
+        self._part, self._cells = self._largest_part(self.free_space, footprint_radius_m + conf.margin_m)
+        self._starts = self._with_goal_in_reach()
+
+    def _resolve_region(self) -> Rectangle:
+        region = self._conf.region
+        if region == "anywhere":
+            return self._world.extent
+        if region == "world":
+            return self._world.region
+        assert not isinstance(region, str)
+        extent = self._world.extent
+        if region[0] < extent[0] or region[1] > extent[1] or region[2] < extent[2] or region[3] > extent[3]:
+            raise WorldError(
+                f"spawn.region {_rectangle(region)} reaches outside the world {self._world.name!r}, "
+                f"which covers {_rectangle(extent)}: choose a rectangle within that."
+            )
+        return region
+
+    def _in_region(self, free: FreeSpace) -> NDArray[np.bool_]:
+        # Whole cells, so that a point moved about within its cell stays in the region.
+        half = free.cell_m / 2 - 1e-9
+        xmin, xmax, ymin, ymax = self.region
+        in_x = (free.x - half >= xmin) & (free.x + half <= xmax)
+        in_y = (free.y - half >= ymin) & (free.y + half <= ymax)
+        return in_y[:, None] & in_x
+
+    def _largest_part(self, free: FreeSpace, clearance_m: float) -> tuple[int, Array]:
+        in_region = self._in_region(free)
+        usable = in_region & free.traversable & (free.clearance >= clearance_m)
+        if not usable.any():
+            raise WorldError(self._why_none(free, in_region, clearance_m))
+        part = int(np.bincount(free.parts[usable]).argmax())
+        return part, free.centres(usable & (free.parts == part))
+
+    def _why_none(self, free: FreeSpace, in_region: NDArray[np.bool_], clearance_m: float) -> str:
+        where = f"spawn.region {_rectangle(self.region)} of the world {self._world.name!r}"
+        if not in_region.any():
+            return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen spawn.region."
+        if not (in_region & free.inside).any():
+            return f"{where} lies within 1 m of the world's edge: move or widen spawn.region."
+        if free.steep[in_region].all():
+            return (
+                f"{where} is steeper than spawn.max_slope_deg={self._conf.max_slope_deg:g} everywhere: "
+                "raise it, or choose another spawn.region."
+            )
+        return (
+            f"{where} has no ground under {self._conf.max_slope_deg:g} degrees with {clearance_m:.2f} m of "
+            f"clearance (footprint {self._footprint_radius_m:.2f} m + spawn.margin_m={self._conf.margin_m:g}; the "
+            f"most is {free.clearance[in_region].max():.2f} m).\n"
+            "Lower spawn.margin_m, raise spawn.max_slope_deg, or choose another spawn.region."
+        )
+
+    def _with_goal_in_reach(self) -> Array:
+        # The cell farthest from anywhere is outermost in some direction; 64 directions find it to 0.1 %.
+        bearings = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+        directions = np.stack([np.cos(bearings), np.sin(bearings)])
+        outermost = self._cells[np.unique((self._cells @ directions).argmax(axis=0))]
+        farthest = np.zeros(len(self._cells))
+        for point in outermost:
+            farthest = np.maximum(farthest, np.hypot(*(self._cells - point).T))
+        reach = self._conf.min_goal_distance_m
+        if not (farthest >= reach).any():
+            raise WorldError(
+                f"spawn.min_goal_distance_m={reach:g} is more than the {farthest.max():.2f} m "
+                f"across the free part of spawn.region {_rectangle(self.region)}: lower it, or widen the "
+                "region."
+            )
+        return self._cells[farthest >= reach]
+
+    def sample(self, rng: np.random.Generator) -> Placement:
+        """A start and a goal at least `min_goal_distance_m` from it, drawn from `rng` alone."""
+        cell = self._starts[rng.integers(len(self._starts))]
+        draws = rng.integers(len(self._cells), size=_GOAL_TRIES)
+        yaw = rng.uniform(-np.pi, np.pi)
+        moves = rng.uniform(-0.5, 0.5, (2, 2)) * self.free_space.cell_m
+        goals = self._cells[draws]
+        far = np.flatnonzero(self._far(goals, cell))
+        if not len(far):
+            goals = self._cells
+            far = np.flatnonzero(self._far(goals, cell))
+            far = far[rng.integers(len(far), size=1)]
+        centres = np.stack([cell, goals[far[0]]])
+        points = np.where(self._fits(centres + moves)[:, None], centres + moves, centres)
+        if not self._far(points[1], points[0]):
+            points = centres
+        return Placement(
+            float(points[0, 0]), float(points[0, 1]), float(yaw), float(points[1, 0]), float(points[1, 1])
+        )
+
+    def _far(self, goals: Array, start: Array) -> NDArray[np.bool_]:
+        away = goals - start
+        return np.hypot(away[..., 0], away[..., 1]) >= self._conf.min_goal_distance_m
+
+    def _fits(self, xy: Array) -> NDArray[np.bool_]:
+        clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m
+        return clear & (self._world.terrain.slope(xy) <= self._max_slope)
+
+    def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:
+        """Points (n, 2) [m] of the same part, with `radius_m` of clearance and joined at that clearance.
+
+        Raises WorldError when the region has none.
+        """
+        cells = self._points_by_radius.get(radius_m)
+        if cells is None:
+            cells = self._points_by_radius[radius_m] = self._cells_with(radius_m)
+        return cells[rng.integers(len(cells), size=n)]
+
+    def _cells_with(self, radius_m: float) -> Array:
+        free = FreeSpace(self._world, max(radius_m, self._footprint_radius_m), self._conf.max_slope_deg)
+        usable = self._in_region(free) & free.traversable & (self.free_space.parts == self._part)
+        if not usable.any():
+            raise WorldError(
+                f"spawn.region {_rectangle(self.region)} has no free point with {radius_m:.2f} m of "
+                "clearance: make the actors smaller, or choose another spawn.region."
+            )
+        part = np.bincount(free.parts[usable]).argmax()
+        return free.centres(usable & (free.parts == part))
+
+
+def _rectangle(region: Rectangle) -> str:
+    return "({:g}, {:g}, {:g}, {:g})".format(*region)

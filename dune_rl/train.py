@@ -1,0 +1,189 @@
+"""Train a rover: `python -m dune_rl.train +world=inspection`."""
+
+import os
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import hydra
+import torch
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+
+from dune_rl import command, paths
+from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, given
+from dune_rl.config.schema import Conf
+from dune_rl.errors import CheckpointError, ConfigError, DuneError
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find, read
+from dune_rl.learning.collect import available_cores
+from dune_rl.learning.evaluation import summary
+from dune_rl.learning.progress import Bar, Lines
+from dune_rl.learning.table import results_table
+from dune_rl.learning.trainer import Trainer, TrainingResult
+
+USAGE = (
+    "python -m dune_rl.train +world=inspection [setting=value ...]",
+    "python -m dune_rl.train +experiment=quick             a taste, about three minutes",
+    "python -m dune_rl.train resume=runs/NAME              go on with a run",
+    "python -m dune_rl.train -m +world=flat,inspection seed=1,2      a sweep, a folder for each job",
+)
+CLOSING = (
+    "Every setting, with its meaning and unit, stands in conf/; see them composed with\n"
+    "  python -m dune_rl.train +world=inspection --cfg job\n"
+    "Own options go in a folder of the same shape: --config-dir FOLDER. The rest is in README.md."
+)
+SETTINGS = (
+    ("+experiment=NAME", "a study's settings in one word"),
+    ("seed=N", "of everything drawn at random"),
+    ("total_frames=N", "control steps in all"),
+    ("device=cpu|cuda", "of the learner"),
+    ("run_dir=FOLDER", "where the run is kept"),
+    ("task.termination.max_steps=N", "length of an episode"),
+    ("learning.collector.workers=N", "processes that step environments"),
+    ("learning.collector.scenes=N", "scenes in each process"),
+    ("learning.batch_size=N", "transitions in an update"),
+)
+
+
+def main() -> None:
+    """Run the command line; ends the process."""
+    command.run(partial(_main, sys.argv[1:]))
+
+
+def _main(words: Sequence[str]) -> None:
+    parsed = command.arguments(words)
+    if parsed.help:
+        command.show_help(
+            "Train a rover to drive to goals off the road.",
+            USAGE,
+            [*command.group_settings(), *SETTINGS],
+            CLOSING,
+        )
+        return
+    folders = command.config_dirs(parsed)
+    source = given(parsed.overrides, "resume")
+    if source is not None:
+        if parsed.multirun:
+            raise ConfigError("resume goes on with one run; leave -m out")
+        _resume(str(source), parsed.overrides, folders)
+        return
+    if not parsed.multirun:
+        conf = compose(parsed.overrides, folders)
+        _refuse_used_folder(Path(conf.run_dir))
+    ready = check_sweep(parsed.overrides, folders)
+    flags = [word for word in words if word not in parsed.overrides]
+    _run_hydra([*flags, *ready])
+
+
+def _run_hydra(words: Sequence[str]) -> None:
+    # Hydra raises what happens in a job only if told so; otherwise it prints a traceback and exits with 1.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    sys.argv[1:] = words
+    try:
+        hydra.main(version_base="1.3", config_path=str(paths.conf_folder()), config_name="train")(_job)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(str(error).splitlines()[0]) from error
+
+
+def _job(config: DictConfig) -> None:
+    engine = HydraConfig.get()
+    try:
+        conf = from_hydra(config)
+        train(conf.model_copy(update={"run_dir": engine.runtime.output_dir}))
+    except (DuneError, OSError) as error:
+        message = command.mendable(error)
+        if message is None:
+            raise
+        if engine.mode is not RunMode.MULTIRUN:
+            command.fail(message)
+        # The other jobs of the sweep go on; Hydra raises this one's error after the last.
+        command.say(f"job {engine.job.num} failed: {message}")
+        raise command.ReportedError from error
+
+
+def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
+    checkpoint = find(Path(source), CHECKPOINT_FILE)
+    saved = dict(read(checkpoint, "checkpoint")["config"])
+    if given(overrides, "run_dir") is None:
+        saved["run_dir"] = str(checkpoint.parent)
+    conf = compose_resumed(overrides, folders, saved)
+    train(conf, resume=checkpoint)
+
+
+def _refuse_used_folder(run_dir: Path) -> None:
+    # Before Hydra writes its own files there.
+    if (run_dir / CHECKPOINT_FILE).exists():
+        raise CheckpointError(
+            f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
+        )
+
+
+def train(conf: Conf, resume: Path | None = None) -> None:
+    """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
+    _check_machine(conf)
+    console = Console()
+    reporter = Bar(console) if console.is_terminal else Lines(partial(print, flush=True))
+    run_dir = Path(conf.run_dir)
+    config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
+    learning = conf.learning
+    trainer = Trainer(
+        partial(make_torchrl_env, conf),
+        run_dir,
+        sac=learning,
+        replay=learning.replay,
+        collector=learning.collector,
+        evaluation=learning.evaluation,
+        checkpoint=learning.checkpoint,
+        seed=conf.seed,
+        total_frames=conf.total_frames,
+        device=conf.device,
+        config=config,
+        resume=resume,
+        reporter=reporter,
+        title=f"{conf.world.name}, seed {conf.seed}",
+    )
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
+    result = trainer.train()
+    if result.signal is not None:
+        command.say(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
+        sys.exit(128 + result.signal)
+    _show_end(console, conf, result)
+
+
+def _check_machine(conf: Conf) -> None:
+    if conf.device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
+    processes, cores = conf.learning.collector.processes, available_cores()
+    if processes + (conf.learning.threads or 1) > cores:
+        command.say(
+            f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
+            f"{cores} cores; fewer may be faster (learning.collector.workers, learning.threads)"
+        )
+
+
+def _show_end(console: Console, conf: Conf, result: TrainingResult) -> None:
+    if result.evaluation:
+        title = f"{conf.world.name}: {len(result.evaluation)} unseen episodes after {result.frames:,} frames"
+        console.print(results_table({"trained": summary(result.evaluation)}, title))
+    lines = [f"Kept in {result.run_dir}:"]
+    lines += [f"  {path.name}" for path in sorted(result.run_dir.iterdir()) if path.suffix in (".png", ".csv", ".pt")]
+    lines += [
+        "Try next:",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
+        f"  python -m dune_rl.evaluate policy=go_to_goal +world={conf.world.name} episodes=100 seed=1",
+        f"  tensorboard --logdir {result.run_dir.parent}",
+        f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * conf.total_frames}",
+    ]
+    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()

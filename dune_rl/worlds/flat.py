@@ -1,0 +1,30 @@
+"""A plane without obstacles or elevation."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.settings import Settings
+from dune_rl.worlds.world import World
+
+# Contact solvers lose precision on triangles much longer than the robot.
+_SPACING_M = 5.0
+
+
+class FlatConf(Settings):
+    """Settings of `build_flat`."""
+
+    name: Literal["flat"] = "flat"
+    size_m: float = Field(default=100.0, ge=20.0, le=1000.0, description="length of the plane's side")
+    region_size_m: float = Field(default=8.0, gt=0.0, le=1000.0, description="side of the spawn region")
+    friction: float = Field(default=1.0, gt=0.0, le=5.0)
+
+
+def build_flat(conf: FlatConf) -> World:
+    """A level square at z = 0, centred on the origin."""
+    cells = int(np.ceil(conf.size_m / _SPACING_M))
+    half, reach = conf.size_m / 2, conf.region_size_m / 2
+    terrain = HeightField(np.zeros((cells + 1, cells + 1)), conf.size_m / cells, (-half, -half))
+    return World("flat", terrain, region=(-reach, reach, -reach, reach), friction=conf.friction)

@@ -1,0 +1,34 @@
+"""An industrial site on hills: solar arrays, a pipeline, a bridge over a gully, culverts, walls and posts."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from dune_rl.settings import Settings
+from dune_rl.worlds.inspection_layout import place_props
+from dune_rl.worlds.inspection_terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
+from dune_rl.worlds.world import World
+
+
+class InspectionConf(Settings):
+    """Settings of `build_inspection`.
+
+    Every `seed` gives another site of the same family: the slopes, the relief
+    and the share of ground built over stay alike.
+    """
+
+    name: Literal["inspection"] = "inspection"
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    yard_obstacles: int = Field(
+        default=10, ge=0, le=20, description="things in and round the 8 by 8 m training square"
+    )
+    friction: float = Field(default=1.0, gt=0.0, le=5.0)
+
+
+def build_inspection(conf: InspectionConf) -> World:
+    """The site of `conf.seed`: 60 by 60 m with a margin of 2 m, its training square in the south-west."""
+    terrain, gully = build_terrain(conf.seed)
+    props = place_props(terrain, gully, conf.seed, conf.yard_obstacles)
+    x, y = YARD_CENTRE
+    region = (x - YARD_HALF_M, x + YARD_HALF_M, y - YARD_HALF_M, y + YARD_HALF_M)
+    return World("inspection", terrain, props, region=region, friction=conf.friction)

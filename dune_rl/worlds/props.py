@@ -1,0 +1,87 @@
+"""Closed primitive meshes to build props of; all faces run counter-clockwise seen from outside."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Mesh = tuple[Array, NDArray[np.int32]]
+
+_BOX_CORNERS = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]) / 2
+_BOX_FACES = np.array(
+    [
+        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
+    ],
+    dtype=np.int32,
+)  # fmt: skip
+
+
+def merge(meshes: Iterable[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    parts = list(meshes)
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+    vertices = np.concatenate([vertices for vertices, _ in parts])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts, strict=True)])
+    return vertices, faces.astype(np.int32)
+
+
+def slab(centre: ArrayLike, axes: ArrayLike, size: ArrayLike) -> Mesh:
+    """A box of `size` (3,) [m] along the orthonormal, right-handed rows of `axes` (3, 3)."""
+    vertices = np.asarray(centre) + (_BOX_CORNERS * np.asarray(size)) @ np.asarray(axes)
+    return vertices, _BOX_FACES
+
+
+def upright_box(xy: ArrayLike, yaw: float, bottom: float, top: float, length: float, width: float) -> Mesh:
+    """A vertical box between two heights, `length` along `yaw` and `width` across."""
+    x, y = np.asarray(xy, dtype=np.float64)
+    ahead, left = bearing(yaw), bearing(yaw + np.pi / 2)
+    axes = [[*ahead, 0.0], [*left, 0.0], [0.0, 0.0, 1.0]]
+    return slab([x, y, (bottom + top) / 2], axes, [length, width, top - bottom])
+
+
+def beam(start: ArrayLike, end: ArrayLike, width: float, height: float) -> Mesh:
+    """A box from `start` to `end` (3,), its width kept level; not for a vertical one."""
+    first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    axes = np.stack(level_axes(last - first))
+    return slab((first + last) / 2, axes, [float(np.linalg.norm(last - first)), width, height])
+
+
+def tube(start: ArrayLike, end: ArrayLike, radius: float, bore: float = 0.0, sides: int = 12) -> Mesh:
+    """A cylinder from `start` to `end` (3,); with `bore` > 0 a pipe of that inner radius."""
+    first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    _, side, up = level_axes(last - first)
+    angle = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
+    circle = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up
+    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
+    outside = np.concatenate([first + radius * circle, last + radius * circle])
+    mantle = _strip(here, there, here + sides, there + sides)
+    if bore > 0:
+        inside = np.concatenate([first + bore * circle, last + bore * circle])
+        inner = _strip(there, here, there + sides, here + sides) + 2 * sides
+        near = _strip(there, here, there + 2 * sides, here + 2 * sides)
+        far = _strip(here + sides, there + sides, here + 3 * sides, there + 3 * sides)
+        return np.concatenate([outside, inside]), np.concatenate([mantle, inner, near, far])
+    near = np.stack([np.full(sides, 2 * sides), there, here], axis=-1)
+    far = np.stack([np.full(sides, 2 * sides + 1), here + sides, there + sides], axis=-1)
+    faces = np.concatenate([mantle, near, far]).astype(np.int32)
+    return np.concatenate([outside, [first, last]]), faces
+
+
+def bearing(yaw: float) -> Array:
+    """Unit vector (2,) that points along `yaw` [rad]."""
+    return np.array([np.cos(yaw), np.sin(yaw)])
+
+
+def level_axes(direction: Array) -> tuple[Array, Array, Array]:
+    """Right-handed unit axes (ahead, side, up) with `ahead` along `direction` (3,) and `side` level."""
+    ahead = direction / np.linalg.norm(direction)
+    side = np.array([-ahead[1], ahead[0], 0.0])
+    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 1e-9 else np.array([0.0, 1.0, 0.0])
+    return ahead, side, np.cross(ahead, side)
+
+
+def _strip(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.int32]:
+    # Quads a-b-d-c as two triangles each.
+    return np.concatenate([np.stack([a, b, d], axis=-1), np.stack([a, d, c], axis=-1)]).astype(np.int32)
