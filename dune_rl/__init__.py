@@ -7,6 +7,7 @@ batched TorchRL one. Each takes every setting that the command lines take.
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from dune_rl.env.registration import register_envs
 from dune_rl.errors import CheckpointError, ConfigError, DuneError, PhysicsError, WorldError
 
 if TYPE_CHECKING:
@@ -26,14 +27,17 @@ __all__ = [
 ]
 __version__ = "0.1.0"
 
-# The functions import what they need when called: torch and the physics engine take seconds to load,
-# and Gymnasium loads this package for every user of its registry.
+# Gymnasium 1 reads no entry points: an id is known once the package that registers it is imported, which
+# `gymnasium.make("dune_rl:dune_rl/Inspection-v0")` does by itself.
+register_envs()
+
+# The functions import what they need when called: torch and the physics engine take seconds to load.
 
 
 def parallel_env(
     world: str = "inspection", seed: int = 0, *, overrides: Iterable[str] = (), **settings: Any
 ) -> "ParallelDuneEnv":
-    """A PettingZoo `ParallelEnv`: the agent `rover`, and one for each actor whose controller is external.
+    """A PettingZoo `ParallelEnv`: the agent `rover_0`, and one for each actor whose controller is external.
 
     `settings` are sections of the configuration: a name chooses an option
     (`actors="external_walkers"`), a mapping changes values
@@ -52,8 +56,9 @@ def gym_env(
     """A Gymnasium `Env` of the rover alone; arguments as for `parallel_env`."""
     from dune_rl.config.build import make_gymnasium_env
     from dune_rl.config.compose import compose_environment
+    from dune_rl.config.schema import SingleAgentConf
 
-    return make_gymnasium_env(compose_environment(world, overrides, settings), seed)
+    return make_gymnasium_env(compose_environment(world, overrides, settings, SingleAgentConf), seed)
 
 
 def make(

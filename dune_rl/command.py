@@ -1,6 +1,7 @@
 """What the command lines share: their arguments, and how they end."""
 
 import errno
+import logging
 import signal
 import sys
 from argparse import Namespace
@@ -10,10 +11,13 @@ from typing import NoReturn
 
 from hydra._internal.utils import get_args_parser
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.paths import conf_folder
+
+Lines = Sequence[tuple[str, str]]
 
 # What a user can mend about a folder or file; other operating system errors are faults of ours.
 _MENDABLE = {
@@ -38,6 +42,8 @@ class Terminated(BaseException):
 def run(body: Callable[[], None]) -> NoReturn:
     """Call `body` and end the process: 0, 2 for what the user can mend, 130 for Ctrl-C, 143 for SIGTERM."""
     signal.signal(signal.SIGTERM, _terminate)
+    # TorchRL tells of each buffer that it allocates.
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
         body()
     except ReportedError:
@@ -89,30 +95,36 @@ def config_dirs(parsed: Namespace) -> list[str]:
     return [parsed.config_dir] if parsed.config_dir else []
 
 
+def console() -> Console:
+    """Where results are printed: as wide as the terminal, and wide enough for a table elsewhere."""
+    return Console() if Console().is_terminal else Console(width=120)
+
+
 def group_settings() -> list[tuple[str, str]]:
     """A line of help for each group of options, with its options."""
     found = []
     for folder in sorted(path for path in conf_folder().iterdir() if path.is_dir()):
         if folder.name != "experiment":
             plus = "+" if folder.name == "world" else ""
-            found.append((f"{plus}{folder.name}=NAME", ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))))
+            found.append(
+                (f"{plus}{folder.name}=NAME", ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))))
+            )
     return sorted(found, key=lambda item: not item[0].startswith("+"))
 
 
-def show_help(title: str, usage: Sequence[str], settings: Sequence[tuple[str, str]], closing: str) -> None:
-    """Print a page of help: usage lines, then a table of settings."""
-    console = Console(highlight=False)
-    console.print(f"[bold]{title}[/bold]\n")
-    for line in usage:
-        console.print(f"  {line}", markup=False)
-    table = Table(box=None, show_header=False, padding=(0, 2))
-    table.add_column(style="cyan", no_wrap=True)
-    table.add_column()
-    for name, meaning in settings:
-        table.add_row(name, meaning)
-    console.print()
-    console.print(table)
-    console.print(f"\n{closing}", markup=False)
+def show_help(title: str, usage: Lines, settings: Lines, closing: str) -> None:
+    """Print a page of help: what can be called, then what can be set."""
+    page = Console(highlight=False, soft_wrap=True)
+    page.print(f"[bold]{title}[/bold]")
+    for lines in (usage, settings):
+        table = Table(box=None, show_header=False, padding=(0, 2))
+        table.add_column(style="cyan", no_wrap=True)
+        table.add_column(no_wrap=True)
+        for name, meaning in lines:
+            table.add_row(escape(name), escape(meaning))
+        page.print()
+        page.print(table)
+    page.print(f"\n{closing}", markup=False)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -7,11 +7,9 @@ from functools import partial
 from pathlib import Path
 
 import yaml
-from rich.console import Console
 from rich.progress import Progress
 
 from dune_rl import command
-from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose_evaluation, given
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
@@ -22,12 +20,12 @@ from dune_rl.learning.policies import GoToGoal, Policy, UniformRandom, load_poli
 from dune_rl.learning.table import results_table
 
 USAGE = (
-    "python -m dune_rl.evaluate checkpoint=runs/NAME [setting=value ...]",
-    "python -m dune_rl.evaluate policy=go_to_goal +world=inspection [setting=value ...]",
+    ("python -m dune_rl.evaluate checkpoint=runs/NAME", "a trained policy"),
+    ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in one"),
 )
 CLOSING = (
-    "A checkpoint brings the settings of its run; +world=NAME and other settings change them.\n"
-    "Equal seeds and settings give every policy the same episodes, so that results pair."
+    "A checkpoint brings the settings of its run; what you write changes them. Equal\n"
+    "seeds and settings give every policy the same episodes, so that results pair."
 )
 SETTINGS = (
     ("checkpoint=PATH", "a run's folder, or a file of weights"),
@@ -66,9 +64,12 @@ def _main(words: Sequence[str]) -> None:
 
 
 def _evaluate(conf: EvaluateConf) -> None:
+    # Only now, since loading the physics engine takes a second and prints a line.
+    from dune_rl.config.build import make_torchrl_env
+
     out = Path(conf.out) if conf.out else _default_out(conf)
     _check_writable(out)
-    console = Console()
+    console = command.console()
     env = make_torchrl_env(conf, min(conf.scenes, conf.episodes), conf.seed)
     policy, name = _policy(conf, Layout.of(env))
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:

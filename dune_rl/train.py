@@ -17,27 +17,25 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from dune_rl import command, paths
-from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, given
 from dune_rl.config.schema import Conf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find, read
-from dune_rl.learning.collect import available_cores
 from dune_rl.learning.evaluation import summary
 from dune_rl.learning.progress import Bar, Lines
 from dune_rl.learning.table import results_table
 from dune_rl.learning.trainer import Trainer, TrainingResult
 
 USAGE = (
-    "python -m dune_rl.train +world=inspection [setting=value ...]",
-    "python -m dune_rl.train +experiment=quick             a taste, about three minutes",
-    "python -m dune_rl.train resume=runs/NAME              go on with a run",
-    "python -m dune_rl.train -m +world=flat,inspection seed=1,2      a sweep, a folder for each job",
+    ("python -m dune_rl.train +world=inspection", "train; settings follow"),
+    ("python -m dune_rl.train +experiment=quick", "a taste: three minutes"),
+    ("python -m dune_rl.train resume=runs/NAME", "go on with a run"),
+    ("python -m dune_rl.train -m +world=flat seed=1,2", "a sweep: a folder a job"),
 )
 CLOSING = (
-    "Every setting, with its meaning and unit, stands in conf/; see them composed with\n"
-    "  python -m dune_rl.train +world=inspection --cfg job\n"
-    "Own options go in a folder of the same shape: --config-dir FOLDER. The rest is in README.md."
+    "conf/ holds every setting with its meaning and unit. To see what a command would\n"
+    "use, add --cfg job. Own options go in a folder of the same shape as conf/:\n"
+    "--config-dir FOLDER. README.md has the rest."
 )
 SETTINGS = (
     ("+experiment=NAME", "a study's settings in one word"),
@@ -127,8 +125,11 @@ def _refuse_used_folder(run_dir: Path) -> None:
 
 def train(conf: Conf, resume: Path | None = None) -> None:
     """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
+    # Only now, since loading the physics engine takes a second and prints a line.
+    from dune_rl.config.build import make_torchrl_env
+
     _check_machine(conf)
-    console = Console()
+    console = command.console()
     reporter = Bar(console) if console.is_terminal else Lines(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
@@ -161,7 +162,7 @@ def train(conf: Conf, resume: Path | None = None) -> None:
 def _check_machine(conf: Conf) -> None:
     if conf.device == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
-    processes, cores = conf.learning.collector.processes, available_cores()
+    processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
     if processes + (conf.learning.threads or 1) > cores:
         command.say(
             f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
@@ -174,7 +175,11 @@ def _show_end(console: Console, conf: Conf, result: TrainingResult) -> None:
         title = f"{conf.world.name}: {len(result.evaluation)} unseen episodes after {result.frames:,} frames"
         console.print(results_table({"trained": summary(result.evaluation)}, title))
     lines = [f"Kept in {result.run_dir}:"]
-    lines += [f"  {path.name}" for path in sorted(result.run_dir.iterdir()) if path.suffix in (".png", ".csv", ".pt")]
+    lines += [
+        f"  {path.name}"
+        for path in sorted(result.run_dir.iterdir())
+        if path.suffix in (".png", ".csv", ".pt")
+    ]
     lines += [
         "Try next:",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",

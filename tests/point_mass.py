@@ -97,7 +97,7 @@ class PointMass(EnvBase):
         self._next_id[scene] = episode + self.batch_size[0]
         self._trace[scene] = []
         row = dict.fromkeys(METRIC_NAMES, 0.0)
-        row |= {"episode": episode, "time_to_goal": np.nan, "vort": np.nan, "clearance": 12, "min_clearance": 12}
+        row |= {"episode": episode, "time_to_goal": np.nan, "vort": np.nan, "clearance": 12}
         self._metrics[scene] = list(row.values())
 
     def _bearing(self) -> tuple[np.ndarray, np.ndarray]:

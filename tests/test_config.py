@@ -73,7 +73,11 @@ def words(group: str, option: str) -> list[str]:
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
-    assert getattr(compose(words(group, option)), group) == PLAIN[group, option]
+    if group == "learning":
+        composed: EnvConf = compose(words(group, option))
+    else:
+        composed = compose_environment(option if group == "world" else "flat", [], {group: option})
+    assert getattr(composed, group) == PLAIN[group, option]
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
@@ -105,9 +109,7 @@ def test_root_settings_agree() -> None:
     plain = Conf(world=FlatConf(), actors=(ActorConf(), ActorConf()), run_dir=composed.run_dir)
     assert composed == plain
     evaluation = compose_evaluation(["+world=flat", "policy=random"])
-    assert evaluation == EvaluateConf(
-        world=FlatConf(), actors=(ActorConf(), ActorConf()), policy="random"
-    )
+    assert evaluation == EvaluateConf(world=FlatConf(), actors=(ActorConf(), ActorConf()), policy="random")
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -131,7 +133,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         ([], "choose a world: +world=flat or +world=inspection"),
         (["+world=inspektion"], "there is no world 'inspektion'; choose flat or inspection"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
-        (["world=flat", "actors=crowd"], "there is no actors 'crowd'; choose external_walkers, none or walkers"),
+        (["world=flat", "actors=crowd"],
+         "there is no actors 'crowd'; choose external_walkers, none or walkers"),
         (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
         (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
         (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
@@ -153,23 +156,29 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["world=flat", "++sensors.lidar.n_beam=5"],
          "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
         (["world=flat", "batch_size=64"], "batch_size is not a setting; did you mean learning.batch_size?"),
-        (["world=flat", "max_steps=64"], "max_steps is not a setting; did you mean task.termination.max_steps?"),
+        (["world=flat", "max_steps=64"],
+         "max_steps is not a setting; did you mean task.termination.max_steps?"),
         (["world=flat", "physics.zzz=1"],
          "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations"),
         (["world=flat", "actors.1.speed_mps=9"], "actors.1.speed_mps must be at most 5.0 (got 9)"),
         (["world=flat", "physics.control_hz=30"],
-         "physics: control_hz must divide physics_hz (30 does not divide 200); take 10, 20, 25, 40 or 50 with 200"),
+         "physics: control_hz must divide physics_hz (30 does not divide 200); "
+         "take 10, 20, 25, 40 or 50 with 200"),
         (["world=flat", "learning.replay.capacity=64"],
          "learning: replay.capacity must be at least batch_size (got 64 and 512)"),
+        (["world=flat", "actors=external_walkers"],
+         "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"),
         (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
         (["world=flat", "learning.hidden=[256"],
          "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "
          "brackets or equals signs: 'learning.hidden=\"...\"'"),
-        (["world=flat", "seed=1,2"], "seed=1,2 has several values; add -m to run them all, or quote the value"),
+        (["world=flat", "seed=1,2"],
+         "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
          "there is no group 'wrold/x'; "
          "choose from actors, experiment, learning, metrics, physics, robot, sensors, task, world"),
-        (["world=flat", "seed=${nowhere}"], "cannot resolve the settings: Interpolation key 'nowhere' not found"),
+        (["world=flat", "seed=${nowhere}"],
+         "cannot resolve the settings: Interpolation key 'nowhere' not found"),
     ],
 )  # fmt: skip
 def test_bad_overrides(overrides: list[str], message: str) -> None:
@@ -191,7 +200,7 @@ def test_faults_come_together() -> None:
 
 
 def test_a_sweep_is_checked_in_every_value() -> None:
-    assert check_sweep(["+world=flat,inspection", "seed=1,2"]) == ["+world=flat,inspection", "++seed=1,2"]
+    assert check_sweep(["+world=flat,inspection", "seed=1,2"]) == ["+world=flat,inspection", "seed=1,2"]
     with pytest.raises(ConfigError) as caught:
         check_sweep(["+world=flat,moon", "seed=1,-2", "robot.wheel_friction=0.5,1.0,9"])
     assert str(caught.value).splitlines() == [
@@ -206,7 +215,9 @@ def test_environment_settings_reach_what_the_command_line_reaches() -> None:
     by_settings = compose_environment(
         {"name": "flat", "friction": 0.5}, (), {"actors": "none", "task": {"termination": {"max_steps": 100}}}
     )
-    mixed = compose_environment("flat", ["task.termination.max_steps=100", "world.friction=0.5"], {"actors": []})
+    mixed = compose_environment(
+        "flat", ["task.termination.max_steps=100", "world.friction=0.5"], {"actors": []}
+    )
     expected = EnvConf(**{name: getattr(by_words, name) for name in EnvConf.model_fields})
     assert by_settings == mixed == expected
 
@@ -222,7 +233,9 @@ def test_environment_settings_share_the_messages() -> None:
 
 
 def test_saved_settings_stay_unless_asked() -> None:
-    saved = compose(["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(mode="json")
+    saved = compose(["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(
+        mode="json"
+    )
     resumed = compose_resumed(["total_frames=9"], (), saved)
     assert (resumed.world.name, resumed.actors, resumed.seed) == ("inspection", (), 5)
     assert (resumed.learning.tau, resumed.total_frames) == (0.1, 9)

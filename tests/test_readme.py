@@ -73,7 +73,9 @@ def test_the_shown_errors_are_the_real_ones() -> None:
 
 
 def test_the_table_of_groups_is_complete() -> None:
-    rows = dict(re.findall(r"^\| `(\w+)` \| (`.*?`) \|", README.split("## Configuration")[1], flags=re.MULTILINE))
+    rows = dict(
+        re.findall(r"^\| `(\w+)` \| (`.*?`) \|", README.split("## Configuration")[1], flags=re.MULTILINE)
+    )
     stated = {group: set(re.findall(r"`(\w+)`", options)) for group, options in rows.items()}
     there = {
         folder.name: {path.stem for path in folder.glob("*.yaml")}

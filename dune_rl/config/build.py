@@ -2,7 +2,7 @@
 
 from functools import lru_cache
 
-from dune_rl.config.schema import EnvConf, WorldConf
+from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
 from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv
@@ -46,6 +46,6 @@ def make_parallel_env(conf: EnvConf, seed: int) -> ParallelDuneEnv:
     return ParallelDuneEnv(make_batch(conf, 1, seed))
 
 
-def make_gymnasium_env(conf: EnvConf, seed: int) -> GymnasiumEnv:
+def make_gymnasium_env(conf: SingleAgentConf, seed: int) -> GymnasiumEnv:
     """A Gymnasium environment of one scene's rover."""
     return GymnasiumEnv(make_batch(conf, 1, seed))

@@ -33,7 +33,7 @@ _KINDS = {
 
 
 def validated(model: type[Model], data: Mapping[str, Any], earlier: Sequence[str] = ()) -> Model:
-    """The settings in `data`, or a `ConfigError` with every fault of `data` after the `earlier` ones, a line each."""
+    """The settings in `data`, or a `ConfigError` with a line for each fault, the `earlier` ones first."""
     try:
         settings = model.model_validate(data)
     except ValidationError as error:

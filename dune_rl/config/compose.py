@@ -2,8 +2,10 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from hydra import compose as hydra_compose
 from hydra._internal.hydra import Hydra
@@ -25,7 +27,6 @@ from dune_rl.config.schema import Conf, EnvConf, EvaluateConf
 from dune_rl.errors import ConfigError
 
 Model = TypeVar("Model", bound=EnvConf)
-SCHEMAS: dict[str, type[EnvConf]] = {"train": Conf, "evaluate": EvaluateConf}
 
 
 def compose(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> Conf:
@@ -44,15 +45,29 @@ def compose_evaluation(
     return _compose(EvaluateConf, "evaluate", overrides, config_dirs, saved)
 
 
-def compose_resumed(
-    overrides: Sequence[str], config_dirs: Sequence[str], saved: Mapping[str, Any]
-) -> Conf:
+def compose_resumed(overrides: Sequence[str], config_dirs: Sequence[str], saved: Mapping[str, Any]) -> Conf:
     """The settings of a saved run, changed by the overrides."""
     return _compose(Conf, "train", overrides, config_dirs, saved)
 
 
+@overload
 def compose_environment(
-    world: str | Mapping[str, Any], overrides: Iterable[str] = (), settings: Mapping[str, Any] | None = None
+    world: str | Mapping[str, Any],
+    overrides: Iterable[str] = (),
+    settings: Mapping[str, Any] | None = None,
+) -> EnvConf: ...
+@overload
+def compose_environment(
+    world: str | Mapping[str, Any],
+    overrides: Iterable[str],
+    settings: Mapping[str, Any] | None,
+    model: type[Model],
+) -> Model: ...
+def compose_environment(
+    world: str | Mapping[str, Any],
+    overrides: Iterable[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    model: type[EnvConf] = EnvConf,
 ) -> EnvConf:
     """The settings of an environment alone.
 
@@ -72,7 +87,7 @@ def compose_environment(
     with _hydra() as loader:
         request = command_line.read(words, loader)
         data = _merged(_plain(_composed("environment", request, loader)), changes)
-        return validated(EnvConf, data, _earlier(request, data, loader))
+        return validated(model, data, _earlier(request, data, loader))
 
 
 def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> list[str]:
@@ -92,7 +107,8 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
                 faults += str(error).splitlines()
         if faults:
             raise ConfigError("\n".join(unique(faults)))
-        return request.words(_present("train", request))
+        present = _present("train", request)
+        return request.words(present, stated=_stated(request, present))
 
 
 def given(overrides: Sequence[str], key: str) -> Any | None:
@@ -158,13 +174,27 @@ def _composed(name: str, request: command_line.Request, loader: ConfigLoader) ->
         raise ConfigError("\n".join([*request.faults, f"cannot compose the settings: {reason}"])) from None
 
 
-def _present(name: str, request: command_line.Request) -> set[str]:
+def _present(name: str, request: command_line.Request) -> frozenset[str]:
     """The groups that are in the defaults list already, an experiment's included."""
     experiments = [o for o in request.groups if o.key_or_group == "experiment"]
-    words = [f"+experiment={command_line.values_of(o)[0].value()}" for o in experiments]
-    config = hydra_compose(name, words, return_hydra_config=True)
+    words = tuple(f"+experiment={command_line.values_of(o)[0].value()}" for o in experiments)
+    return _present_for(name, words, str(GlobalHydra.instance().config_loader().get_search_path()))
+
+
+@lru_cache(maxsize=32)
+def _present_for(name: str, words: tuple[str, ...], _search_path: str) -> frozenset[str]:
+    config = hydra_compose(name, list(words), return_hydra_config=True)
     choices = config.hydra.runtime.choices
-    return {group for group in choices if group != "experiment" and not group.startswith("hydra/")}
+    return frozenset(group for group in choices if group != "experiment" and not group.startswith("hydra/"))
+
+
+def _stated(request: command_line.Request, present: frozenset[str]) -> set[str]:
+    """The settings among the overridden ones that the YAML files state, which need no `++`."""
+    config = hydra_compose(
+        "train", replace(request, values=(), engine=()).words(present, first_of_sweep=True)
+    )
+    keys = {override.key_or_group for override in request.values}
+    return {key for key in keys if OmegaConf.select(config, key, default=config) is not config}
 
 
 def _plain(config: DictConfig) -> dict[str, Any]:
@@ -177,7 +207,7 @@ def _plain(config: DictConfig) -> dict[str, Any]:
 
 
 def _earlier(request: command_line.Request, data: dict[str, Any], loader: ConfigLoader) -> list[str]:
-    """The faults found so far; an absent world is one, and is then stood in for, so that the rest is checked."""
+    """The faults found so far; an absent world is one, and is stood in for, so that the rest is checked."""
     found = list(request.faults)
     world = data.get("world")
     if not isinstance(world, dict) or "name" not in world:
@@ -195,12 +225,10 @@ def _overlaid(
     if any(override.key_or_group == "experiment" for override in request.groups):
         raise ConfigError("a saved run brings its own settings; leave +experiment out")
     fresh = _plain(config)
-    data = {name: saved.get(name, fresh.get(name)) for name in model.model_fields}
-    data |= {name: value for name, value in fresh.items() if name not in model.model_fields}
-    if model is EvaluateConf:
-        data |= {name: fresh[name] for name in fresh if name not in EnvConf.model_fields}
-    data |= {o.key_or_group: fresh[o.key_or_group] for o in request.groups if o.key_or_group in fresh}
-    merged = OmegaConf.create({name: value for name, value in data.items() if value is not None})
+    kept = EnvConf.model_fields if model is EvaluateConf else model.model_fields
+    chosen = {override.key_or_group for override in request.groups}
+    stays = {name: saved[name] for name in kept if name in saved and name not in chosen}
+    merged = OmegaConf.create({**fresh, **stays})
     for override in request.values:
         if not override.is_delete():
             key = override.key_or_group
@@ -213,8 +241,10 @@ def _merged(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     out = dict(data)
     for name, value in changes.items():
         inner = out.get(name)
-        both = isinstance(value, Mapping) and isinstance(inner, dict)
-        out[name] = _merged(inner, value) if both else value
+        if isinstance(value, Mapping) and isinstance(inner, dict):
+            out[name] = _merged(inner, value)
+        else:
+            out[name] = value
     return out
 
 

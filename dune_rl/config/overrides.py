@@ -27,18 +27,22 @@ class Request:
     faults: tuple[str, ...]
     faulty_groups: frozenset[str]
 
-    def words(self, present: Iterable[str], *, first_of_sweep: bool = False) -> list[str]:
+    def words(
+        self, present: Iterable[str], *, stated: Iterable[str] = (), first_of_sweep: bool = False
+    ) -> list[str]:
         """The overrides as Hydra wants them, given the groups that are `present` in its defaults list.
 
-        Settings are forced in with `++`: Hydra's refusals come one at a time,
-        while the schema reports all unknown settings together. A swept
-        override is kept, or stands for its first value.
+        Settings that are not `stated` in YAML are forced in with `++`: Hydra's
+        refusals come one at a time, while the schema reports all unknown
+        settings together. A swept override is kept, or stands for its first
+        value.
         """
         words = [_text(override, "", first_of_sweep) for override in self.engine]
         for override in self.groups:
             prefix = "" if override.get_key_element().lstrip("+~") in present else "+"
             words.append(_text(override, prefix, first_of_sweep))
-        words += [_text(override, "++", first_of_sweep) for override in self.values]
+        for override in self.values:
+            words.append(_text(override, "" if override.key_or_group in stated else "++", first_of_sweep))
         return words
 
     def has_sweep(self) -> bool:

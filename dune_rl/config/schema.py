@@ -1,6 +1,6 @@
 """Every setting there is: one class for training, one for evaluation, both around an environment's."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -34,6 +34,18 @@ class EnvConf(Settings):
     metrics: MetricsConf = MetricsConf()
 
 
+class SingleAgentConf(EnvConf):
+    """An environment whose only agent is the rover."""
+
+    @model_validator(mode="after")
+    def _all_actors_scripted(self) -> Self:
+        if any(actor.controller == "external" for actor in self.actors):
+            raise ValueError(
+                "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"
+            )
+        return self
+
+
 class LearningConf(SacConf):
     """Soft actor-critic and the machinery around it."""
 
@@ -43,7 +55,7 @@ class LearningConf(SacConf):
     checkpoint: CheckpointConf = CheckpointConf()
 
     @model_validator(mode="after")
-    def _replay_holds_a_batch(self) -> "LearningConf":
+    def _replay_holds_a_batch(self) -> Self:
         if self.replay.capacity < self.batch_size:
             raise ValueError(
                 f"replay.capacity must be at least batch_size "
@@ -52,7 +64,7 @@ class LearningConf(SacConf):
         return self
 
 
-class Conf(EnvConf):
+class Conf(SingleAgentConf):
     """A training run."""
 
     learning: LearningConf = LearningConf()
@@ -63,7 +75,7 @@ class Conf(EnvConf):
     resume: str | None = None
 
 
-class EvaluateConf(EnvConf):
+class EvaluateConf(SingleAgentConf):
     """An evaluation of a checkpoint or of a built-in policy."""
 
     checkpoint: str | None = None
@@ -74,7 +86,7 @@ class EvaluateConf(EnvConf):
     out: str | None = None
 
     @model_validator(mode="after")
-    def _one_policy(self) -> "EvaluateConf":
+    def _one_policy(self) -> Self:
         if (self.checkpoint is None) == (self.policy is None):
             raise ValueError("choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random")
         return self

@@ -2,5 +2,7 @@
 
 import logging
 
-# TorchRL announces every buffer that it makes on standard error.
-logging.getLogger("torchrl").setLevel(logging.WARNING)
+from torchrl import logger
+
+# TorchRL announces every buffer that it makes, on the console.
+logger.setLevel(logging.WARNING)

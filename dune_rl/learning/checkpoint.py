@@ -71,11 +71,17 @@ def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
 
 def read(path: Path, *kinds: str) -> dict[str, Any]:
     """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy."""
+    if path.is_file() and not zipfile.is_zipfile(path):
+        raise CheckpointError(
+            f"{path} is truncated, or no checkpoint at all ({path.stat().st_size} bytes).\n"
+            f"Copy it again, or give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of the run's folder."
+        )
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
         raise CheckpointError(
-            f"There is no {path}.\nGive a run's folder, or a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} inside one."
+            f"There is no {path}.\n"
+            f"Give a run's folder, or a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} inside one."
         ) from error
     except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
         raise CheckpointError(_unreadable(path, error)) from error
@@ -96,19 +102,14 @@ def read(path: Path, *kinds: str) -> dict[str, Any]:
 def _unreadable(path: Path, error: Exception) -> str:
     if isinstance(error, OSError):
         return f"{path} cannot be read: {error.strerror or error}.\nCheck the path and its permissions."
-    if path.stat().st_size and zipfile.is_zipfile(path):
-        return (
-            f"{path} is damaged, or was not written by dune_rl.\n"
-            f"Give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE}; a run's folder may hold several."
-        )
     return (
-        f"{path} is truncated or no checkpoint at all ({path.stat().st_size} bytes).\n"
-        f"Copy it again, or give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE}; a run's folder may hold several."
+        f"{path} is damaged, or was not written by dune_rl.\n"
+        f"Give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of the run's folder."
     )
 
 
 def find(path: Path, *names: str) -> Path:
-    """`path` itself if it is a file, else the first of the files `names` in the folder; raises CheckpointError."""
+    """`path` itself, or the first of the files `names` that it holds as a folder; raises CheckpointError."""
     if not path.is_dir():
         return path
     for name in names:

@@ -39,6 +39,11 @@ class CollectorConf(Settings):
         return self.scenes * self.steps * (self.workers if self.mode == "sync" else 1)
 
 
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def learner_threads(conf: CollectorConf) -> int:
     """Threads for the learner beside the collector's workers.
 
@@ -48,8 +53,7 @@ def learner_threads(conf: CollectorConf) -> int:
     """
     if conf.mode == "serial":
         return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(4, max(1, cores - conf.workers))
+    return min(4, max(1, available_cores() - conf.workers))
 
 
 def environment_seed(seed: int, worker: int, frames: int) -> int:

@@ -22,8 +22,8 @@ def draw_curve(history: Sequence[Mapping[str, object]], path: Path, title: str) 
     success, reward = figure.subplots(2, 1, sharex=True)
     for axes, key, label in ((success, "SR", "success rate"), (reward, "return", "return per episode")):
         for kind, colour, style, name in (
-            ("train", _TRAINING, {"linewidth": 1.2, "alpha": 0.9}, "training (last 100 episodes)"),
-            ("eval", _EVALUATION, {"linewidth": 2.0, "marker": "o", "markersize": 4}, "evaluation, unseen episodes"),
+            ("train", _TRAINING, {"lw": 1.2, "alpha": 0.9}, "training (last 100 episodes)"),
+            ("eval", _EVALUATION, {"lw": 2.0, "marker": "o", "ms": 4}, "evaluation (unseen episodes)"),
         ):
             rows = [row for row in history if row["kind"] == kind]
             frames = np.array([row["frames"] for row in rows], float)

@@ -25,7 +25,7 @@ class EvaluationConf(Settings):
     every_frames: int = Field(100_000, ge=1)
     episodes: int = Field(50, ge=1)
     scenes: int = Field(16, ge=1, description="episodes run side by side; no result depends on it")
-    seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed: training never sees these")
+    seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed; training never sees it")
 
 
 @torch.no_grad()
@@ -64,16 +64,16 @@ def evaluate(
     return [found[episode] for episode in sorted(found)]
 
 
-# Short names as in the paper: (key, title, unit, how an episode's row gives it).
+# The paper's short names, with meaning and unit.
 MEASURES: dict[str, tuple[str, str]] = {
-    "SR": ("success rate: goal reached without collision", ""),
-    "TR": ("traversal rate: goal reached", ""),
+    "SR": ("goal reached without collision", ""),
+    "TR": ("goal reached", ""),
     "TC": ("collisions per episode", ""),
     "MTT": ("mean time to traverse", "s"),
-    "OC": ("obstacle clearance, mean over time", "m"),
+    "OC": ("obstacle clearance", "m"),
     "VR": ("vertical roughness", "m/s²"),
     "VORT": ("velocity over rough terrain", "m/s"),
-    "TSR": ("total smoothness of route, lower is smoother", ""),
+    "TSR": ("smoothness of route, less is smoother", ""),
 }
 _COLUMNS = {
     "SR": "success",
@@ -88,7 +88,7 @@ _COLUMNS = {
 
 
 def averages(rows: Sequence[Mapping[str, float]]) -> Row:
-    """Each of `MEASURES` over the episodes `rows`, with the mean return and length; NaN where none was measured."""
+    """Means over the episodes `rows`: each of `MEASURES`, return, steps; NaN where none was measured."""
     columns = {**_COLUMNS, "return": "return", "steps": "steps"}
     if not rows:
         return dict.fromkeys(columns, float("nan"))
@@ -113,7 +113,7 @@ def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
 
 
 def compare(rows_a: Sequence[Mapping[str, float]], rows_b: Sequence[Mapping[str, float]]) -> PairedTest:
-    """Exact paired test of success between two evaluations of the same episodes; raises ValueError if not the same."""
+    """Exact paired test of success between two evaluations; raises ValueError unless their episodes agree."""
     ids_a, ids_b = ([row["episode"] for row in rows] for rows in (rows_a, rows_b))
     if ids_a != ids_b:
         raise ValueError("the two evaluations ran different episodes, so they do not pair")

@@ -100,6 +100,6 @@ class Layout:
         if faults:
             raise CheckpointError(
                 f"{source} was made for another environment: {'; '.join(faults)}.\n"
-                "Use the robot, sensor and task settings that it was trained with (they are in its run folder), "
+                "Use the robot and sensor settings that it was trained with (its run's folder holds them), "
                 "or train anew."
             )

@@ -28,9 +28,13 @@ class Status:
         left = self.total_frames - self.frames
         return left / self.frames_per_s if self.frames_per_s > 0 else math.nan
 
+    def counts(self) -> str:
+        """What is being done, and how far it is."""
+        return f"{self.doing}  {self.frames:,} of {self.total_frames:,} frames"
+
     def figures(self) -> str:
         """Speeds, success rate and time left, in one line."""
-        rate = "–" if math.isnan(self.success_rate) else f"{100 * self.success_rate:.0f} %"
+        rate = "unknown" if math.isnan(self.success_rate) else f"{100 * self.success_rate:.0f} %"
         return (
             f"{self.frames_per_s:,.0f} frames/s  {self.updates_per_s:,.0f} updates/s  "
             f"success {rate}  {_clock(self.seconds_left)} left"
@@ -98,7 +102,7 @@ class Bar:
             self._task,
             completed=status.frames,
             total=status.total_frames,
-            description=f"{status.doing}  {status.frames:,} of {status.total_frames:,} frames",
+            description=status.counts(),
             figures=status.figures(),
         )
 
@@ -122,4 +126,4 @@ class Lines:
         now = time.monotonic()
         if now - self._last >= self._interval_s:
             self._last = now
-            self._emit(f"{status.doing}  {status.frames:,} of {status.total_frames:,} frames  {status.figures()}")
+            self._emit(f"{status.counts()}  {status.figures()}")

@@ -10,11 +10,12 @@ import torch
 
 def random_state() -> dict[str, Any]:
     """States of torch's and NumPy's global generators, as `torch.load(weights_only=True)` reads them."""
-    name, keys, position, has_gauss, gauss = np.random.get_state()
+    name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    mersenne = torch.from_numpy(np.asarray(keys).astype(np.int64))
     return {
         "torch": torch.get_rng_state(),
         "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
-        "numpy": [str(name), torch.from_numpy(keys.astype(np.int64)), int(position), int(has_gauss), float(gauss)],
+        "numpy": [str(name), mersenne, int(position), int(has_gauss), float(gauss)],
     }
 
 

@@ -1,6 +1,7 @@
 """The replay buffer: flat float32 transitions, in memory or on disk."""
 
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Literal
@@ -83,15 +84,23 @@ class Transitions:
 class Replay:
     """A ring of rows (width,) sampled uniformly with torch's global generator."""
 
-    def __init__(self, conf: ReplayConf, width: int, scratch: Path, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, conf: ReplayConf, width: int, scratch: Path, device: torch.device | str = "cpu"
+    ) -> None:
+        """`scratch` is the folder that the storage `disk` maps into memory."""
         if conf.storage == "disk":
-            storage = LazyMemmapStorage(conf.capacity, scratch_dir=str(scratch))
+            storage = LazyMemmapStorage(conf.capacity, scratch_dir=str(scratch), existsok=True)
         else:
             storage = LazyTensorStorage(conf.capacity, device=device)
         self._buffer = ReplayBuffer(storage=storage)
+        self._scratch = scratch
         self._width = width
         self._capacity = conf.capacity
         self._device = torch.device(device)
+
+    def close(self) -> None:
+        """Delete the memory map, which holds nothing that a save does not."""
+        shutil.rmtree(self._scratch, ignore_errors=True)
 
     def __len__(self) -> int:
         return len(self._buffer)
@@ -143,8 +152,8 @@ class Replay:
             )
         if len(rows) > self._capacity:
             raise CheckpointError(
-                f"{path} holds {len(rows)} transitions, more than replay.capacity={self._capacity}.\n"
-                f"Resume with replay.capacity={len(rows)} or more."
+                f"{path} holds {len(rows)} rows, more than learning.replay.capacity={self._capacity}.\n"
+                f"Resume with learning.replay.capacity={len(rows)} or more."
             )
         for start in range(0, len(rows), _ROWS_PER_COPY):
             self.extend(torch.from_numpy(np.array(rows[start : start + _ROWS_PER_COPY])))

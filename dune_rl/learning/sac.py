@@ -21,6 +21,9 @@ class SacConf(Settings):
 
     learning_rate: float = Field(3e-4, gt=0, description="at frame 0")
     final_learning_rate: float = Field(5e-5, gt=0, description="at total_frames, reached linearly")
+    entropy_learning_rate: float = Field(
+        3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
+    )
     learning_starts: int = Field(50_000, ge=0, description="frames of random actions before the first update")
     updates_per_frame: float = Field(1.0, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
@@ -34,7 +37,9 @@ class SacConf(Settings):
     reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
     precision: Literal["float32", "bfloat16"] = "float32"
-    threads: int | None = Field(None, ge=1, description="of the learner; null: one if serial, else the cores without a worker, up to 4")
+    threads: int | None = Field(
+        None, ge=1, description="of the learner; null: 1 if serial, else the cores left over, up to 4"
+    )
 
 
 class Sac:
@@ -67,8 +72,14 @@ class Sac:
         self._target_entropy = self._loss.target_entropy
         self._loss.to(device)
         self._target_update = SoftUpdate(self._loss, tau=conf.tau)
+        coefficient = self._loss.log_alpha
+        networks = [p for p in self._loss.parameters() if p.requires_grad and p is not coefficient]
         self._optimiser = torch.optim.Adam(
-            [p for p in self._loss.parameters() if p.requires_grad], lr=conf.learning_rate, fused=True
+            [
+                {"params": networks, "lr": conf.learning_rate},
+                {"params": [coefficient], "lr": conf.entropy_learning_rate},
+            ],
+            fused=True,
         )
 
     def observe(self, rows: Tensor) -> None:
@@ -79,12 +90,13 @@ class Sac:
         """Set and give the learning rate that is due after `frames`."""
         share = min(1.0, frames / self._total_frames)
         rate = self._conf.learning_rate + share * (self._conf.final_learning_rate - self._conf.learning_rate)
-        for group in self._optimiser.param_groups:
-            group["lr"] = rate
+        networks, coefficient = self._optimiser.param_groups
+        networks["lr"] = rate
+        coefficient["lr"] = self._conf.entropy_learning_rate * rate / self._conf.learning_rate
         return rate
 
     def learn(self, minibatches: Iterable[Tensor]) -> dict[str, float]:
-        """One update for each of `minibatches` (b, width); their mean losses, entropy coefficient and entropy."""
+        """One update for each of `minibatches` (b, width); mean losses, entropy coefficient and entropy."""
         totals: dict[str, Tensor] = {}
         count = 0
         for rows in minibatches:
@@ -113,9 +125,11 @@ class Sac:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that learning has changed, in plain containers of tensors."""
+        # The loss's dictionary holds batch sizes beside its tensors; those follow from the settings.
+        loss = self._loss.state_dict()
         return {
             "policy": dict(self.policy.state_dict()),
-            "loss": {key: value for key, value in self._loss.state_dict().items() if isinstance(value, Tensor)},
+            "loss": {key: value for key, value in loss.items() if isinstance(value, Tensor)},
             "optimiser": self._optimiser.state_dict(),
         }
 

@@ -23,7 +23,7 @@ class Estimate:
 
 
 def proportion(successes: ArrayLike) -> Estimate:
-    """The share of true entries, with Wilson's interval, which stays within [0, 1] and is sound for small n."""
+    """The share of true entries, with Wilson's interval, which stays within [0, 1] and suits small n."""
     hits = np.asarray(successes, bool)
     if not len(hits):
         return Estimate(np.nan, np.nan, np.nan, 0)

@@ -4,27 +4,32 @@ import math
 from collections.abc import Mapping
 
 from rich.table import Table
+from rich.text import Text
 
 from dune_rl.learning.evaluation import MEASURES
 from dune_rl.learning.statistics import Estimate
 
 
 def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> Table:
-    """One row for each policy of `results` (by name), one column for each measure with its 95 % interval."""
-    table = Table(title=title, caption="brackets: 95 % intervals", caption_justify="left")
-    table.add_column("policy", no_wrap=True)
-    for name, (_, unit) in MEASURES.items():
-        table.add_column(f"{name} [{unit}]" if unit else name, justify="right")
-    for policy, estimates in results.items():
-        table.add_row(policy, *(_cell(name, estimates[name]) for name in MEASURES))
+    """One column for each policy of `results` (by name), one row for each measure with its 95 % interval."""
+    table = Table(
+        title=title, caption="brackets: 95 % intervals", caption_justify="left", title_justify="left"
+    )
+    table.add_column("measure", no_wrap=True)
+    for policy in results:
+        table.add_column(Text(policy), justify="right")
+    for name, (meaning, unit) in MEASURES.items():
+        # As Text: in a string, rich takes brackets for markup.
+        label = Text(f"{name}  {meaning}" + (f" [{unit}]" if unit else ""))
+        table.add_row(label, *(_cell(name, estimates[name]) for estimates in results.values()))
     return table
 
 
 def _cell(name: str, estimate: Estimate) -> str:
     if math.isnan(estimate.value):
-        return "–"
-    scale, form = (100, "{:.0f}") if name in ("SR", "TR") else (1, "{:.2f}")
-    value = form.format(estimate.value * scale) + (" %" if scale == 100 else "")
+        return "-"
+    scale, form, unit = (100, "{:.0f}", " %") if name in ("SR", "TR") else (1, "{:.2f}", "")
+    value = form.format(estimate.value * scale) + unit
     if math.isnan(estimate.low):
         return value
-    return f"{value}\n({form.format(estimate.low * scale)}–{form.format(estimate.high * scale)})"
+    return f"{value} ({form.format(estimate.low * scale)} to {form.format(estimate.high * scale)})"

@@ -114,7 +114,7 @@ class Trainer:
         self._last_evaluation: list[Row] = []
         self._speed = Speed()
         self._saved = saved
-        if saved is not None:
+        if saved is not None and resume is not None:
             self._check(saved, resume)
             self._restore(saved, resume)
         self._log = RunLog(run_dir, self._evaluation_env.metric_names, frames=self.frames)
@@ -144,6 +144,7 @@ class Trainer:
                 self._log.draw(self._title)
             finally:
                 collection.close()
+                self._replay.close()
                 torch.set_num_threads(threads)
                 self._log.close()
         return TrainingResult(
@@ -204,8 +205,9 @@ class Trainer:
     def _report(self, doing: str = "training") -> None:
         frames_per_s, updates_per_s = self._speed.mark(self.frames, self.updates)
         self._log.learned({"speed/frames": frames_per_s, "speed/updates": updates_per_s}, self.frames)
+        success = self._log.success_rate
         self._reporter.update(
-            Status(self.frames, self._total_frames, frames_per_s, updates_per_s, self._log.success_rate, doing)
+            Status(self.frames, self._total_frames, frames_per_s, updates_per_s, success, doing)
         )
 
     def _evaluate(self, stop: StopRequest) -> None:
@@ -251,7 +253,7 @@ class Trainer:
             except OSError as error:
                 raise CheckpointError(
                     f"{self._run_dir / name} cannot be written: {error.strerror or error}.\n"
-                    "Free some space, or save without it: checkpoint.replay=false. The last save is intact."
+                    "Free some space, or set learning.checkpoint.replay=false; the last save is intact."
                 ) from error
         content = {
             "layout": self._layout.plain(),
@@ -287,7 +289,7 @@ class Trainer:
         Layout.from_plain(saved["layout"]).require(self._layout, str(source))
         if tuple(saved["hidden"]) != self._sac_conf.hidden:
             raise CheckpointError(
-                f"{source} has hidden layers {tuple(saved['hidden'])}, but {self._sac_conf.hidden} is asked for.\n"
+                f"{source} has hidden layers {saved['hidden']}, not {list(self._sac_conf.hidden)}.\n"
                 f"Resume with learning.hidden={saved['hidden']}, or train anew."
             )
 
@@ -323,5 +325,6 @@ def _claim(run_dir: Path, *, fresh: bool) -> None:
         (run_dir / ".writable").unlink()
     except OSError as error:
         raise CheckpointError(
-            f"The folder {run_dir} cannot be written: {error.strerror or error}.\nName another folder for the run."
+            f"The folder {run_dir} cannot be written: {error.strerror or error}.\n"
+            "Name another folder for the run."
         ) from error

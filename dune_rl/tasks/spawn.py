@@ -112,8 +112,8 @@ class Spawner:
             )
         return (
             f"{where} has no ground under {self._conf.max_slope_deg:g} degrees with {clearance_m:.2f} m of "
-            f"clearance (footprint {self._footprint_radius_m:.2f} m + spawn.margin_m={self._conf.margin_m:g}; the "
-            f"most is {free.clearance[in_region].max():.2f} m).\n"
+            f"clearance (footprint {self._footprint_radius_m:.2f} m, spawn.margin_m={self._conf.margin_m:g}; "
+            f"there is {free.clearance[in_region].max():.2f} m at most).\n"
             "Lower spawn.margin_m, raise spawn.max_slope_deg, or choose another spawn.region."
         )
 
@@ -156,11 +156,13 @@ class Spawner:
 
     def _far(self, goals: Array, start: Array) -> NDArray[np.bool_]:
         away = goals - start
-        return np.hypot(away[..., 0], away[..., 1]) >= self._conf.min_goal_distance_m
+        far: NDArray[np.bool_] = np.hypot(away[..., 0], away[..., 1]) >= self._conf.min_goal_distance_m
+        return far
 
     def _fits(self, xy: Array) -> NDArray[np.bool_]:
         clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m
-        return clear & (self._world.terrain.slope(xy) <= self._max_slope)
+        gentle: NDArray[np.bool_] = self._world.terrain.slope(xy) <= self._max_slope
+        return gentle & clear
 
     def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:
         """Points (n, 2) [m] of the same part, with `radius_m` of clearance and joined at that clearance.

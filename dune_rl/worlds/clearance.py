@@ -26,8 +26,8 @@ class ClearanceField:
     """Callable: distance [m] from any points to the nearest obstacle, 0 inside one, inf where there is none.
 
     `blocking` are the closed meshes that can be hit, `decks` those that count
-    as ground. The field errs by up to one cell (0.05 m; more in worlds past
-    100 m) and on the near side, so that nobody is told of room that is not there.
+    as ground. Its cells are 0.05 m (more in worlds past 100 m); it tells on
+    average half a cell less than the true distance, at most half a cell more.
     """
 
     def __init__(self, terrain: HeightField, blocking: Sequence[Mesh], decks: Sequence[Mesh] = ()) -> None:

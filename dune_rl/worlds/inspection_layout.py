@@ -40,36 +40,35 @@ _COUNTS = {"array": 4, "culvert": 5, "wall": 4, "post": 8}
 
 
 class _Plan:
-    """The ground taken so far, as points along the outlines of rectangles."""
+    """The ground taken so far, as points that fill rectangles."""
 
     def __init__(self) -> None:
-        self._outlines = np.empty((0, 2))
+        self._taken = np.empty((0, 2))
 
     def gap(self, xy: Array, yaw: float, length: float, width: float) -> float:
-        """Distance [m] from a rectangle to the nearest one taken."""
-        if not len(self._outlines):
+        """Distance [m] from a rectangle to the nearest ground taken."""
+        if not len(self._taken):
             return np.inf
-        ahead, left = bearing(yaw), bearing(yaw + np.pi / 2)
-        offset = self._outlines - xy
-        beyond_x = np.abs(offset @ ahead) - length / 2
-        beyond_y = np.abs(offset @ left) - width / 2
-        return float(np.hypot(np.maximum(beyond_x, 0.0), np.maximum(beyond_y, 0.0)).min())
+        offset = (self._taken - xy) @ np.stack([bearing(yaw), bearing(yaw + np.pi / 2)], axis=-1)
+        beyond = np.maximum(np.abs(offset) - [length / 2, width / 2], 0.0)
+        return float(np.hypot(beyond[:, 0], beyond[:, 1]).min())
 
     def take(self, xy: Array, yaw: float, length: float, width: float) -> None:
-        around = 2.0 * (length + width)
-        at = np.linspace(0.0, 1.0, max(8, int(around / 0.2)), endpoint=False)
-        u = np.interp(at * around, np.cumsum([0, length, width, length, width]), [-1, 1, 1, -1, -1])
-        v = np.interp(at * around, np.cumsum([0, length, width, length, width]), [-1, -1, 1, 1, -1])
-        local = np.stack([u * length / 2, v * width / 2], axis=-1)
-        axes = np.stack([bearing(yaw), bearing(yaw + np.pi / 2)])
-        self._outlines = np.concatenate([self._outlines, np.asarray(xy) + local @ axes])
+        u, v = (np.linspace(-side / 2, side / 2, 1 + int(np.ceil(side / 0.25))) for side in (length, width))
+        local = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        self.take_points(np.asarray(xy) + local @ np.stack([bearing(yaw), bearing(yaw + np.pi / 2)]))
+
+    def take_points(self, points: Array) -> None:
+        self._taken = np.concatenate([self._taken, points])
 
 
 def place_props(terrain: HeightField, gully: Gully, seed: int, yard_obstacles: int) -> list[Prop]:
     """All props of the world of `seed`, `yard_obstacles` of them in and round the training square."""
     rng = stream(seed, "inspection layout")
     plan = _Plan()
-    props: list[Prop] = [_water(terrain)]
+    water = _water(terrain)
+    plan.take_points(water.vertices[:, :2])
+    props: list[Prop] = [water]
     props += structures.bridge(terrain, "bridge", gully.centre, gully.yaw, BRIDGE_LENGTH_M, BRIDGE_WIDTH_M)
     plan.take(np.array(gully.centre), gully.yaw, BRIDGE_LENGTH_M + 4.0, BRIDGE_WIDTH_M + 2.0)
     props += _main_pipeline(terrain, plan)

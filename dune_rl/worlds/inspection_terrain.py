@@ -66,8 +66,8 @@ def build_terrain(seed: int) -> tuple[HeightField, Gully]:
 
     def site_misfit(amplitudes: Array) -> Array:
         z = heights(amplitudes, yard_amplitudes)[np.ix_(main, main)]
-        relief = (np.ptp(z) - _RELIEF_M) / 0.5
-        return np.array([relief, *(_slope_misfit(z, _SLOPE_DEG) * [2.0, 1.0, 0.6])])
+        relief = (np.ptp(z) - _RELIEF_M) / 0.8
+        return np.array([relief, *(_slope_misfit(z, _SLOPE_DEG) * [2.5, 1.0, 0.7])])
 
     def yard_misfit(amplitudes: Array) -> Array:
         z = heights(site_amplitudes, amplitudes)[np.ix_(yard, yard)]

@@ -1,11 +1,13 @@
 """Closed primitive meshes to build props of; all faces run counter-clockwise seen from outside."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.signedinteger[Any]]
 Mesh = tuple[Array, NDArray[np.int32]]
 
 _BOX_CORNERS = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]) / 2
@@ -82,6 +84,6 @@ def level_axes(direction: Array) -> tuple[Array, Array, Array]:
     return ahead, side, np.cross(ahead, side)
 
 
-def _strip(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.int32]:
+def _strip(a: Indices, b: Indices, c: Indices, d: Indices) -> NDArray[np.int32]:
     # Quads a-b-d-c as two triangles each.
     return np.concatenate([np.stack([a, b, d], axis=-1), np.stack([a, d, c], axis=-1)]).astype(np.int32)

@@ -69,7 +69,7 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
     for s_m in (np.arange(6) - 2.5) * ARRAY_LENGTH_M / 6:
         top = underside(float(s_m), 0.05)
         bottom = float(terrain.height(top[:2])) + 0.1
-        frame.append(upright_box(top[:2], yaw, bottom, max(top[2], bottom + 0.1), ARRAY_LENGTH_M / 6, 0.05))
+        frame.append(upright_box(top[:2], yaw, bottom, max(top[2], bottom + 0.1), ARRAY_LENGTH_M / 6, 0.1))
     return (
         Prop(f"{name} panel", "solar array", *panel, colour=_PANEL),
         Prop(f"{name} frame", "solar array", *merge(frame), colour=_STEEL),

@@ -1,0 +1,140 @@
+"""Checkpoints: whole or untouched, harmless to read, and refused in words that help."""
+
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+from point_mass import PointMass, make_point_mass
+
+from dune_rl.errors import CheckpointError
+from dune_rl.learning.checkpoint import find, read, replaced, write
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.networks import make_policy
+from dune_rl.learning.policies import load_policy, policy_content
+
+
+@pytest.fixture
+def layout() -> Layout:
+    return Layout.of(make_point_mass(1, 0))
+
+
+@pytest.fixture
+def saved(tmp_path: Path, layout: Layout) -> Path:
+    path = tmp_path / "policy.pt"
+    module = make_policy(layout, (8,), 10.0)
+    write(path, "policy", policy_content(module, layout, (8,), 10.0, {"seed": 1}))
+    return path
+
+
+def test_policy_acts_the_same_after_a_round_trip(saved: Path, layout: Layout) -> None:
+    policy, config = load_policy(saved, layout)
+    again, _ = load_policy(saved.parent, layout)
+    observation = make_point_mass(4, 0).reset()
+    assert torch.equal(policy(observation.clone())["action"], again(observation.clone())["action"])
+    assert config == {"seed": 1}
+
+
+def test_a_crash_while_writing_leaves_the_old_file(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = saved.read_bytes()
+
+    def dies(_content: object, path: Path) -> None:
+        path.write_bytes(b"half of")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", dies)
+    with pytest.raises(KeyboardInterrupt):
+        write(saved, "policy", {})
+    assert saved.read_bytes() == before
+    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_a_full_disk_is_a_message(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_content: object, _path: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(torch, "save", full)
+    with pytest.raises(CheckpointError, match="No space left on device"):
+        write(saved, "policy", {})
+    assert read(saved, "policy")["kind"] == "policy"
+
+
+def test_the_file_appears_only_when_whole(tmp_path: Path) -> None:
+    path = tmp_path / "result"
+    with replaced(path) as temporary:
+        temporary.write_text("all")
+        assert not path.exists()
+    assert path.read_text() == "all"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_truncated(saved: Path, layout: Layout, share: float) -> None:
+    data = saved.read_bytes()
+    saved.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(CheckpointError, match="truncated"):
+        load_policy(saved, layout)
+
+
+def test_damaged_inside(saved: Path, layout: Layout) -> None:
+    data = bytearray(saved.read_bytes())
+    start = data.index(b"data.pkl") + 60
+    data[start : start + 40] = bytes(40)
+    saved.write_bytes(bytes(data))
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_policy(saved, layout)
+
+
+def test_missing(tmp_path: Path, layout: Layout) -> None:
+    with pytest.raises(CheckpointError, match="There is no"):
+        load_policy(tmp_path / "nowhere.pt", layout)
+    with pytest.raises(CheckpointError, match=r"holds no policy\.pt or checkpoint\.pt"):
+        find(tmp_path, "policy.pt", "checkpoint.pt")
+
+
+class Bomb:
+    """Runs code when unpickled."""
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return Path.touch, (Path("exploded"),)  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("dump", [torch.save, lambda content, path: path.write_bytes(pickle.dumps(content))])
+def test_nothing_in_a_file_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dump: object) -> None:
+    monkeypatch.chdir(tmp_path)
+    dump({"format": "dune_rl", "bomb": Bomb()}, tmp_path / "policy.pt")  # type: ignore[operator]
+    with pytest.raises(CheckpointError):
+        read(tmp_path / "policy.pt", "policy")
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_not_ours(tmp_path: Path) -> None:
+    torch.save({"weights": torch.zeros(1)}, tmp_path / "other.pt")
+    with pytest.raises(CheckpointError, match="not written by dune_rl"):
+        read(tmp_path / "other.pt", "policy")
+
+
+def test_newer_format(saved: Path) -> None:
+    torch.save({**torch.load(saved, weights_only=True), "version": 99}, saved)
+    with pytest.raises(CheckpointError, match="format 99"):
+        read(saved, "policy")
+
+
+def test_wrong_kind(saved: Path) -> None:
+    with pytest.raises(CheckpointError, match="is a policy, but a checkpoint"):
+        read(saved, "checkpoint")
+
+
+def test_another_observation_is_named(saved: Path) -> None:
+    with pytest.raises(CheckpointError, match="lidar has 32 values there, 64 here") as caught:
+        load_policy(saved, Layout.of(PointMass(1, 0, beams=64)))
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_missing_parts_and_other_bounds_are_named(layout: Layout) -> None:
+    here = Layout({"goal": 2, "camera": 9}, (-1.0, -1.0), (1.0, 1.0))
+    with pytest.raises(CheckpointError) as caught:
+        layout.require(here, "policy.pt")
+    message = str(caught.value)
+    assert "camera is missing there, 9 values here" in message
+    assert "imu has 9 values there, is missing here" in message
+    assert "actions lie in [-0.8, 0.8], [-3.14159, 3.14159] there, in [-1, 1], [-1, 1] here" in message

@@ -1,0 +1,202 @@
+"""The command lines, end to end on a run of seconds: what they write, say and return."""
+
+import csv
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dune_rl import evaluate, train
+from dune_rl.learning.progress import Lines, Status
+
+TINY = [
+    "total_frames=192",
+    "learning.learning_starts=64",
+    "learning.batch_size=32",
+    "learning.hidden=[16]",
+    "learning.updates_per_frame=0.1",
+    "learning.replay.capacity=1000",
+    "learning.collector.mode=serial",
+    "learning.collector.scenes=4",
+    "learning.collector.steps=8",
+    "learning.evaluation.episodes=2",
+    "learning.evaluation.scenes=2",
+    "task.termination.max_steps=20",
+    "actors=none",
+]
+Call = Callable[..., int]
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch) -> Iterator[Call]:
+    """Runs a command line in this process and gives its exit code."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+
+    def run(program: Callable[[], None], *words: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["dune_rl", *words])
+        with pytest.raises(SystemExit) as ended:
+            program()
+        return int(ended.value.code or 0)
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(train.main, "+world=flat", "run_dir=run", "seed=3", *TINY) == 0
+    run = folder / "run"
+    assert {"checkpoint.pt", "policy.pt", "policy_last.pt", "metrics.csv", "curve.png", "config.yaml"} <= {
+        path.name for path in run.iterdir()
+    }
+    assert list(run.glob("events.out.tfevents.*"))
+    assert (run / ".hydra" / "config.yaml").exists()
+    resolved = yaml.safe_load((run / "config.yaml").read_text())
+    assert (resolved["seed"], resolved["world"]["name"], resolved["run_dir"]) == (3, "flat", str(run))
+    assert f"evaluate checkpoint={run}" in capsys.readouterr().out
+
+    assert call(train.main, "resume=run", "total_frames=256") == 0
+    assert "after 256 frames" in capsys.readouterr().out
+    assert yaml.safe_load((run / "config.yaml").read_text())["seed"] == 3
+
+    written = (run / "checkpoint.pt").read_bytes()
+    assert call(train.main, "+world=flat", "run_dir=run", *TINY) == 2
+    assert capsys.readouterr().err == (
+        "run already holds a run; continue it with resume=run, or choose another run_dir\n"
+    )
+    assert (run / "checkpoint.pt").read_bytes() == written
+
+    assert call(evaluate.main, "checkpoint=run", "episodes=3", "seed=7") == 0
+    assert "flat: 3 episodes of seed 7" in capsys.readouterr().out
+    with (run / "episodes_flat_seed7.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["policy"], row["episode"]) for row in rows] == [("run", "0"), ("run", "1"), ("run", "2")]
+
+    assert call(evaluate.main, "checkpoint=run", "sensors.lidar.n_segments=16", "episodes=1") == 2
+    assert "lidar has 32 values there, 16 here" in capsys.readouterr().err
+
+    (folder / "short.pt").write_bytes((run / "policy.pt").read_bytes()[:3000])
+    assert call(evaluate.main, "checkpoint=short.pt") == 2
+    message = capsys.readouterr().err
+    assert "short.pt is truncated" in message
+    assert message.count("\n") <= 2
+
+
+@pytest.mark.parametrize("policy", ["go_to_goal", "random"])
+def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
+    words = ["+world=flat", "episodes=2", "task.termination.max_steps=30", "out=new/rows.csv", "actors=none"]
+    assert call(evaluate.main, f"policy={policy}", *words) == 0
+    assert len((folder / "new" / "rows.csv").read_text().splitlines()) == 3
+
+
+def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["-m", "+world=flat", "'task.spawn.region=[0,0.1,0,0.1],world'", "hydra.sweep.dir=sweep", *TINY]
+    assert call(train.main, *(word.strip("'") for word in words)) == 2
+    error = capsys.readouterr().err
+    assert "job 0 failed: " in error
+    assert "Traceback" not in error
+    done = folder / "sweep" / "1_flat_seed0"
+    assert yaml.safe_load((done / ".hydra" / "config.yaml").read_text())["task"]["spawn"]["region"] == "world"
+    assert (done / "policy.pt").exists()
+    assert list(done.glob("events.out.tfevents.*"))
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "message"),
+    [
+        (train, [], "choose a world: +world=flat or +world=inspection\n"),
+        (train, ["+world=moon"], "there is no world 'moon'; choose flat or inspection\n"),
+        (train, ["-m", "+world=flat", "seed=1,-1"], "seed must be at least 0 (got -1)\n"),
+        (train, ["+world=flat", "seed=-1", "+sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?\n"
+         "seed must be at least 0 (got -1)\n"),
+        (train, ["+world=flat", "run_dir=file"],
+         "cannot write file: a file of that name is in the way; choose another place\n"),
+        (train, ["+world=flat", "run_dir=file/run"],
+         "cannot write file/run: a part of the path is a file; choose another place\n"),
+        (train, ["-m", "resume=run"], "resume goes on with one run; leave -m out\n"),
+        (train, ["--wrold"], "there is no flag --wrold; settings are written key=value (see --help)\n"),
+        (evaluate, ["policy=random", "+world=flat", "out=file/rows.csv"],
+         "cannot write file: a file of that name is in the way; choose another place\n"),
+        (evaluate, ["-m", "policy=random"], "evaluate runs one evaluation; leave -m out\n"),
+        (evaluate, ["+world=flat"],
+         "choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random\n"),
+    ],
+)  # fmt: skip
+def test_bad_input(
+    program: object,
+    words: list[str],
+    message: str,
+    call: Call,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (folder / "file").write_text("kept")
+    assert call(program.main, *words) == 2
+    assert capsys.readouterr().err == message
+    assert [path.name for path in folder.iterdir()] == ["file"]
+    assert (folder / "file").read_text() == "kept"
+
+
+@pytest.mark.parametrize("words", [["resume=nowhere"], ["resume=empty"], ["resume=empty/policy.pt"]])
+def test_nothing_to_resume(
+    words: list[str], call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "empty").mkdir()
+    assert call(train.main, *words) == 2
+    error = capsys.readouterr().err
+    assert 1 <= error.count("\n") <= 2
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_save_and_end(
+    number: int,
+    code: int,
+    call: Call,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Interrupting(Lines):
+        def update(self, status: Status) -> None:
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(train, "Lines", Interrupting)
+    assert call(train.main, "+world=flat", "run_dir=run", *TINY) == code
+    assert "go on with resume=" in capsys.readouterr().err
+    monkeypatch.setattr(train, "Lines", Lines)
+    assert call(train.main, "resume=run") == 0
+    assert "after 192 frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("program", [train, evaluate])
+def test_help(program: object, call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(program.main, "--help") == 0
+    text = capsys.readouterr().out
+    for words in ("+world=NAME", "flat, inspection", "seed=N", "python -m dune_rl."):
+        assert words in text
+
+
+def test_shown_settings_are_the_used_ones(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(train.main, "+world=flat", "seed=4", "--cfg", "job") == 0
+    shown = yaml.safe_load(capsys.readouterr().out)
+    assert (shown["seed"], shown["world"]["name"]) == (4, "flat")
+    assert call(evaluate.main, "+world=flat", "policy=random", "--cfg", "job") == 0
+    assert yaml.safe_load(capsys.readouterr().out)["policy"] == "random"
+    assert not list(folder.iterdir())

@@ -1,0 +1,145 @@
+"""Evaluation: the same episodes for everyone, and sound figures about them."""
+
+import csv
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from point_mass import make_point_mass
+from rich.console import Console
+
+from dune_rl.learning.curve import draw_curve
+from dune_rl.learning.evaluation import averages, compare, evaluate, summary, write_csv
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.networks import make_policy
+from dune_rl.learning.policies import Deterministic, GoToGoal, UniformRandom
+from dune_rl.learning.progress import Lines, Status
+from dune_rl.learning.statistics import mcnemar, mean, proportion
+from dune_rl.learning.table import results_table
+
+LAYOUT = Layout.of(make_point_mass(1, 0))
+
+
+@pytest.mark.parametrize("scenes", [1, 3, 7, 20])
+def test_every_episode_once_whatever_the_batch(scenes: int) -> None:
+    torch.manual_seed(1)
+    policy = Deterministic(make_policy(LAYOUT, (8,), 10.0))
+    for each in (GoToGoal(LAYOUT), policy):
+        alone = evaluate(each, make_point_mass(1, 0), 10, seed=5)
+        rows = evaluate(each, make_point_mass(scenes, 0), 10, seed=5)
+        assert [row["episode"] for row in rows] == list(range(10))
+        for a, b in zip(alone, rows, strict=True):
+            assert a == pytest.approx(b, nan_ok=True, abs=1e-5)
+
+
+def test_an_environment_can_be_evaluated_on_again() -> None:
+    env = make_point_mass(3, 0)
+    first = evaluate(GoToGoal(LAYOUT), env, 8, seed=5)
+    other = evaluate(GoToGoal(LAYOUT), env, 8, seed=6)
+    again = evaluate(GoToGoal(LAYOUT), env, 8, seed=5)
+    assert all(a == pytest.approx(b, nan_ok=True) for a, b in zip(first, again, strict=True))
+    assert [row["return"] for row in first] != [row["return"] for row in other]
+
+
+def test_references_do_as_they_say() -> None:
+    good = evaluate(GoToGoal(LAYOUT), make_point_mass(8, 0), 30, seed=5)
+    poor = evaluate(UniformRandom(LAYOUT), make_point_mass(8, 0), 30, seed=5)
+    assert summary(good)["SR"].value == 1
+    assert summary(poor)["SR"].value < 0.5
+    test = compare(good, poor)
+    assert test.only_a > 0 and test.only_b == 0 and test.p_value < 1e-3
+    with pytest.raises(ValueError, match="do not pair"):
+        compare(good, poor[:-1])
+
+
+def test_go_to_goal_turns_before_it_drives() -> None:
+    observation = make_point_mass(3, 0).reset()
+    observation["goal"] = torch.tensor([[2.0, 0.0], [2.0, 3.0], [2.0, -1.0]])
+    action = GoToGoal(LAYOUT)(observation)["action"]
+    assert torch.allclose(action[:, 1], torch.tensor([0.0, 3.0, -1.0]))
+    assert torch.allclose(action[:, 0], torch.tensor([0.8, 0.0, 0.8 * math.cos(1)]))
+
+
+def test_random_states_are_left_alone() -> None:
+    torch.manual_seed(7)
+    np.random.seed(7)
+    expected = torch.rand(3), np.random.rand(3)
+    torch.manual_seed(7)
+    np.random.seed(7)
+
+    def careless(observation: object) -> object:
+        np.random.rand()
+        return observation.set("action", torch.rand(2, 2))  # type: ignore[attr-defined]
+
+    evaluate(careless, make_point_mass(2, 0), 3, seed=5)  # type: ignore[arg-type]
+    assert torch.equal(torch.rand(3), expected[0])
+    assert np.array_equal(np.random.rand(3), expected[1])
+
+
+def test_statistics_are_frozen_while_evaluating() -> None:
+    module = make_policy(LAYOUT, (8,), 10.0)
+    before = {key: value.clone() for key, value in module.state_dict().items()}
+    evaluate(Deterministic(module), make_point_mass(2, 0), 3, seed=5)
+    assert all(torch.equal(value, before[key]) for key, value in module.state_dict().items())
+
+
+def test_stopping_returns_what_is_done() -> None:
+    calls = iter([False] * 60 + [True])
+    rows = evaluate(GoToGoal(LAYOUT), make_point_mass(2, 0), 1000, seed=5, stop=lambda: next(calls))
+    assert 0 < len(rows) < 30
+
+
+def test_wilson_interval() -> None:
+    # Newcombe (1998), table I: 81 of 263 gives 0.2553 to 0.3662.
+    estimate = proportion([1] * 81 + [0] * 182)
+    assert (estimate.low, estimate.high) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert proportion([1] * 20).high == pytest.approx(1)
+    assert math.isnan(proportion([]).value)
+
+
+def test_mean_interval_covers_and_ignores_what_was_not_measured() -> None:
+    values = np.random.default_rng(0).normal(3, 2, 400)
+    estimate = mean([*values, math.nan])
+    half = 1.96 * values.std() / 20
+    assert estimate.count == 400
+    assert estimate.value == pytest.approx(values.mean())
+    expected = (values.mean() - half, values.mean() + half)
+    assert (estimate.low, estimate.high) == pytest.approx(expected, abs=0.03)
+    assert mean([0, 0, 0]).high == 0
+    assert mean([2.0]).value == 2 and math.isnan(mean([2.0]).low)
+    assert math.isnan(mean([math.nan]).value)
+
+
+def test_exact_mcnemar() -> None:
+    # Ten discordant pairs, nine one way: p = 2 (C(10,0) + C(10,1)) / 2^10.
+    test = mcnemar([1] * 9 + [0] + [1] * 5, [0] * 9 + [1] + [1] * 5)
+    assert (test.only_a, test.only_b) == (9, 1)
+    assert test.p_value == pytest.approx(22 / 1024)
+    assert mcnemar([1, 0], [1, 0]).p_value == 1
+
+
+def test_csv_and_table_and_curve(tmp_path: Path) -> None:
+    rows = evaluate(GoToGoal(LAYOUT), make_point_mass(4, 0), 6, seed=5)
+    write_csv(tmp_path / "episodes.csv", rows)
+    with (tmp_path / "episodes.csv").open() as file:
+        read = list(csv.DictReader(file))
+    assert len(read) == 6 and float(read[2]["episode"]) == 2
+    console = Console(record=True, width=80, file=io.StringIO())
+    console.print(results_table({"go_to_goal": summary(rows)}, "flat, 6 episodes"))
+    text = console.export_text()
+    assert "100 %" in text and "(61 to 100)" in text and "VORT  velocity over rough terrain [m/s]" in text
+    history = [{"kind": kind, "frames": 1000, **averages(rows)} for kind in ("train", "eval")]
+    draw_curve(history, tmp_path / "curve.png", "flat")
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_lines_are_spaced_in_time() -> None:
+    told: list[str] = []
+    lines = Lines(told.append, interval_s=1000)
+    for frames in (500_000, 600_000):
+        lines.update(Status(frames, 1_000_000, 2500.0, 120.0, 0.734))
+    counts, figures = "training  500,000 of 1,000,000 frames", "2,500 frames/s  120 updates/s  success 73 %"
+    assert told == [f"{counts}  {figures}  3:20 left"]
