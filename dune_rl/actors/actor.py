@@ -92,8 +92,8 @@ class Actors:
                 paths = [spline_path(np.asarray(conf.waypoints), self._world.terrain)]
                 if (self._world.clearance(paths[0][:, :2]) < conf.radius_m).any():
                     raise WorldError(
-                        f"the waypoints of a {conf.kind} lead through an obstacle of {self._world.name}: move "
-                        "actors.waypoints"
+                        f"the waypoints of a {conf.kind} lead through an obstacle of {self._world.name}: "
+                        "move actors.waypoints"
                     )
             else:
                 paths = random_paths(
@@ -173,7 +173,9 @@ class Actors:
             loop = self._loop[:, columns]
             outbound = self._outbound[:, columns] ^ arrived
             ends = np.where(
-                outbound[..., None], self._bank.far_end(loop)[..., :2], self._bank.poses[self._bank.starts[loop]][..., :2]
+                outbound[..., None],
+                self._bank.far_end(loop)[..., :2],
+                self._bank.poses[self._bank.starts[loop]][..., :2],
             )
             self.goals_w[:, columns] = np.where(arrived[..., None], ends, goals)
             self._outbound[:, columns] = outbound

@@ -108,6 +108,6 @@ def random_paths(
     if found:
         return found
     raise WorldError(
-        f"no path of {shortest:g} to {longest:g} m for an actor of radius {radius_m:g} m was found in {world.name}: "
-        "shorten actors.length_range_m, give its waypoints, or enlarge task.spawn.region_m"
+        f"no path of {shortest:g} to {longest:g} m for an actor of radius {radius_m:g} m fits {world.name}: "
+        "shorten actors.length_range_m, give waypoints, or enlarge task.spawn.region"
     )

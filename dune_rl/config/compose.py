@@ -23,7 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 from dune_rl import paths
 from dune_rl.config import overrides as command_line
 from dune_rl.config.checks import one_of, unique, validated
-from dune_rl.config.schema import Conf, EnvConf, EvaluateConf
+from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf
 from dune_rl.errors import ConfigError
 
 Model = TypeVar("Model", bound=EnvConf)
@@ -43,6 +43,11 @@ def compose_evaluation(
 ) -> EvaluateConf:
     """The settings of an evaluation; where `saved` settings of a run are given, overrides change those."""
     return _compose(EvaluateConf, "evaluate", overrides, config_dirs, saved)
+
+
+def compose_benchmark(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> BenchmarkConf:
+    """The settings of a benchmark, which has a world of its own unless told otherwise."""
+    return _compose(BenchmarkConf, "benchmark", overrides, config_dirs)
 
 
 def compose_resumed(overrides: Sequence[str], config_dirs: Sequence[str], saved: Mapping[str, Any]) -> Conf:

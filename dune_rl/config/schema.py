@@ -75,6 +75,16 @@ class Conf(SingleAgentConf):
     resume: str | None = None
 
 
+class BenchmarkConf(SingleAgentConf):
+    """A measurement of what a step costs."""
+
+    scenes: int = Field(16, ge=1)
+    rounds: int = Field(9, ge=1)
+    steps: int = Field(60, ge=1)
+    processes: tuple[Annotated[int, Field(ge=1)], ...] = (1, 2)
+    seed: int = Field(0, ge=0)
+
+
 class EvaluateConf(SingleAgentConf):
     """An evaluation of a checkpoint or of a built-in policy."""
 

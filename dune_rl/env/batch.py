@@ -198,6 +198,11 @@ class Batch:
             self._touches += [(index, body) for body in scene.touched()]
         self.motion.update(np.array(states))
 
+    def coast(self) -> None:
+        """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
+        for scene in self._scenes:
+            scene.coast(self.physics.substeps)
+
     def _encounters(self) -> tuple[NDArray[np.int64], Flags]:
         """Encounters that begin now, and whether anything is touched, each (M,)."""
         begun = np.zeros(self.num_scenes, np.int64)
@@ -209,7 +214,7 @@ class Batch:
         return begun, touching
 
     def clearance(self) -> Array:
-        """Distance [m], (M,), from each hull to the nearest obstacle or actor; 0 on contact, inf without any."""
+        """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
         centres, radius = self.motion.hull_circles()
         nearest = self.world.clearance(centres).min(axis=1)
         if len(self._actor_confs):
@@ -328,7 +333,9 @@ class Batch:
         # A way point reached in this step has given way to the next, whose distance says nothing of progress.
         progress = np.where(np.abs(progress) > self.actors.top_speed[columns] * 0.1 + 0.05, 0.0, progress)
         offset = now.position_w[:, None, :2] - self.actors.poses[:, columns, :2]
-        apart = np.hypot(offset[..., 0], offset[..., 1]) - self.actors.radius[columns] - self.robot.width_m / 2
+        apart = (
+            np.hypot(offset[..., 0], offset[..., 1]) - self.actors.radius[columns] - self.robot.width_m / 2
+        )
         return walker_reward(progress, np.maximum(apart, 0.0), self.task.walking).astype(np.float32)
 
     # -- metrics and state ------------------------------------------------------------------------
@@ -347,7 +354,9 @@ class Batch:
         return {
             "seed": self.seed,
             "episodes": self.episodes.tolist(),
-            "actions": [self._history[scene, : self.steps[scene]].tolist() for scene in range(self.num_scenes)],
+            "actions": [
+                self._history[scene, : self.steps[scene]].tolist() for scene in range(self.num_scenes)
+            ],
         }
 
     def restore(self, state: dict[str, Any]) -> None:

@@ -38,9 +38,7 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         observations, infos = self._parallel.reset(seed, options)
         return observations[ROVER], infos[ROVER]
 
-    def step(
-        self, action: NDArray[np.floating]
-    ) -> tuple[Observation, float, bool, bool, dict[str, float]]:
+    def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, dict[str, float]]:
         """Advance 1 / control_hz seconds with `action`: speed [m/s] and relative heading [rad]."""
         observations, rewards, terminations, truncations, infos = self._parallel.step({ROVER: action})
         if not observations:

@@ -45,7 +45,7 @@ class Motion:
         self._since[mask] = 0
 
     def update(self, states: Array) -> None:
-        """Take the physics states after a step, (M, 13): position, quaternion, linear and angular velocity."""
+        """Take the physics states after a step, (M, 13), as `PhysicsScene.body_state` orders them."""
         speed = np.abs(states[:, 7:10]).max(axis=1)
         turn = np.abs(states[:, 10:13]).max(axis=1)
         far = np.abs(states[:, :3]).max(axis=1)

@@ -40,7 +40,9 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
 
     def __init__(self, batch: Batch) -> None:
         if batch.num_scenes != 1:
-            raise ValueError(f"the PettingZoo environment wraps a batch of one scene, not of {batch.num_scenes}")
+            raise ValueError(
+                f"the PettingZoo environment wraps a batch of one scene, not of {batch.num_scenes}"
+            )
         self._batch = batch
         self.possible_agents = [ROVER, *batch.actors.names]
         self.agents: list[str] = []

@@ -34,7 +34,7 @@ def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsC
 
 
 def standing_pose(world: World, robot: RoverZero, x: float, y: float, yaw: float) -> tuple[Array, Array]:
-    """Position (3,) and quaternion (4,) of a robot that stands on the terrain at (x, y), just above contact."""
+    """Position (3,) and quaternion (4,) of a robot that stands at (x, y), just above contact."""
     normal = world.terrain.normal(np.array([x, y]))
     quaternion = quaternion_on_slope(normal, np.asarray(yaw))
     wheels = robot.wheel_positions_b @ rotation_matrices(quaternion).T

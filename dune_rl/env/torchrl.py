@@ -88,8 +88,9 @@ class DuneEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
-        if tensordict is not None and "_reset" in tensordict.keys():
-            mask = tensordict["_reset"].reshape(self._core.num_scenes, -1).any(dim=1).numpy()
+        chosen = None if tensordict is None else tensordict.get("_reset", None)
+        if chosen is not None:
+            mask = chosen.reshape(self._core.num_scenes, -1).any(dim=1).numpy()
         if self._resume_from is not None and (mask is None or mask.all()):
             self._core.restore(self._resume_from)
             self._resume_from = None
@@ -169,7 +170,7 @@ class DuneEnv(EnvBase):
 
 
 def _bounded(bounds: Bounds, shape: tuple[int, ...]) -> Bounded:
-    low, high = (torch.from_numpy(np.ascontiguousarray(np.broadcast_to(b, (*shape, len(b))))) for b in bounds)
+    low, high = (torch.from_numpy(np.array(np.broadcast_to(b, (*shape, len(b))))) for b in bounds)
     return Bounded(low=low, high=high, shape=(*shape, len(bounds[0])), dtype=torch.float32)
 
 

@@ -31,7 +31,7 @@ def rotation_matrices(quaternion: Array) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
-    """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3): yaw about z, then pitch, then roll.
+    """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3): first roll, last yaw.
 
     Pitch lies in [-pi/2, pi/2] and is positive nose down (x forward, z up).
     """
@@ -44,16 +44,18 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
 def to_world(rotation: Array, vector_b: Array) -> Array:
     """Body vectors (..., 3) in the world frame, by rotations (..., 3, 3)."""
-    return np.einsum("...ij,...j->...i", rotation, vector_b)
+    rotated: Array = np.einsum("...ij,...j->...i", rotation, vector_b)
+    return rotated
 
 
 def to_body(rotation: Array, vector_w: Array) -> Array:
     """World vectors (..., 3) in the body frame, by rotations (..., 3, 3)."""
-    return np.einsum("...ji,...j->...i", rotation, vector_w)
+    rotated: Array = np.einsum("...ji,...j->...i", rotation, vector_w)
+    return rotated
 
 
 def quaternion_on_slope(normal: Array, yaw: Array) -> Array:
-    """Quaternion xyzw (..., 4) of a body turned by `yaw` (...) [rad] and then tilted so that its z is `normal` (..., 3)."""
+    """Quaternion xyzw (..., 4) of a body turned by `yaw` (...) [rad], then tilted to `normal` (..., 3)."""
     up = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     zero = np.zeros_like(yaw)
     turn = np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1)

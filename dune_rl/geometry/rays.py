@@ -43,7 +43,8 @@ class RayScene:
         length make the ranges metres. A ray whose range is already shorter
         than its first hit keeps it, so several scenes can be asked in turn.
         """
-        return self._scene.run(origins, directions, dists=ranges)
+        faces: NDArray[np.int32] = self._scene.run(origins, directions, dists=ranges)
+        return faces
 
     def first_hit(
         self,
@@ -51,7 +52,7 @@ class RayScene:
         directions: NDArray[np.floating],
         range_m: float,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Range to the first hit (N,), `range_m` for none, and its geometric normal (N, 3), not normalised."""
+        """Range to the first hit (N,), `range_m` for none, and its normal there (N, 3), of any length."""
         ranges = np.full(len(origins), range_m, np.float32)
         found = self._scene.run(
             np.ascontiguousarray(origins, np.float32),

@@ -16,6 +16,7 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import FEATURES, Normaliser
+from dune_rl.learning.returns import multi_step
 from dune_rl.settings import Settings
 
 _ROWS_PER_COPY = 65_536
@@ -29,29 +30,37 @@ class ReplayConf(Settings):
 
 
 class Transitions:
-    """How a transition lies in one row: observation, next observation, action, reward, terminated.
+    """How a transition lies in one row: observation, later observation, action, reward, terminated, steps.
 
-    Observations are kept raw: they are normalised when sampled, with the statistics of that day.
+    Observations are kept raw: they are normalised when sampled, with the statistics of that day. The
+    later one is `steps` later, at most `n_steps`, and the reward is the discounted sum until then.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, n_steps: int = 1, gamma: float = 0.99) -> None:
         self._layout = layout
-        self._widths = [layout.observation_size] * 2 + [layout.action_size, 1, 1]
+        self._n_steps, self._gamma = n_steps, gamma
+        self._widths = [layout.observation_size] * 2 + [layout.action_size, 1, 1, 1]
         self.width = sum(self._widths)
 
     def rows(self, batch: TensorDictBase) -> Tensor:
-        """Rows (k, width) of a collected batch with k transitions.
+        """Rows (k, width) of a collected batch (scenes, steps) with k transitions.
 
-        The next observation is that of the step itself, before any reset. Only
+        The later observation is that of the step itself, before any reset. Only
         `terminated` is kept of the three ends, so a time limit cannot be mistaken for one.
         """
         after = batch.get("next")
+        done = after.get("done").squeeze(-1)
+        reward, steps = multi_step(after.get("reward").squeeze(-1), done, self._n_steps, self._gamma)
+        last = (torch.arange(done.shape[-1]) + steps - 1).unsqueeze(-1)
+        later = torch.cat([self._layout.vector(after), after.get("terminated").float()], -1)
+        later = later.gather(-2, last.expand(*last.shape[:-1], later.shape[-1]))
         parts = [
             self._layout.vector(batch),
-            self._layout.vector(after),
+            later[..., :-1],
             batch.get("action"),
-            after.get("reward"),
-            after.get("terminated").float(),
+            reward.unsqueeze(-1),
+            later[..., -1:],
+            steps.unsqueeze(-1).float(),
         ]
         return torch.cat(parts, -1).reshape(-1, self.width)
 
@@ -61,12 +70,13 @@ class Transitions:
 
     def batch(self, rows: Tensor, normaliser: Normaliser, reward_scale: float) -> TensorDict:
         """What a loss takes, batch size (k,), from `rows` (k, width)."""
-        now, after, action, reward, terminated = rows.split(self._widths, -1)
+        now, after, action, reward, terminated, steps = rows.split(self._widths, -1)
         ended = terminated > 0
         return TensorDict(
             {
                 FEATURES: normaliser(now),
                 "action": action,
+                "steps_to_next_obs": steps,
                 "next": TensorDict(
                     {
                         FEATURES: normaliser(after),

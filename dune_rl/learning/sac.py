@@ -29,6 +29,7 @@ class SacConf(Settings):
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
     gamma: float = Field(0.99, ge=0, lt=1)
+    n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
     initial_entropy_coefficient: float = Field(0.5, gt=0)
     target_entropy: float | None = Field(
@@ -53,7 +54,7 @@ class Sac:
         self._conf = conf
         self._total_frames = total_frames
         self._device = torch.device(device)
-        self.transitions = Transitions(layout)
+        self.transitions = Transitions(layout, conf.n_steps, conf.gamma)
         self.policy = make_policy(layout, conf.hidden, conf.observation_clip, device)
         self.normaliser: Normaliser = self.policy[0].module.normaliser
         # The loss wants the entropy of actions in physical units, which the scaling shifts.

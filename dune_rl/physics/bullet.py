@@ -4,11 +4,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.interface import KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.quiet import silent_stderr
+
+with silent_stderr():
+    import pybullet
 
 # Collision groups. Spheres stand in for wheels; they are wider than the tyres
 # they stand for, so they roll on the ground and leave obstacles to the hull.
@@ -25,7 +28,9 @@ class BulletScene:
 
     def __init__(self, spec: SceneSpec) -> None:
         if not pybullet.isNumpyEnabled():
-            raise PhysicsError("this PyBullet was built without NumPy; install the wheel: pip install pybullet")
+            raise PhysicsError(
+                "this PyBullet was built without NumPy; install the wheel: pip install pybullet"
+            )
         self._spec = spec
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
@@ -116,12 +121,18 @@ class BulletScene:
         }
         missing = [name for name in spec.drive_joints if name not in joints]
         if missing:
-            raise PhysicsError(f"{spec.urdf.name} has no joint {', '.join(missing)}; it has {', '.join(joints)}")
+            raise PhysicsError(
+                f"{spec.urdf.name} has no joint {', '.join(missing)}; it has {', '.join(joints)}"
+            )
         self._drive_joints = [joints[name] for name in spec.drive_joints]
         for link in range(-1, len(joints)):
             wheel = link in self._drive_joints
             pybullet.setCollisionFilterGroupMask(
-                robot, link, _WHEEL if wheel else _HULL, _GROUND if wheel else _GROUND | _OBSTACLE, physicsClientId=client
+                robot,
+                link,
+                _WHEEL if wheel else _HULL,
+                _GROUND if wheel else _GROUND | _OBSTACLE,
+                physicsClientId=client,
             )
             pybullet.changeDynamics(
                 robot,
@@ -160,15 +171,16 @@ class BulletScene:
         near: list[tuple[int, list[float], list[float]]] = []
         if self._kinematics:
             (x, y, _), _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=client)
-            for index, (old, new) in enumerate(zip(self._poses.tolist(), kinematic_poses.tolist(), strict=True)):
+            for index, (old, new) in enumerate(
+                zip(self._poses.tolist(), kinematic_poses.tolist(), strict=True)
+            ):
                 if abs(new[0] - x) < _NEAR_M and abs(new[1] - y) < _NEAR_M:
                     near.append((index, old, new))
                 else:
                     self._move(index, new)
             self._poses[:] = kinematic_poses
         if not near:
-            for _ in range(count):
-                advance(physicsClientId=client)
+            self.coast(count)
             return
         for part in range(1, count + 1):
             share = part / count
@@ -177,8 +189,15 @@ class BulletScene:
                 self._move(index, [*pose, new[3]])
             advance(physicsClientId=client)
 
+    def coast(self, count: int) -> None:
+        client, advance = self._client, pybullet.stepSimulation
+        for _ in range(count):
+            advance(physicsClientId=client)
+
     def body_state(self) -> tuple[float, ...]:
-        position, quaternion = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)
+        position, quaternion = pybullet.getBasePositionAndOrientation(
+            self._robot, physicsClientId=self._client
+        )
         linear, angular = pybullet.getBaseVelocity(self._robot, physicsClientId=self._client)
         return (*position, *quaternion, *linear, *angular)
 
@@ -190,7 +209,9 @@ class BulletScene:
         # Wheels meet nothing but ground, so the hull's contacts are all that can be collisions.
         contacts = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
         numbers = self._numbers
-        return [numbers[contact[2]] for contact in contacts if contact[2] in numbers and contact[8] < _TOUCH_M]
+        return [
+            numbers[contact[2]] for contact in contacts if contact[2] in numbers and contact[8] < _TOUCH_M
+        ]
 
     def close(self) -> None:
         if self._client is not None and pybullet.isConnected(self._client):

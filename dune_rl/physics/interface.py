@@ -114,8 +114,15 @@ class PhysicsScene(Protocol):
         """
         ...
 
+    def coast(self, count: int) -> None:
+        """Advance `count` physics steps with the last commands and nothing moved: bare physics."""
+        ...
+
     def body_state(self) -> tuple[float, ...]:
-        """Base position (3) [m], quaternion xyzw (4), linear (3) [m/s] and angular velocity (3) [rad/s], world frame."""
+        """Base position (3) [m], quaternion xyzw (4), linear (3) [m/s] and angular velocity (3) [rad/s].
+
+        All in the world frame.
+        """
         ...
 
     def drive_speeds(self) -> tuple[float, ...]:

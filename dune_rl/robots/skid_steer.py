@@ -62,9 +62,8 @@ class SkidSteerDrive:
         self._speed = np.clip(speed, self._speed - gain, self._speed + gain)
         self._yaw_rate = np.clip(yaw_rate, self._yaw_rate - turn_gain, self._yaw_rate + turn_gain)
         error = self._yaw_rate - measured_yaw_rate
-        self._correction = np.clip(
-            self._correction + conf.yaw_rate_ki_per_s * step_s * error, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS
-        )
+        correction = self._correction + conf.yaw_rate_ki_per_s * step_s * error
+        self._correction = np.clip(correction, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS)
         turn = self._yaw_rate + conf.yaw_rate_kp * error + self._correction
         side = turn * (conf.effective_track_m / 2)
         return (self._speed - side) / conf.wheel_radius_m, (self._speed + side) / conf.wheel_radius_m

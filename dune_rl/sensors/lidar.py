@@ -26,7 +26,9 @@ class LidarConf(Settings):
     @model_validator(mode="after")
     def _even_segments(self) -> Self:
         if self.n_beams % self.n_segments:
-            raise ValueError(f"n_segments must divide n_beams ({self.n_segments} does not divide {self.n_beams})")
+            raise ValueError(
+                f"n_segments must divide n_beams ({self.n_segments} does not divide {self.n_beams})"
+            )
         if self.min_range_m >= self.range_m:
             raise ValueError(f"min_range_m ({self.min_range_m}) must be less than range_m ({self.range_m})")
         return self

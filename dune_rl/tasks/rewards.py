@@ -28,9 +28,8 @@ class RewardConf(Settings):
     turn_scale: float = 0.0
     goal: float = 100.0
     collision: float = -0.5
-    # Clearance of the hull [m] below which a step counts as collision: the
-    # published 0.3 m from the LiDAR is 0.1 m from the side it passes.
-    collision_distance_m: float = Field(0.1, ge=0.0)
+    # Clearance of the hull [m] below which a step earns the collision reward.
+    collision_distance_m: float = Field(0.3, ge=0.0)
     # Earned once per encounter, beside the rest.
     contact: float = 0.0
     stuck: float = 0.0

@@ -36,7 +36,7 @@ class Snapshot:
     goal_heading: Array
     """Bearing of the goal from the rover's heading [rad], in [-pi, pi), (M,)."""
     clearance: Array
-    """Distance from the hull to the nearest obstacle or actor [m], (M,); 0 on contact, inf where there is none."""
+    """Distance from the hull to the nearest obstacle or actor [m], (M,); 0 on contact, inf without any."""
     new_collisions: NDArray[np.int64]
     """Encounters that began in this step, (M,)."""
     touching: Flags

@@ -10,7 +10,7 @@ from dune_rl.tasks.snapshot import Flags, Snapshot
 
 
 class TerminationConf(Settings):
-    """Thresholds. Reaching the goal, being stuck or flipped and leaving the world terminate; time truncates."""
+    """Thresholds. The goal, being stuck or flipped, and leaving the world terminate; time truncates."""
 
     goal_distance_m: float = Field(0.75, gt=0.0)
     max_steps: int = Field(2000, ge=1)

@@ -21,7 +21,12 @@ class WalkingConf(Settings):
 
 
 def walker_observation(
-    poses: Array, velocity_w: Array, goals_w: Array, rover_position_w: Array, rover_velocity_w: Array, limit_m: float
+    poses: Array,
+    velocity_w: Array,
+    goals_w: Array,
+    rover_position_w: Array,
+    rover_velocity_w: Array,
+    limit_m: float,
 ) -> dict[str, NDArray[np.float32]]:
     """What walkers sense, each (M, E, n).
 
