@@ -57,6 +57,18 @@ def plane_field(
     return HeightField(np.tan(slope_rad) * uphill, spacing_m, (-half * spacing_m, -half * spacing_m))
 
 
+def slope_stage(
+    backend: Backend, slope_rad: float, friction: float, yaw: float = 0.0, robot: RobotBody | None = None
+) -> "Stage":
+    """A rover just above a slope, in the middle of one large triangle: edges catch wheels that slide."""
+    terrain = plane_field(slope_rad, half=4, spacing_m=5.0)
+    stage = Stage(backend, [ground(terrain, friction)], robot=robot or rover_body())
+    quaternion = quaternion_of(yaw, slope_rad)
+    foot = np.array([-1.5, -3.5, terrain.height([-1.5, -3.5])])
+    stage.place(foot + rotation_matrices(quaternion)[:, 2] * (WHEEL_RADIUS_M + 0.001), quaternion)
+    return stage
+
+
 def ground(terrain: HeightField, friction: float = 1.0) -> StaticBody:
     vertices, faces = terrain.mesh()
     return StaticBody("terrain", vertices, faces, friction, ground=True)
@@ -226,7 +238,9 @@ def rollout(stage: Stage, after: Callable[[], None] = lambda: None) -> str:
 def mixed_stage(backend: Backend) -> Stage:
     heights = np.random.default_rng(1).uniform(0.0, 0.15, (17, 17))
     return Stage(
-        backend, [ground(HeightField(heights, 0.5, (-4.0, -4.0))), box((1.2, 0.0), 0.2, 4.0, 1.0)], [walker()]
+        backend,
+        [ground(HeightField(heights, 0.5, (-4.0, -4.0))), box((-1.3, 0.0), 0.2, 4.0, 1.0)],
+        [walker()],
     )
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, wrap_angle
+from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, within, wrap_angle
 from dune_rl.robots.rover_zero import RoverZero
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Motion:
 
     def tilt(self) -> Array:
         """Angle between the body's z and the world's [rad], (M,)."""
-        return np.arccos(np.clip(self.rotation[:, 2, 2], -1.0, 1.0))
+        return np.arccos(within(self.rotation[:, 2, 2], -1.0, 1.0))
 
     def bearing(self, points_w: Array) -> Array:
         """Bearing of points (M, 2) from each rover's heading [rad], in [-pi, pi), (M,)."""
@@ -91,6 +91,6 @@ class Motion:
     def sensed_velocity(self) -> NDArray[np.float32]:
         """Forward speed [m/s] and yaw rate [rad/s] as sensed, clipped to the sensor's range, (M, 2)."""
         out = np.empty((len(self.position_w), 2), np.float32)
-        out[:, 0] = np.clip(self.velocity_b[:, 0], -MAX_SENSED_SPEED_MPS, MAX_SENSED_SPEED_MPS)
-        out[:, 1] = np.clip(self.angular_b[:, 2], -MAX_SENSED_TURN_RADPS, MAX_SENSED_TURN_RADPS)
+        out[:, 0] = within(self.velocity_b[:, 0], -MAX_SENSED_SPEED_MPS, MAX_SENSED_SPEED_MPS)
+        out[:, 1] = within(self.angular_b[:, 2], -MAX_SENSED_TURN_RADPS, MAX_SENSED_TURN_RADPS)
         return out

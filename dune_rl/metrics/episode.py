@@ -96,20 +96,22 @@ class EpisodeMetrics:
         sums[:, 2] += acceleration + turning
         sums[:, 3] += np.where(uneven, ground_speed, 0.0)
         self._uneven += uneven
-        count = np.maximum(steps, 1)
         values[:, column["steps"]] = steps
         values[:, column["return"]] += reward
         values[:, column["collisions"]] += new_collisions
-        values[:, column["goals"]] += reached
-        first = reached & (values[:, column["reached"]] == 0.0)
-        values[first, column["time_to_goal"]] = steps[first] * step_s
-        values[:, column["reached"]] = np.maximum(values[:, column["reached"]], reached)
-        values[:, column["success"]] = values[:, column["reached"]] * (values[:, column["collisions"]] == 0)
-        values[:, column["clearance"]] = sums[:, 0] / count
-        values[:, column["min_clearance"]] = np.minimum(values[:, column["min_clearance"]], near)
-        values[:, column["vertical_roughness"]] = sums[:, 1] / count
-        values[:, column["smoothness"]] = sums[:, 2] / count
-        with np.errstate(invalid="ignore"):
-            values[:, column["vort"]] = sums[:, 3] / self._uneven
+        if reached.any():
+            first = reached & (values[:, column["reached"]] == 0.0)
+            values[first, column["time_to_goal"]] = steps[first] * step_s
+            values[:, column["goals"]] += reached
+            values[reached, column["reached"]] = 1.0
+        clean = values[:, column["collisions"]] == 0.0
+        values[:, column["success"]] = values[:, column["reached"]] * clean
+        means = sums[:, :3] / np.maximum(steps, 1)[:, None]
+        values[:, column["clearance"]] = means[:, 0]
+        values[:, column["vertical_roughness"]] = means[:, 1]
+        values[:, column["smoothness"]] = means[:, 2]
+        lowest = column["min_clearance"]
+        values[:, lowest] = np.minimum(values[:, lowest], near)
+        np.divide(sums[:, 3], self._uneven, out=values[:, column["vort"]], where=self._uneven > 0)
         for name, flag in flags.items():
             values[:, column[name]] = flag

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.geometry.frames import within
 from dune_rl.paths import assets_folder
 from dune_rl.physics.interface import RobotBody
 from dune_rl.robots.heading import HeadingConf, HeadingController
@@ -80,7 +81,7 @@ class RoverZero:
         present one [rad]; both are clipped to the platform's limits.
         `measured_yaw_rate` (M,) is the gyroscope's [rad/s].
         """
-        error = np.clip(action[:, 1], -np.pi, np.pi)
+        error = within(action[:, 1], -np.pi, np.pi)
         yaw_rate = self._heading.yaw_rate(error, step_s)
         left, right = self._drive.wheel_speeds(action[:, 0], yaw_rate, measured_yaw_rate, step_s)
         return np.stack([left, right, left, right], axis=1)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import to_body
+from dune_rl.geometry.frames import cross, to_body, within
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class Imu:
         self.acceleration_b = np.where(mask[:, None], 0.0, self.acceleration_b)
 
     def _mount_velocity(self, rotation: Array, velocity_w: Array, angular_w: Array) -> Array:
-        return velocity_w + np.cross(angular_w, rotation @ self._mount)
+        return velocity_w + cross(angular_w, rotation @ self._mount)
 
     def measure(self, rotation: Array, velocity_w: Array, angular_w: Array, step_s: float) -> Array:
         """Acceleration without gravity in the body frame [m/s²], (M, 3), over the last `step_s`.
@@ -61,7 +61,7 @@ class Imu:
         conf = self.conf
         out = np.empty((len(rotation), 9), np.float32)
         force = self.acceleration_b + GRAVITY_MPS2 * rotation[:, 2, :]
-        out[:, 0:3] = np.clip(force, -conf.acceleration_range_mps2, conf.acceleration_range_mps2)
-        out[:, 3:6] = np.clip(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
+        out[:, 0:3] = within(force, -conf.acceleration_range_mps2, conf.acceleration_range_mps2)
+        out[:, 3:6] = within(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
         out[:, 6:9] = roll_pitch_yaw
         return out

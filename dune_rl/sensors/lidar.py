@@ -77,7 +77,7 @@ class Lidar:
         self._static.shorten(origins32, directions32, ranges)
         for shape, columns in self._groups:
             ranges = self._past_actors(shape, actor_poses[:, columns], origin, directions, ranges)
-        return np.clip(ranges, conf.min_range_m, conf.range_m).reshape(scenes, n_beams)
+        return np.maximum(ranges, np.float32(conf.min_range_m)).reshape(scenes, n_beams)
 
     def _past_actors(
         self,

@@ -1,0 +1,182 @@
+"""Equal seeds give equal bytes: again, after a reset, beside another environment, and in another process."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dune_rl.config.build import make_batch
+from dune_rl.config.compose import compose_environment
+from dune_rl.env.batch import Batch
+
+WORLDS = ("flat", "inspection")
+EXTERNAL = {"controller": "external"}
+
+
+def make(world: str, num_scenes: int = 2, seed: int = 8, **settings: Any) -> Batch:
+    return make_batch(compose_environment(world, (), settings), num_scenes, seed)
+
+
+class Golden:
+    """A rollout that is advanced in parts: a hash of all that is seen, earned and measured."""
+
+    def __init__(self, batch: Batch) -> None:
+        self._batch = batch
+        self._rng = np.random.default_rng(1)
+        self._hash = hashlib.sha256()
+        batch.reset()
+
+    def advance(self, steps: int) -> None:
+        batch, rng = self._batch, self._rng
+        scenes, walkers = batch.num_scenes, len(batch.actors.external)
+        for _ in range(steps):
+            # Mostly ahead, so that obstacles are met.
+            rover = rng.uniform([0.2, -1.0], [1.0, 1.0], (scenes, 2)).astype(np.float32)
+            outcome = batch.step(rover, rng.uniform(-1.0, 1.0, (scenes, walkers, 2)).astype(np.float32))
+            ended = outcome.terminated | outcome.truncated
+            if ended.any():
+                batch.reset(ended)
+            seen = [*batch.observe().values(), outcome.rover_reward, batch.metrics(), ended]
+            if walkers:
+                seen += [*batch.observe_walkers().values(), outcome.walker_reward]
+            for value in seen:
+                self._hash.update(value.tobytes())
+
+    @property
+    def digest(self) -> str:
+        return self._hash.hexdigest()
+
+
+def golden(batch: Batch, steps: int = 60) -> str:
+    rollout = Golden(batch)
+    rollout.advance(steps)
+    return rollout.digest
+
+
+def golden_of(world: str, actors: str) -> str:
+    batch = make(world, actors=actors, task={"termination": {"max_steps": 25}})
+    found = golden(batch)
+    batch.close()
+    return found
+
+
+@pytest.mark.parametrize("actors", ["walkers", "external_walkers"])
+@pytest.mark.parametrize("world", WORLDS)
+def test_golden_rollout(world: str, actors: str) -> None:
+    settings: dict[str, Any] = {"actors": actors, "task": {"termination": {"max_steps": 25}}}
+    expected = golden_of(world, actors)
+    assert golden_of(world, actors) == expected, "a second environment differs"
+    batch = make(world, seed=3, **settings)
+    assert golden(batch, 37) != expected
+    batch.reseed(8)
+    assert golden(batch) == expected, "a reset leaves something behind"
+    batch.reseed(8)
+    rollout, other = Golden(batch), Golden(make("flat", 1, seed=5))
+    for _ in range(20):
+        rollout.advance(3)
+        other.advance(2)
+    assert rollout.digest == expected, "another environment beside it makes a difference"
+    batch.close()
+
+
+def test_golden_rollout_in_a_fresh_process() -> None:
+    code = "from test_determinism import golden_of; print(golden_of('inspection', 'external_walkers'))"
+    here = Path(__file__).parent
+    environ = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]),
+        "PYTHONHASHSEED": "77",
+    }
+    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == golden_of("inspection", "external_walkers")
+
+
+# -- an episode is its seed and its id --------------------------------------------------------------
+
+
+def start(batch: Batch, scene: int) -> dict[str, bytes]:
+    """All that the start of the scene's episode is made of."""
+    seen = {name: value[scene] for name, value in batch.observe().items()}
+    seen |= {
+        "goal_w": batch.goals_w[scene],
+        "position_w": batch.motion.position_w[scene],
+        "rotation": batch.motion.rotation[scene],
+        "actors": batch.actors.poses[scene],
+        "actors_goals": batch.actors.goals_w[scene],
+    }
+    return {name: value.tobytes() for name, value in seen.items()}
+
+
+def starts(world: str, num_scenes: int, count: int, *, play: int = 0, **settings: Any) -> dict[int, dict[str, bytes]]:
+    """The starts of the episodes 0 to `count` - 1, with `play` steps of each before the next."""
+    batch = make(world, num_scenes, **settings)
+    rng = np.random.default_rng(num_scenes)
+    found = {}
+    while len(found) < count:
+        batch.reset()
+        found |= {int(batch.episodes[scene]): start(batch, scene) for scene in range(num_scenes)}
+        for _ in range(play):
+            batch.step(rng.uniform(-1, 1, (num_scenes, 2)).astype(np.float32))
+    batch.close()
+    return found
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_an_episodes_start_depends_on_seed_and_id_alone(world: str) -> None:
+    one = starts(world, 1, 16, actors="walkers")
+    assert list(one) == list(range(16))
+    assert len({episode["goal"] for episode in one.values()}) == 16
+    for scenes in (4, 16):
+        assert starts(world, scenes, 16, play=3, actors="walkers") == one
+    assert starts(world, 4, 4, actors="walkers", seed=9)[0]["goal_w"] != one[0]["goal_w"]
+
+
+def test_a_whole_episode_does_not_depend_on_its_neighbours() -> None:
+    rows = []
+    actions = np.random.default_rng(4).uniform([0.2, -1], [1, 1], (80, 2)).astype(np.float32)
+    for scenes in (1, 4, 7):
+        batch = make("inspection", scenes, actors="walkers")
+        batch.reset()
+        row = []
+        for action in actions:
+            batch.step(np.concatenate([action[None], np.full((scenes - 1, 2), 0.3, np.float32)]))
+            row.append(b"".join(value[0].tobytes() for value in (*batch.observe().values(), batch.metrics())))
+        rows.append(row)
+        batch.close()
+    assert rows[0] == rows[1]
+    assert rows[0] == rows[2]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"sensors": {"lidar": {"n_beams": 64, "n_segments": 16, "range_m": 5.0}}},
+        {"sensors": {"enabled": ["goal"]}},
+        {"actors": "none"},
+        {"actors": [{}, {}, {"speed_mps": 0.4}]},
+        {"actors": [EXTERNAL, EXTERNAL]},
+        {"task": {"reward": {"goal": 1.0}, "termination": {"max_steps": 3}}},
+        {"metrics": {"max_clearance_m": 3.0}},
+    ],
+    ids=["lidar", "sensors", "no actors", "an actor more", "external", "reward", "metrics"],
+)
+def test_other_settings_do_not_move_spawns_and_goals(settings: dict[str, Any]) -> None:
+    parts = ("goal_w", "position_w", "rotation")
+
+    def placed(**chosen: Any) -> list[list[bytes]]:
+        found = starts("inspection", 3, 9, play=4, **({"actors": "walkers"} | chosen))
+        return [[episode[part] for part in parts] for episode in found.values()]
+
+    assert placed(**settings) == placed()
+
+
+def test_an_actor_more_leaves_the_first_ones_where_they_were() -> None:
+    two = starts("inspection", 2, 6, actors=[{}, {}])
+    three = starts("inspection", 2, 6, actors=[{}, {}, {"speed_mps": 0.4}])
+    for episode, expected in two.items():
+        found = np.frombuffer(three[episode]["actors"]).reshape(3, 4)
+        assert found[:2].tobytes() == expected["actors"]

@@ -1,0 +1,343 @@
+"""The TorchRL environment: groups, partial resets, state and resumption, workers, and physics that diverges."""
+
+import io
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from planted.puppets import puppet_batch
+from tensordict import TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, ParallelEnv
+from torchrl.envs.utils import RandomPolicy
+
+import dune_rl
+from dune_rl.env.torchrl import DuneEnv
+from dune_rl.tasks.rewards import REWARD_TERMS
+
+# Goals lie 2 m away and more: some episodes end by arrival, many at once, and the others by time.
+SHORT = {"termination": {"max_steps": 9, "goal_distance_m": 3.0}}
+ENDS = ("done", "terminated", "truncated")
+
+
+def same(one: TensorDictBase, other: TensorDictBase) -> bool:
+    """Whether two tensordicts hold the same keys and the same bytes."""
+    left, right = one.flatten_keys("/"), other.flatten_keys("/")
+    return set(left.keys()) == set(right.keys()) and all(
+        left[key].dtype == right[key].dtype
+        and left[key].contiguous().numpy().tobytes() == right[key].contiguous().numpy().tobytes()
+        for key in left.keys()
+    )
+
+
+def acted(env: EnvBase, data: TensorDictBase, generator: torch.Generator) -> TensorDictBase:
+    """`data` with random actions, which depend on `generator` alone."""
+    spec = env.full_action_spec
+    for key in spec.keys(True, True):
+        low, high = spec[key].space.low, spec[key].space.high
+        data.set(key, low + (high - low) * torch.rand(low.shape, generator=generator))
+    return data
+
+
+def advance(env: EnvBase, data: TensorDictBase, steps: int, seed: int) -> tuple[TensorDictBase, TensorDictBase]:
+    """The steps (time first) of a random rollout with resets, and the data that the next step starts from."""
+    generator = torch.Generator().manual_seed(seed)
+    out = []
+    for _ in range(steps):
+        now, data = env.step_and_maybe_reset(acted(env, data, generator))
+        out.append(now.clone())
+    return torch.stack(out), data
+
+
+def metric(env: DuneEnv, data: TensorDictBase, name: str) -> torch.Tensor:
+    return data["metrics"][..., env.metric_names.index(name)]
+
+
+# -- shapes and groups -----------------------------------------------------------------------------
+
+
+def test_single_agent_keys_stand_at_the_root() -> None:
+    env = dune_rl.make("flat", 3, actors="walkers")
+    shapes = {"lidar": (3, 32), "imu": (3, 9), "goal": (3, 2), "velocity": (3, 2)}
+    assert env.batch_size == (3,)
+    assert env.group_map == {"rover": ["rover_0"]}
+    data = env.rollout(2)
+    for key, shape in shapes.items():
+        assert data[key][:, 0].shape == shape
+        assert data[key].dtype == torch.float32
+        assert env.observation_spec[key].space.low.shape == shape
+    assert data["action"].shape == (3, 2, 2)
+    assert data["next", "reward"].shape == (3, 2, 1)
+    for key in ENDS:
+        assert data["next", key].shape == (3, 2, 1)
+        assert data["next", key].dtype == torch.bool
+    assert data["metrics"].shape == (3, 2, len(env.metric_names))
+    env.close()
+
+
+def test_agents_are_grouped() -> None:
+    env = dune_rl.make("flat", 3, actors="external_walkers")
+    assert env.group_map == {"rover": ["rover_0"], "walker": ["walker_0", "walker_1"]}
+    data = env.rollout(2)
+    widths = {"rover": {"lidar": 32, "imu": 9, "goal": 2, "velocity": 2}, "walker": {"goal": 2, "rover": 4, "velocity": 2}}
+    for group, members in env.group_map.items():
+        count = len(members)
+        observation = data[group, "observation"]
+        assert {key: value.shape[-1] for key, value in observation.items()} == widths[group]
+        for value in observation.values():
+            assert value.shape[:-1] == (3, 2, count)
+            assert value.dtype == torch.float32
+        assert data[group, "action"].shape == (3, 2, count, 2)
+        assert data["next", group, "reward"].shape == (3, 2, count, 1)
+        for key in ENDS:
+            assert data["next", group, key].shape == (3, 2, count, 1)
+    assert data["next", "done"].shape == (3, 2, 1)
+    env.close()
+
+
+def test_actions_are_in_physical_units() -> None:
+    env = dune_rl.make("flat", 2, actors="external_walkers", robot={"drive": {"max_speed_mps": 0.7}})
+    rover, walker = (env.full_action_spec[group, "action"].space for group in ("rover", "walker"))
+    torch.testing.assert_close(rover.high[0, 0], torch.tensor([0.7, torch.pi]))
+    torch.testing.assert_close(rover.low[0, 0], -torch.tensor([0.7, torch.pi]))
+    torch.testing.assert_close(walker.low[0, 1], torch.tensor([0.0, -torch.pi]))
+    torch.testing.assert_close(walker.high[0, 1], torch.tensor([1.0, torch.pi]))
+    env.close()
+
+
+def test_metric_columns_are_named() -> None:
+    env = dune_rl.make("flat", 2, actors="none")
+    promised = (
+        "episode steps return success reached collisions time_to_goal clearance min_clearance "
+        "vertical_roughness vort smoothness diverged stuck flipped out_of_world timeout"
+    ).split()
+    assert set(promised) <= set(env.metric_names)
+    assert [name for name in env.metric_names if name.startswith("reward/")] == [f"reward/{n}" for n in REWARD_TERMS]
+    assert len(set(env.metric_names)) == len(env.metric_names)
+    data = env.rollout(4)
+    assert metric(env, data["next"], "steps").tolist() == [[1, 2, 3, 4]] * 2
+    assert metric(env, data["next"], "episode").tolist() == [[0] * 4, [1] * 4]
+    torch.testing.assert_close(metric(env, data["next"], "return"), data["next", "reward"][..., 0].cumsum(dim=1))
+    env.close()
+
+
+def test_walkers_end_is_the_rovers_and_is_a_truncation() -> None:
+    env = dune_rl.make("flat", 16, actors="external_walkers", task=SHORT)
+    steps, _ = advance(env, env.reset(), 20, 0)
+    following = steps["next"]
+    terminated, truncated = following["terminated"], following["truncated"]
+    assert terminated.any() and truncated.any()
+    assert torch.equal(following["done"], terminated | truncated)
+    assert not (terminated & truncated).any()
+    for key in ENDS:
+        assert torch.equal(following["rover", key][..., 0], following[key])
+    both = following["done"].unsqueeze(2).expand(-1, -1, 2, -1)
+    assert torch.equal(following["walker", "done"], both)
+    assert torch.equal(following["walker", "truncated"], both)
+    assert not following["walker", "terminated"].any()
+    env.close()
+
+
+# -- time, and resets ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("actors", ["none", "external_walkers"])
+def test_time_limit_truncates_and_resets_all(actors: str) -> None:
+    env = dune_rl.make("flat", 3, actors=actors, task={"termination": {"max_steps": 5}})
+    data = env.rollout(12, break_when_any_done=False)
+    late = torch.tensor([step in (4, 9) for step in range(12)]).expand(3, 12)
+    assert torch.equal(data["next", "truncated"][..., 0], late)
+    assert torch.equal(data["next", "done"][..., 0], late)
+    assert not data["next", "terminated"].any()
+    assert torch.equal(metric(env, data["next"], "timeout").bool(), late)
+    # Scene i of three runs the episodes i, i + 3, i + 6.
+    rounds = torch.tensor([0] * 5 + [3] * 5 + [6] * 2)
+    assert torch.equal(metric(env, data, "episode").long(), torch.arange(3)[:, None] + rounds)
+    env.close()
+
+
+def test_the_step_that_ends_shows_the_true_final_observation() -> None:
+    env = dune_rl.make("flat", 2, actors="none", task={"termination": {"max_steps": 5}})
+    data = env.rollout(7, break_when_any_done=False)
+    last, first = data["next", "goal"][:, 4, 0], data["goal"][:, 5, 0]
+    assert ((data["goal"][:, 4, 0] - last).abs() < 0.06).all()
+    assert ((last - first).abs() > 0.06).all()
+    assert (metric(env, data["next"], "steps")[:, 4] == 5).all()
+    assert (metric(env, data, "steps")[:, 5] == 0).all()
+    env.close()
+
+
+@pytest.mark.parametrize("actors", ["walkers", "external_walkers"])
+def test_partial_reset_leaves_other_scenes_alone(actors: str) -> None:
+    settings: dict[str, Any] = {"actors": actors, "task": {"termination": {"goal_distance_m": 0.01}}}
+    env, undisturbed = (dune_rl.make("inspection", 4, 7, **settings) for _ in range(2))
+    _, data = advance(env, env.reset(), 8, 1)
+    _, other = advance(undisturbed, undisturbed.reset(), 8, 1)
+    before = data.clone()
+    mask = torch.tensor([True, False, False, True])
+    data.set("_reset", mask.unsqueeze(-1))
+    after = env.reset(data).exclude("_reset")
+    stayed = ~mask
+    assert same(after[stayed], before[stayed].select(*after.keys(True, True)))
+    assert metric(env, after, "episode").tolist() == [4, 1, 2, 7]
+    assert metric(env, after, "steps").tolist() == [0, 8, 8, 0]
+    steps, _ = advance(env, after, 8, 2)
+    expected, _ = advance(undisturbed, other, 8, 2)
+    assert same(steps[:, stayed], expected[:, stayed])
+    assert not same(steps[:, mask], expected[:, mask])
+    env.close()
+    undisturbed.close()
+
+
+def test_reset_episode_is_the_one_a_full_reset_gives() -> None:
+    env, other = (dune_rl.make("inspection", 2, 3, actors="walkers") for _ in range(2))
+    _, data = advance(env, env.reset(), 5, 1)
+    data.set("_reset", torch.tensor([[False], [True]]))
+    partly = env.reset(data)
+    other.reset()
+    wholly = other.reset()
+    keys = ("lidar", "imu", "goal", "velocity", "metrics")
+    assert same(partly[1].select(*keys), wholly[1].select(*keys))
+    env.close()
+    other.close()
+
+
+def test_set_seed_begins_again_at_episode_zero() -> None:
+    env = dune_rl.make("inspection", 2, 5, actors="walkers")
+    first = env.reset().clone()
+    advance(env, env.reset(), 5, 1)
+    env.set_seed(6)
+    another = env.reset().clone()
+    env.set_seed(5)
+    assert same(env.reset(), first)
+    assert metric(env, another, "episode").tolist() == [0, 1]
+    assert not torch.equal(another["goal"], first["goal"])
+    env.close()
+
+
+# -- state and resumption --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("world", "actors"), [("inspection", "walkers"), ("inspection", "external_walkers"), ("flat", "none")])
+def test_resumed_rollout_equals_the_uninterrupted_one(world: str, actors: str) -> None:
+    # Time limits alone would end all at once; arrivals set the scenes apart.
+    settings = {"actors": actors, "task": {"termination": {"max_steps": 25, "goal_distance_m": 3.0}}}
+    whole = dune_rl.make(world, 5, 21, **settings)
+    _, data = advance(whole, whole.reset(), 33, 1)
+    file = io.BytesIO()
+    torch.save(whole.state(), file)
+    file.seek(0)
+    resumed = dune_rl.make(world, 5, 99, **settings)
+    advance(resumed, resumed.reset(), 4, 9)
+    resumed.resume(torch.load(file, weights_only=True))
+    steps = metric(whole, data, "steps").tolist()
+    assert len(set(steps)) > 1
+    again = resumed.reset()
+    assert same(again, data.select(*again.keys(True, True)))
+    assert metric(whole, again, "steps").tolist() == steps
+    expected, _ = advance(whole, data, 40, 2)
+    found, _ = advance(resumed, again, 40, 2)
+    assert expected["next", "done"].any()
+    assert same(found, expected)
+    assert whole.state() == resumed.state()
+    whole.close()
+    resumed.close()
+
+
+def test_resume_holds_for_one_reset() -> None:
+    env = dune_rl.make("flat", 2, 1, actors="none")
+    _, data = advance(env, env.reset(), 6, 1)
+    env.resume(env.state())
+    assert metric(env, env.reset(), "steps").tolist() == [6, 6]
+    after = env.reset()
+    assert metric(env, after, "steps").tolist() == [0, 0]
+    assert metric(env, after, "episode").tolist() == [2, 3]
+    env.close()
+
+
+def test_state_of_a_fresh_episode_resumes() -> None:
+    env = dune_rl.make("flat", 2, 1, actors="walkers")
+    first = env.reset().clone()
+    env.resume(env.state())
+    assert same(env.reset(), first)
+    env.close()
+
+
+# -- under TorchRL's machinery ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("actors", ["walkers", "external_walkers"])
+def test_collector_gives_batches_across_ends(actors: str) -> None:
+    env = dune_rl.make("flat", 4, actors=actors, task=SHORT)
+    keys = list(env.full_action_spec.keys(True, True))
+    policy = RandomPolicy(env.full_action_spec, action_key=keys[0]) if len(keys) == 1 else None
+    collector = Collector(env, policy, frames_per_batch=48, total_frames=144, track_traj_ids=False)
+    ends, batches, last = 0, 0, None
+    for batch in collector:
+        assert batch.shape == (4, 12)
+        if last is not None:
+            # What one batch ends on, the next one starts from.
+            steps = metric(env, batch, "steps")[:, 0]
+            assert torch.equal(steps, torch.where(last["next", "done"][:, 0], 0.0, metric(env, last["next"], "steps")))
+        ends += int(batch["next", "done"].sum())
+        last = batch[:, -1].clone()
+        batches += 1
+    assert batches == 3
+    assert ends >= 4 * 3
+    collector.shutdown()
+
+
+def test_worker_processes_give_what_this_process_gives() -> None:
+    factories = [partial(dune_rl.make, "flat", 2, seed, actors="walkers", task=SHORT) for seed in (0, 1)]
+    torch.manual_seed(0)
+    parallel = ParallelEnv(2, factories, mp_start_method="spawn")
+    try:
+        assert parallel.batch_size == (2, 2)
+        steps, _ = advance(parallel, parallel.reset(), 20, 3)
+    finally:
+        parallel.close()
+    locals_ = [make() for make in factories]
+    data = [env.reset() for env in locals_]
+    generator = torch.Generator().manual_seed(3)
+    spec = locals_[0].action_spec.space
+    for step in range(20):
+        actions = spec.low + (spec.high - spec.low) * torch.rand((2, 2, 2), generator=generator)
+        for worker, env in enumerate(locals_):
+            now, data[worker] = env.step_and_maybe_reset(data[worker].set("action", actions[worker]))
+            seen = steps[step, worker]
+            assert same(now["next"], seen["next"].select(*now["next"].keys(True, True)))
+    assert steps["next", "done"].sum() >= 8
+    for env in locals_:
+        env.close()
+
+
+# -- physics that diverges -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("actors", ["none", "external_walkers"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_diverged_physics_truncates_with_finite_observations(actors: str, value: float) -> None:
+    # A scene for each number of the state that can go wrong, and one where none does.
+    batch, puppets = puppet_batch(num_scenes=14, actors=actors)
+    env = DuneEnv(batch)
+    data = env.reset()
+    for component, puppet in enumerate(puppets[:13]):
+        puppet.state[component] = value
+    now, after = env.step_and_maybe_reset(acted(env, data, torch.Generator().manual_seed(0)))
+    now = now["next"]
+    bad = [True] * 13 + [False]
+    assert metric(env, now, "diverged").bool().tolist() == bad
+    assert now["truncated"][:, 0].tolist() == bad
+    assert not now["terminated"].any()
+    undefined = [env.metric_names.index(name) for name in ("time_to_goal", "vort")]
+    for part in (now, after):
+        assert env.observation_spec.contains(part.select(*env.observation_spec.keys(True, True)))
+        for key, leaf in part.items(True, True):
+            value_of = leaf.clone().float()
+            if key == "metrics":
+                value_of[:, undefined] = 0.0
+            assert value_of.isfinite().all(), f"{key} is not finite"
+    assert metric(env, after, "episode").tolist() == [*range(15, 28), 13]
+    assert not metric(env, after, "diverged").any()
