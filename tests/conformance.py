@@ -54,7 +54,7 @@ def parallel_rollout(env: ParallelEnv, seed: int, steps: int, action_seed: int =
 
 
 def difference(one: Any, other: Any, path: str = "") -> str | None:
-    """Where two nests of containers, arrays and numbers differ, by bytes and types; None where they do not."""
+    """Where two nests of arrays and numbers differ, in bytes or types; None where they do not."""
     if type(one) is not type(other):
         return f"{path}: {type(one).__name__} and {type(other).__name__}"
     if isinstance(one, dict):
@@ -190,7 +190,8 @@ def check_spaces(env: ParallelEnv, steps: int = 40) -> None:
     """A space is the same object at every call, for the environment's whole life, and keeps its bounds."""
 
     def spaces() -> list[gymnasium.Space]:
-        return [ask(agent) for agent in env.possible_agents for ask in (env.observation_space, env.action_space)]
+        asked = (env.observation_space, env.action_space)
+        return [space(agent) for agent in env.possible_agents for space in asked]
 
     first = spaces()
     kept = deepcopy(first)

@@ -239,7 +239,7 @@ def mixed_stage(backend: Backend) -> Stage:
     heights = np.random.default_rng(1).uniform(0.0, 0.15, (17, 17))
     return Stage(
         backend,
-        [ground(HeightField(heights, 0.5, (-4.0, -4.0))), box((-1.3, 0.0), 0.2, 4.0, 1.0)],
+        [ground(HeightField(heights, 0.5, (-4.0, -4.0))), box((-1.0, 0.0), 0.2, 4.0, 1.0)],
         [walker()],
     )
 

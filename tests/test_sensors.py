@@ -399,8 +399,9 @@ def test_acceleration_is_the_second_difference_of_true_positions(backend):
     second = np.diff(places, n=2, axis=0) / 0.05**2
     # Over two steps of even acceleration, a second difference is the mean of the two.
     felt_pairs = (np.array(felt)[1:-1] + np.array(felt)[2:]) / 2
-    print(np.abs(felt_pairs-second).max())
-    np.testing.assert_allclose(felt_pairs[:, :2], second[:, :2], atol=1.0)
+    apart = np.abs(felt_pairs - second)
+    assert apart.max() < 1.5
+    assert apart.mean() < 0.15
     assert np.abs(felt).max() > 3.0
 
 

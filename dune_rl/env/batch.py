@@ -16,6 +16,7 @@ from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
+from dune_rl.sensors.history import History
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.suite import SensorsConf
@@ -79,6 +80,9 @@ class Batch:
         solid = world.solid_mesh()
         self.lidar = Lidar(sensors.lidar, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
         self.imu = Imu(sensors.imu, num_scenes)
+        delay = max(1, round(sensors.past_s * physics.control_hz))
+        self._scans = History(num_scenes, sensors.lidar.n_segments, delay)
+        self._scanning = bool({"lidar", "lidar_past"} & set(sensors.enabled))
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -140,6 +144,8 @@ class Batch:
         self.imu.begin(mask, self.motion.rotation, self.motion.velocity_w, self.motion.angular_w)
         distance = self._distance_to_goal()
         self._goal_distance = np.where(mask, distance, self._goal_distance)
+        if self._scanning:
+            self._scans.restart(mask, self._scan())
 
     def _distance_to_goal(self) -> Array:
         offset = self.goals_w - self.motion.position_w[:, :2]
@@ -165,6 +171,8 @@ class Batch:
         self._advance_physics(commands)
         self.imu.measure(self.motion.rotation, self.motion.velocity_w, self.motion.angular_w, step_s)
         self.steps += 1
+        if self._scanning:
+            self._scans.push(self._scan())
         now = self._snapshot()
         end = endings(now, self.task.termination)
         terms = reward_terms(now, self.task.reward, end.reached, end.stuck, end.flipped)
@@ -212,6 +220,10 @@ class Batch:
             self._last_touch[scene, body] = self.steps[scene]
             touching[scene] = True
         return begun, touching
+
+    def _scan(self) -> Floats:
+        ranges = self.lidar.ranges(self.motion.position_w, self.motion.rotation, self.actors.poses)
+        return self.lidar.segments(ranges)
 
     def clearance(self) -> Array:
         """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
@@ -290,8 +302,9 @@ class Batch:
         out: dict[str, Floats] = {}
         for name in self.sensors.enabled:
             if name == "lidar":
-                ranges = self.lidar.ranges(motion.position_w, motion.rotation, self.actors.poses)
-                out[name] = self.lidar.segments(ranges)
+                out[name] = self._scans.now()
+            elif name == "lidar_past":
+                out[name] = self._scans.past()
             elif name == "imu":
                 out[name] = self.imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)
             elif name == "goal":

@@ -22,7 +22,7 @@ Row = dict[str, float]
 class EvaluationConf(Settings):
     """When training pauses to measure its policy, and on how much."""
 
-    every_frames: int = Field(100_000, ge=1)
+    every_frames: int = Field(250_000, ge=1)
     episodes: int = Field(50, ge=1)
     scenes: int = Field(16, ge=1, description="episodes run side by side; no result depends on it")
     seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed; training never sees it")

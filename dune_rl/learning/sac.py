@@ -25,7 +25,7 @@ class SacConf(Settings):
         3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
     )
     learning_starts: int = Field(50_000, ge=0, description="frames of random actions before the first update")
-    updates_per_frame: float = Field(1.0, gt=0, description="gradient updates for each frame collected")
+    updates_per_frame: float = Field(0.03125, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
     gamma: float = Field(0.99, ge=0, lt=1)

@@ -2,16 +2,23 @@
 
 from typing import Literal
 
+from pydantic import Field
+
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.settings import Settings
 
-SensorName = Literal["lidar", "imu", "goal", "velocity"]
+SensorName = Literal["lidar", "lidar_past", "imu", "goal", "velocity"]
 
 
 class SensorsConf(Settings):
-    """The sensors whose readings make the observation, in this order, and their settings."""
+    """The sensors whose readings make the observation, in this order, and their settings.
 
-    enabled: tuple[SensorName, ...] = ("lidar", "imu", "goal", "velocity")
+    `lidar_past` is the scan of `past_s` ago: beside the present one it tells
+    what moves, which one scan cannot.
+    """
+
+    enabled: tuple[SensorName, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
     lidar: LidarConf = LidarConf()
+    past_s: float = Field(0.3, gt=0.0, le=5.0)
     imu: ImuConf = ImuConf()

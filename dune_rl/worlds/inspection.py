@@ -20,7 +20,7 @@ class InspectionConf(Settings):
     name: Literal["inspection"] = "inspection"
     seed: int = Field(default=0, ge=0, lt=2**32)
     yard_obstacles: int = Field(
-        default=6, ge=0, le=20, description="things in and round the 8 by 8 m training square"
+        default=4, ge=0, le=20, description="things in and round the 8 by 8 m training square"
     )
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
 

@@ -1,11 +1,14 @@
 """TorchRL environments of batch size [3]: a sound one, and one for each fault."""
 
+import warnings
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
+
+ENDS = ("done", "terminated", "truncated")
 
 
 class Sound(EnvBase):
@@ -15,18 +18,19 @@ class Sound(EnvBase):
 
     def __init__(self) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([3]))
-        self.observation_spec = Composite({"place": Bounded(-9.0, 9.0, (3, 1), dtype=torch.float32)}, shape=(3,))
+        place = Bounded(-9.0, 9.0, (3, 1), dtype=torch.float32)
+        self.observation_spec = Composite({"place": place}, shape=(3,))
         self.action_spec = Bounded(-1.0, 1.0, (3, 1), dtype=torch.float32)
         self.reward_spec = Unbounded((3, 1), dtype=torch.float32)
-        ends = {key: Categorical(2, dtype=torch.bool, shape=(3, 1)) for key in ("done", "terminated", "truncated")}
+        ends = {key: Categorical(2, dtype=torch.bool, shape=(3, 1)) for key in ENDS}
         self.done_spec = Composite(ends, shape=(3,))
         self._place = torch.zeros(3, 1)
         self._steps = torch.zeros(3, 1)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = torch.ones(3, 1, dtype=torch.bool)
-        if tensordict is not None and "_reset" in tensordict.keys():
-            mask = tensordict["_reset"]
+        if tensordict is not None:
+            mask = tensordict.get("_reset", mask)
         self._place = torch.where(mask, torch.zeros(3, 1), self._place)
         self._steps = torch.where(mask, torch.zeros(3, 1), self._steps)
         nobody = torch.zeros(3, 1, dtype=torch.bool)
@@ -74,7 +78,5 @@ class GivesLess(Sound):
 
 class Warns(Sound):
     def _observation(self) -> dict[str, Any]:
-        import warnings
-
         warnings.warn("something is odd", stacklevel=1)
         return super()._observation()
