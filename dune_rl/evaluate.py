@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import yaml
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from dune_rl import command
 from dune_rl.config.compose import compose_evaluation, given
@@ -17,11 +17,12 @@ from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find,
 from dune_rl.learning.evaluation import Row, evaluate, summary, write_csv
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal, Policy, UniformRandom, load_policy
-from dune_rl.learning.table import results_table
+from dune_rl.learning.table import paired_line, results_table
 
 USAGE = (
     ("python -m dune_rl.evaluate checkpoint=runs/NAME", "a trained policy"),
     ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in one"),
+    ("python -m dune_rl.evaluate checkpoint=runs/NAME against=go_to_goal", "both, on the same episodes"),
 )
 CLOSING = (
     "A checkpoint brings the settings of its run; what you write changes them. Equal\n"
@@ -30,6 +31,7 @@ CLOSING = (
 SETTINGS = (
     ("checkpoint=PATH", "a run's folder, or a file of weights"),
     ("policy=NAME", "go_to_goal or random, instead of a checkpoint"),
+    ("against=NAME", "a built-in policy to compare with, in pairs"),
     ("episodes=N", "how many to run"),
     ("seed=N", "of the episodes"),
     ("scenes=N", "episodes side by side; no result depends on it"),
@@ -71,26 +73,41 @@ def _evaluate(conf: EvaluateConf) -> None:
     _check_writable(out)
     console = command.console()
     env = make_torchrl_env(conf, min(conf.scenes, conf.episodes), conf.seed)
-    policy, name = _policy(conf, Layout.of(env))
+    layout = Layout.of(env)
+    policies = dict([_policy(conf, layout)])
+    if conf.against is not None:
+        policies[conf.against] = _built_in(conf.against, layout, conf.seed)
+    results: dict[str, list[Row]] = {}
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task("episodes", total=conf.episodes)
-        rows = evaluate(
-            policy, env, conf.episodes, conf.seed, progress=lambda done: bar.update(task, completed=done)
-        )
+        for name, policy in policies.items():
+            task = bar.add_task(name, total=conf.episodes)
+            # The task is bound now: the next round has another.
+            advance = partial(_advance, bar, task)
+            results[name] = evaluate(policy, env, conf.episodes, conf.seed, progress=advance)
     env.close()
     title = f"{conf.world.name}: {conf.episodes} episodes of seed {conf.seed}"
-    console.print(results_table({name: summary(rows)}, title))
-    write_csv(out, [_record(name, conf, row) for row in rows])
+    console.print(results_table({name: summary(rows) for name, rows in results.items()}, title))
+    if len(results) == 2:
+        console.print(paired_line(*results.items()))
+    write_csv(out, [_record(name, conf, row) for name, rows in results.items() for row in rows])
     console.print(f"Episodes: {out}", highlight=False, soft_wrap=True)
 
 
-def _policy(conf: EvaluateConf, layout: Layout) -> tuple[Policy, str]:
+def _advance(bar: Progress, task: TaskID, done: int) -> None:
+    bar.update(task, completed=done)
+
+
+def _policy(conf: EvaluateConf, layout: Layout) -> tuple[str, Policy]:
     if conf.checkpoint is not None:
         path = Path(conf.checkpoint)
-        return load_policy(path, layout)[0], path.name if path.is_dir() else path.parent.name or path.stem
-    if conf.policy == "random":
-        return UniformRandom(layout, conf.seed), "random"
-    return GoToGoal(layout), "go_to_goal"
+        name = path.name if path.is_dir() else path.parent.name or path.stem
+        return name, load_policy(path, layout)[0]
+    assert conf.policy is not None
+    return conf.policy, _built_in(conf.policy, layout, conf.seed)
+
+
+def _built_in(name: str, layout: Layout, seed: int) -> Policy:
+    return UniformRandom(layout, seed) if name == "random" else GoToGoal(layout)
 
 
 def _record(name: str, conf: EvaluateConf, row: Row) -> dict[str, object]:

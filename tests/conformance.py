@@ -102,18 +102,18 @@ def check_seeding(make: MakeParallel, steps: int = 60) -> None:
 def check_no_leak(make: MakeParallel, steps: int = 40) -> None:
     """After `reset(seed)` nothing tells what was done before: the rollout equals a fresh environment's.
 
-    "Before" is a rollout of another seed, left in the middle of an episode.
+    "Before" is a rollout of another seed, then one of the same, each left in the middle of an episode.
     """
     used, fresh = make(), make()
     try:
-        parallel_rollout(used, 5, steps + 7, action_seed=3)
-        if used.agents:
-            used.step({agent: used.action_space(agent).sample() for agent in used.agents})
-        _same(
-            parallel_rollout(fresh, 4, steps),
-            parallel_rollout(used, 4, steps),
-            "a reset must leave nothing behind",
-        )
+        expected = parallel_rollout(fresh, 4, steps)
+        for seed in (5, 4):
+            parallel_rollout(used, seed, steps // 2 + 7, action_seed=3)
+            act = _Actor(used, 9)
+            if not used.agents:
+                used.reset()
+            used.step(act(used))
+            _same(expected, parallel_rollout(used, 4, steps), "a reset must leave nothing behind")
     finally:
         used.close()
         fresh.close()

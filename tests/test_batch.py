@@ -295,9 +295,15 @@ def test_goals_are_renewed_and_earned_again() -> None:
         assert outcome.rover_reward[0] == np.float32(RewardConf().goal)
         assert metric(batch, "goals")[0] == count
         assert tuple(batch.goals_w[0]) != tuple(goal)
-        # The next step's progress is measured from the new goal: the jump to it is none.
-        if np.hypot(*(batch.goals_w[0] - goal)) > 0.75:
-            assert abs(batch.step(idle(batch)).rover_reward[0]) < 0.02
+        # The next step's progress is measured from the new goal: 5 cm toward it, whatever the jump.
+        offset = batch.goals_w[0] - goal
+        if np.hypot(*offset) > 0.81:
+            ahead = offset / np.hypot(*offset)
+            puppet.put(*(goal + 0.05 * ahead), yaw=np.arctan2(ahead[1], ahead[0]))
+            conf, before = batch.task.reward, metric(batch, "reward/distance")[0]
+            batch.step(idle(batch))
+            earned = metric(batch, "reward/distance")[0] - before
+            assert earned == pytest.approx(conf.alpha * conf.distance_scale * 0.05, rel=1e-3)
     assert len(set(seen)) == 5
     assert metric(batch, "reached")[0] == 1.0
     assert metric(batch, "success")[0] == 1.0

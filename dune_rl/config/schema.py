@@ -90,6 +90,7 @@ class EvaluateConf(SingleAgentConf):
 
     checkpoint: str | None = None
     policy: Literal["go_to_goal", "random"] | None = None
+    against: Literal["go_to_goal", "random"] | None = None
     episodes: int = Field(100, ge=1)
     scenes: int = Field(16, ge=1)
     seed: int = Field(0, ge=0)

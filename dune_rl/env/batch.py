@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.actors.shapes import ray_shapes
+from dune_rl.env.action_log import ActionLog
+from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import Motion
 from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.geometry.rays import RayScene
@@ -87,14 +89,15 @@ class Batch:
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
         self._metrics = EpisodeMetrics(metrics, num_scenes)
-        self._last_touch = np.zeros((num_scenes, len(spec.statics) + len(spec.kinematics)), np.int64)
-        self._encounter_gap = round(_ENCOUNTER_GAP_S * physics.control_hz)
+        bodies = len(spec.statics) + len(spec.kinematics)
+        self._encounters = Encounters(num_scenes, bodies, round(_ENCOUNTER_GAP_S * physics.control_hz))
+        self._touches: list[tuple[int, int]] = []
         self.steps = np.zeros(num_scenes, np.int64)
         self.goals_w = np.zeros((num_scenes, 2))
         self._goal_distance = np.zeros(num_scenes)
         self._reward_sums = np.zeros((num_scenes, len(REWARD_TERMS)))
         self._goal_streams: list[np.random.Generator | None] = [None] * num_scenes
-        self._history = np.zeros((num_scenes, 64, 2 + 2 * len(self.actors.external)), np.float32)
+        self._log = ActionLog(num_scenes, 2 + 2 * len(self.actors.external))
         self.reseed(seed, first_episode)
 
     def _new_actors(self, seed: int) -> Actors:
@@ -123,7 +126,7 @@ class Batch:
         self._metrics.reset(mask, self.episodes)
         self.steps[mask] = 0
         self._reward_sums[mask] = 0.0
-        self._last_touch[mask] = -self._encounter_gap - 1
+        self._encounters.begin(mask)
         settle = round(_SETTLE_S * self.physics.physics_hz)
         still = [0.0] * len(self.robot.body.drive_joints)
         for scene in np.flatnonzero(mask).tolist():
@@ -162,9 +165,11 @@ class Batch:
         """
         if walker_actions is None:
             walker_actions = np.zeros((self.num_scenes, len(self.actors.external), 2), np.float32)
-        self._remember(rover_actions, walker_actions)
+        self._log.add(self.steps, rover_actions, walker_actions)
         step_s = self.physics.control_step_s
-        walker_distance = self._walker_goal_distance()
+        # A way point reached in this step gives way to the next: progress is toward the one before.
+        walker_goals = self.actors.goals_w[:, self.actors.external].copy()
+        walker_distance = self._walker_distance(walker_goals)
         wanted = np.asarray(rover_actions, np.float64)
         commands = self.robot.wheel_commands(wanted, self.motion.angular_b[:, 2], step_s).tolist()
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
@@ -183,22 +188,14 @@ class Batch:
             self._renew_goals(end.reached & ~end.terminated & ~end.truncated)
         return Outcome(
             rewards.astype(np.float32),
-            self._walker_reward(walker_distance, now),
+            self._walker_reward(walker_distance - self._walker_distance(walker_goals), now),
             end.terminated,
             end.truncated,
         )
 
-    def _remember(self, rover_actions: Floats, walker_actions: Floats) -> None:
-        longest = int(self.steps.max())
-        if longest >= self._history.shape[1]:
-            self._history = np.concatenate([self._history, np.zeros_like(self._history)], axis=1)
-        rows = np.arange(self.num_scenes)
-        self._history[rows, self.steps, :2] = rover_actions
-        self._history[rows, self.steps, 2:] = walker_actions.reshape(self.num_scenes, -1)
-
     def _advance_physics(self, commands: list[list[float]]) -> None:
         substeps, poses = self.physics.substeps, self.actors.poses
-        self._touches: list[tuple[int, int]] = []
+        self._touches = []
         states = []
         for index, scene in enumerate(self._scenes):
             scene.step(substeps, commands[index], poses[index])
@@ -210,16 +207,6 @@ class Batch:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
         for scene in self._scenes:
             scene.coast(self.physics.substeps)
-
-    def _encounters(self) -> tuple[NDArray[np.int64], Flags]:
-        """Encounters that begin now, and whether anything is touched, each (M,)."""
-        begun = np.zeros(self.num_scenes, np.int64)
-        touching = np.zeros(self.num_scenes, bool)
-        for scene, body in set(self._touches):
-            begun[scene] += self.steps[scene] - self._last_touch[scene, body] > self._encounter_gap
-            self._last_touch[scene, body] = self.steps[scene]
-            touching[scene] = True
-        return begun, touching
 
     def _scan(self) -> Floats:
         ranges = self.lidar.ranges(self.motion.position_w, self.motion.rotation, self.actors.poses)
@@ -238,7 +225,7 @@ class Batch:
     def _snapshot(self) -> Snapshot:
         motion = self.motion
         previous, self._goal_distance = self._goal_distance, self._distance_to_goal()
-        begun, touching = self._encounters()
+        begun, touching = self._encounters.update(self._touches, self.steps)
         clearance = self.clearance()
         clearance[touching] = 0.0
         xmin, xmax, ymin, ymax = self.world.extent
@@ -333,23 +320,16 @@ class Batch:
         xmin, xmax, ymin, ymax = self.world.extent
         return float(np.hypot(xmax - xmin, ymax - ymin))
 
-    def _walker_goal_distance(self) -> Array:
-        columns = self.actors.external
-        offset = self.actors.goals_w[:, columns] - self.actors.poses[:, columns, :2]
+    def _walker_distance(self, goals_w: Array) -> Array:
+        """Distance [m] of the walkers that are agents from `goals_w` (M, E, 2), (M, E)."""
+        offset = goals_w - self.actors.poses[:, self.actors.external, :2]
         return np.hypot(offset[..., 0], offset[..., 1])
 
-    def _walker_reward(self, before: Array, now: Snapshot) -> Floats:
+    def _walker_reward(self, progress: Array, now: Snapshot) -> Floats:
         columns = self.actors.external
-        if not len(columns):
-            return np.zeros((self.num_scenes, 0), np.float32)
-        progress = before - self._walker_goal_distance()
-        # A way point reached in this step has given way to the next, whose distance says nothing of progress.
-        progress = np.where(np.abs(progress) > self.actors.top_speed[columns] * 0.1 + 0.05, 0.0, progress)
-        offset = now.position_w[:, None, :2] - self.actors.poses[:, columns, :2]
-        apart = (
-            np.hypot(offset[..., 0], offset[..., 1]) - self.actors.radius[columns] - self.robot.width_m / 2
-        )
-        return walker_reward(progress, np.maximum(apart, 0.0), self.task.walking).astype(np.float32)
+        apart = self._walker_distance(now.position_w[:, None, :2])
+        room = np.maximum(apart - self.actors.radius[columns] - self.robot.width_m / 2, 0.0)
+        return walker_reward(progress, room, self.task.walking).astype(np.float32)
 
     # -- metrics and state ------------------------------------------------------------------------
 
@@ -367,31 +347,24 @@ class Batch:
         return {
             "seed": self.seed,
             "episodes": self.episodes.tolist(),
-            "actions": [
-                self._history[scene, : self.steps[scene]].tolist() for scene in range(self.num_scenes)
-            ],
+            "actions": self._log.plain(self.steps),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Bring a `state` back, bit for bit, by playing its episodes again from their starts."""
         self.reseed(int(state["seed"]))
         self.episodes = np.array(state["episodes"], np.int64)
-        lengths = [len(actions) for actions in state["actions"]]
-        longest = max(lengths, default=0)
-        width = self._history.shape[2]
-        rows = np.zeros((longest, self.num_scenes, width), np.float32)
-        for scene, actions in enumerate(state["actions"]):
-            if actions:
-                rows[longest - len(actions) :, scene] = np.array(actions, np.float32)
+        lengths = np.array([len(actions) for actions in state["actions"]])
+        rows = self._log.aligned(state["actions"])
         self._start(np.ones(self.num_scenes, bool))
-        for turn in range(longest):
-            late = np.array([longest - turn == length for length in lengths])
+        for turn, row in enumerate(rows):
+            # The shorter episodes begin later, so that all arrive together.
+            late = lengths == len(rows) - turn
             if late.any():
                 self._start(late)
-            self.step(rows[turn, :, :2], rows[turn, :, 2:].reshape(self.num_scenes, -1, 2))
-        finished = np.array(lengths) == 0
-        if finished.any():
-            self._start(finished)
+            self.step(row[:, :2], row[:, 2:].reshape(self.num_scenes, -1, 2))
+        if (lengths == 0).any():
+            self._start(lengths == 0)
 
     def close(self) -> None:
         """Free the physics engine's memory."""

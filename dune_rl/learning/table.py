@@ -1,12 +1,12 @@
 """Tables of results, for the command lines to print."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 from rich.text import Text
 
-from dune_rl.learning.evaluation import MEASURES
+from dune_rl.learning.evaluation import MEASURES, Row, compare
 from dune_rl.learning.statistics import Estimate
 
 
@@ -23,6 +23,15 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> 
         label = Text(f"{name}  {meaning}" + (f" [{unit}]" if unit else ""))
         table.add_row(label, *(_cell(name, estimates[name]) for estimates in results.values()))
     return table
+
+
+def paired_line(first: tuple[str, Sequence[Row]], second: tuple[str, Sequence[Row]]) -> str:
+    """One line on which of two policies, (name, episodes) each, succeeds more often on the same episodes."""
+    test = compare(first[1], second[1])
+    return (
+        f"Paired: {first[0]} alone succeeds in {test.only_a} episodes, {second[0]} alone in {test.only_b}; "
+        f"exact McNemar test p = {test.p_value:.2g}"
+    )
 
 
 def _cell(name: str, estimate: Estimate) -> str:
