@@ -222,7 +222,7 @@ def test_next_observation_is_the_final_one_not_the_reset_one() -> None:
     assert (moved[ends] <= 0.21).all()
     after = rows[:, 1:, :n][ends[:, :-1]]
     assert not torch.equal(after, rows[:, :-1, n : 2 * n][ends[:, :-1]])
-    learnt = transitions.batch(rows.flatten(0, 1), Normaliser(n, clip=10.0), reward_scale=1.0)
+    learnt = transitions.batch(rows.flatten(0, 1), Normaliser(torch.zeros(n, dtype=torch.bool), clip=10.0), reward_scale=1.0)
     assert not learnt["next", "terminated"].any()
 
 
@@ -251,9 +251,18 @@ def test_actions_keep_to_their_bounds_and_scale_for_the_critic() -> None:
     assert env.action_spec.is_in(action)
 
 
+def test_ranges_are_normalised_by_their_logarithm() -> None:
+    ranges = torch.tensor([[0.25, 5.0], [0.5, -5.0], [1.0, 0.0]])
+    normaliser = Normaliser(torch.tensor([True, False]), clip=10.0)
+    normaliser.observe(ranges)
+    near, middle, far = normaliser(ranges)[:, 0].tolist()
+    assert middle - near == pytest.approx(far - middle)
+    assert normaliser.mean.tolist() == pytest.approx([math.log(0.5), 0.0], abs=1e-6)
+
+
 def test_normaliser_merges_batches_exactly() -> None:
     data = torch.randn(1000, 3) * torch.tensor([1.0, 5.0, 0.1]) + torch.tensor([0.0, -20.0, 3.0])
-    normaliser = Normaliser(3, clip=10.0)
+    normaliser = Normaliser(torch.zeros(3, dtype=torch.bool), clip=10.0)
     for part in data.split([1, 99, 400, 500]):
         normaliser.observe(part)
     assert torch.allclose(normaliser.mean, data.mean(0), atol=1e-4)

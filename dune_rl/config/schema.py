@@ -69,7 +69,7 @@ class Conf(SingleAgentConf):
 
     learning: LearningConf = LearningConf()
     seed: int = Field(0, ge=0)
-    total_frames: int = Field(3_500_000, ge=1)
+    total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
     run_dir: str = Field("runs", min_length=1)
     resume: str | None = None

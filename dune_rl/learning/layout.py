@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
@@ -19,12 +20,15 @@ METRICS_KEY = "metrics"
 class Layout:
     """Observation keys with their sizes, in the order in which they are concatenated, and action bounds.
 
-    `low` and `high` are in the action's own (physical) units.
+    `low` and `high` are in the action's own (physical) units. `ranges` names the
+    parts whose values are positive throughout, such as a LiDAR's: of those
+    it is the ratio that matters, 0.3 m to 0.6 m as much as 3 m to 6 m.
     """
 
     sizes: Mapping[str, int]
     low: tuple[float, ...]
     high: tuple[float, ...]
+    ranges: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, env: EnvBase) -> "Layout":
@@ -40,6 +44,7 @@ class Layout:
             sizes,
             tuple(bounds.low.reshape(-1, size)[0].tolist()),
             tuple(bounds.high.reshape(-1, size)[0].tolist()),
+            tuple(key for key in sizes if _positive(env.observation_spec[key])),
         )
 
     @property
@@ -58,6 +63,11 @@ class Layout:
         return len(self.low)
 
     @property
+    def range_columns(self) -> Tensor:
+        """Which entries of the concatenated observation are ranges, bool, shape (observation_size,)."""
+        return torch.cat([torch.full((size,), key in self.ranges) for key, size in self.sizes.items()])
+
+    @property
     def half_range(self) -> Tensor:
         """Half the width of each action component's interval, shape (A,)."""
         return (torch.tensor(self.high) - torch.tensor(self.low)) / 2
@@ -73,12 +83,17 @@ class Layout:
 
     def plain(self) -> dict[str, Any]:
         """Containers that `torch.load(weights_only=True)` reads."""
-        return {"sizes": dict(self.sizes), "low": list(self.low), "high": list(self.high)}
+        return {
+            "sizes": dict(self.sizes),
+            "low": list(self.low),
+            "high": list(self.high),
+            "ranges": list(self.ranges),
+        }
 
     @classmethod
     def from_plain(cls, data: Mapping[str, Any]) -> "Layout":
         """The inverse of `plain`."""
-        return cls(dict(data["sizes"]), tuple(data["low"]), tuple(data["high"]))
+        return cls(dict(data["sizes"]), tuple(data["low"]), tuple(data["high"]), tuple(data["ranges"]))
 
     def require(self, here: "Layout", source: str) -> None:
         """Raise unless a policy of this layout, read from `source`, fits the environment `here`."""
@@ -103,3 +118,7 @@ class Layout:
                 "Use the robot and sensor settings that it was trained with (its run's folder holds them), "
                 "or train anew."
             )
+
+
+def _positive(spec: TensorSpec) -> bool:
+    return isinstance(spec, Bounded) and bool((spec.space.low > 0).all())

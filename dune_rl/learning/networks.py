@@ -10,19 +10,28 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from dune_rl.learning.layout import Layout
 
 FEATURES = "features"
+_LEAST_RANGE_M = 1e-3
 _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
 
 
 class Normaliser(nn.Module):
-    """Running mean and variance of observation vectors (..., n), which it scales to about unit size."""
+    """Running mean and variance of observation vectors (..., n), which it scales to about unit size.
+
+    Of the entries in `logarithmic` (n,) it takes the logarithm first. On a
+    linear scale of 12 m the last half metre before a wall would be a tenth of
+    a standard deviation.
+    """
 
     mean: Tensor
     variance: Tensor
     count: Tensor
+    logarithmic: Tensor
 
-    def __init__(self, size: int, clip: float) -> None:
+    def __init__(self, logarithmic: Tensor, clip: float) -> None:
         super().__init__()
+        size = len(logarithmic)
         self.clip = clip
+        self.register_buffer("logarithmic", logarithmic)
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("variance", torch.ones(size))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
@@ -30,7 +39,7 @@ class Normaliser(nn.Module):
     @torch.no_grad()
     def observe(self, vectors: Tensor) -> None:
         """Merge `vectors` (k, n) into the statistics (Chan, Golub and LeVeque's pairwise update)."""
-        batch = vectors.double()
+        batch = self._scaled(vectors).double()
         k = len(batch)
         mean, variance = batch.mean(0), batch.var(0, correction=0)
         total = self.count + k
@@ -42,8 +51,12 @@ class Normaliser(nn.Module):
 
     def forward(self, vectors: Tensor) -> Tensor:
         """`vectors` normalised and clipped, same shape."""
+        vectors = self._scaled(vectors)
         # The floor keeps a part that never moves (an empty LiDAR) from amplifying its first change.
         return ((vectors - self.mean) / (self.variance + 1e-4).sqrt()).clamp(-self.clip, self.clip)
+
+    def _scaled(self, vectors: Tensor) -> Tensor:
+        return torch.where(self.logarithmic, vectors.clamp(min=_LEAST_RANGE_M).log(), vectors)
 
 
 class Features(nn.Module):
@@ -51,7 +64,7 @@ class Features(nn.Module):
 
     def __init__(self, layout: Layout, clip: float) -> None:
         super().__init__()
-        self.normaliser = Normaliser(layout.observation_size, clip)
+        self.normaliser = Normaliser(layout.range_columns, clip)
 
     def forward(self, *parts: Tensor) -> Tensor:
         """Features (..., n) of the parts (..., n_i), in the layout's order."""
