@@ -1,6 +1,8 @@
 """Moving actors: one class for all of them, whoever decides where they go."""
 
+import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Literal, Self
 
 import numpy as np
@@ -43,6 +45,8 @@ class ActorConf(Settings):
     def _sensible(self) -> Self:
         if len(self.waypoints) == 1:
             raise ValueError("waypoints needs at least two points, or none for a random path (got 1)")
+        if any(math.dist(a, b) < 0.1 for a, b in pairwise(self.waypoints)):
+            raise ValueError("waypoints must lie at least 0.1 m apart, each from the next")
         if not 1.0 <= self.length_range_m[0] < self.length_range_m[1]:
             raise ValueError(f"length_range_m must rise from at least 1.0 (got {list(self.length_range_m)})")
         if self.height_m <= 2 * self.radius_m:

@@ -214,13 +214,11 @@ class Batch:
 
     def clearance(self) -> Array:
         """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
-        centres, radius = self.motion.hull_circles()
-        nearest = self.world.clearance(centres).min(axis=1)
+        nearest = self.world.clearance(self.motion.outline_w()).min(axis=1)
         if len(self._actor_confs):
-            offset = centres[:, :, None, :] - self.actors.poses[:, None, :, :2]
-            apart = np.hypot(offset[..., 0], offset[..., 1]) - self.actors.radius
-            nearest = np.minimum(nearest, apart.min(axis=(1, 2)))
-        return np.maximum(nearest - radius, 0.0)
+            apart = self.motion.distance_from_hull(self.actors.poses[..., :2]) - self.actors.radius
+            nearest = np.minimum(nearest, apart.min(axis=1))
+        return np.maximum(nearest, 0.0)
 
     def _snapshot(self) -> Snapshot:
         motion = self.motion

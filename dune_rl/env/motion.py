@@ -27,7 +27,8 @@ class Motion:
     def __init__(self, num_scenes: int, robot: RoverZero) -> None:
         self._states = np.zeros((num_scenes, 13))
         self._states[:, 6] = 1.0
-        self._offsets, self._radius = robot.footprint_circles()
+        self._outline = robot.outline()
+        self._half_size = np.array([robot.length_m, robot.width_m]) / 2
         self.diverged = np.zeros(num_scenes, bool)
         self._anchor = np.zeros((num_scenes, 2))
         self._since = np.zeros(num_scenes, np.int64)
@@ -74,10 +75,18 @@ class Motion:
         offset = points_w - self.position_w[:, :2]
         return wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - self.roll_pitch_yaw[:, 2])
 
-    def hull_circles(self) -> tuple[Array, float]:
-        """Centres (M, C, 2) [m] and radius [m] of the circles that cover each rover, seen from above."""
-        axis = self.rotation[:, :2, 0]
-        return self.position_w[:, None, :2] + self._offsets[None, :, None] * axis[:, None, :], self._radius
+    def outline_w(self) -> Array:
+        """Points (M, P, 2) round each hull [m], seen from above."""
+        return self.position_w[:, None, :2] + self._outline @ self.rotation[:, :2, :2].transpose(0, 2, 1)
+
+    def distance_from_hull(self, points_w: Array) -> Array:
+        """Distance [m], (M, K), of points (M, K, 2) from each hull's rectangle, seen from above; 0 inside."""
+        yaw = self.roll_pitch_yaw[:, 2]
+        cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+        offset = points_w - self.position_w[:, None, :2]
+        ahead = np.abs(cos * offset[..., 0] + sin * offset[..., 1]) - self._half_size[0]
+        aside = np.abs(cos * offset[..., 1] - sin * offset[..., 0]) - self._half_size[1]
+        return np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
 
     def steps_since_moved(self, radius_m: float) -> NDArray[np.int64]:
         """Steps, (M,), since each rover was last `radius_m` from where it had been. Call it once per step."""

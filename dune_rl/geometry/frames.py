@@ -8,7 +8,9 @@ Array = NDArray[np.float64]
 
 def wrap_angle(angle: Array) -> Array:
     """The same angle [rad] in [-pi, pi), any shape."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    # The remainder of an angle just below -pi rounds up to the whole turn.
+    return np.where(wrapped >= np.pi, -np.pi, wrapped)
 
 
 def within(value: Array, low: Array | float, high: Array | float) -> Array:

@@ -36,15 +36,15 @@ class RayScene:
         origins: NDArray[np.float32],
         directions: NDArray[np.float32],
         ranges: NDArray[np.float32],
-    ) -> NDArray[np.int32]:
-        """Shorten `ranges` (N,) in place to the first hit, and give the face hit, (N,), -1 for none.
+    ) -> None:
+        """Shorten `ranges` (N,) in place to the first hit.
 
         `origins` and `directions` are (N, 3), C-contiguous; directions of unit
         length make the ranges metres. A ray whose range is already shorter
         than its first hit keeps it, so several scenes can be asked in turn.
         """
-        faces: NDArray[np.int32] = self._scene.run(origins, directions, dists=ranges)
-        return faces
+        # Of the queries without further output only this one writes the ranges back.
+        self._scene.run(origins, directions, dists=ranges, query="DISTANCE")
 
     def first_hit(
         self,

@@ -139,12 +139,18 @@ class BulletScene:
                 link,
                 lateralFriction=spec.wheel_friction if wheel else 0.3,
                 restitution=0.0,
-                linearDamping=0.0,
-                angularDamping=0.0,
                 jointDamping=0.0,
-                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
                 physicsClientId=client,
             )
+        # Apart from the above: beside one of these, PyBullet gives a link's friction to the base instead.
+        pybullet.changeDynamics(
+            robot,
+            -1,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            physicsClientId=client,
+        )
         return robot
 
     def _move(self, index: int, pose: list[float]) -> None:

@@ -64,10 +64,13 @@ class RoverZero:
         """Radius of the circle round the origin that holds the rover at any yaw."""
         return float(np.hypot(self.length_m / 2, self.width_m / 2))
 
-    def footprint_circles(self) -> tuple[Array, float]:
-        """Offsets along x of three circles that cover the rover, (3,), and their radius [m]."""
-        part = self.length_m / 3
-        return np.array([-part, 0.0, part]), float(np.hypot(part / 2, self.width_m / 2))
+    def outline(self) -> Array:
+        """Points (16, 2) round the hull in the body frame [m], at most 0.16 m apart, seen from above."""
+        x, y = self.length_m / 2, self.width_m / 2
+        ahead, across = np.linspace(-x, x, 5), np.linspace(-y, y, 5)[1:-1]
+        sides = [np.column_stack([ahead, np.full(5, side)]) for side in (-y, y)]
+        ends = [np.column_stack([np.full(3, end), across]) for end in (-x, x)]
+        return np.concatenate([*sides, *ends])
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Stand still and forget the past in the scenes in `mask` (M,)."""

@@ -103,7 +103,7 @@ class Lidar:
         carried[..., 0] = cos * x + sin * y
         carried[..., 1] = cos * y - sin * x
         carried[..., 2] = directions[:, None, :, 2]
-        shortened = np.broadcast_to(ranges.reshape(scenes, 1, n_beams), (scenes, actors, n_beams)).ravel()
+        shortened = np.repeat(ranges.reshape(scenes, 1, n_beams), actors, axis=1).ravel()
         shape.shorten(origins.reshape(-1, 3), carried.reshape(-1, 3), shortened)
         nearest: NDArray[np.float32] = shortened.reshape(scenes, actors, n_beams).min(axis=1)
         return nearest.ravel()
