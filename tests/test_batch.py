@@ -79,9 +79,11 @@ def test_encounters_belong_to_their_scene_and_episode() -> None:
 
 
 def test_contact_earns_the_collision_reward_and_spoils_success() -> None:
-    batch, (puppet,) = puppet_batch(actors="walkers")
+    batch, (puppet,) = puppet_batch(actors="walkers", task={"reward": {"collision": -0.5, "contact": -3.0}})
     puppet.touching = [1]
-    assert batch.step(idle(batch)).rover_reward[0] == np.float32(RewardConf().collision)
+    # The encounter costs once, to be too close at every step.
+    assert batch.step(idle(batch)).rover_reward[0] == -3.5
+    assert batch.step(idle(batch)).rover_reward[0] == -0.5
     assert batch.clearance()[0] > 1.0
     assert metric(batch, "min_clearance")[0] == 0.0
     puppet.touching = []
@@ -104,6 +106,31 @@ def test_rover_hits_a_walker_in_true_physics() -> None:
     apart = np.hypot(*(batch.actors.poses[0, 0, :2] - batch.motion.position_w[0, :2])) - 0.25
     assert WIDTH_M / 2 - 0.05 < apart < np.hypot(LENGTH_M, WIDTH_M) / 2 + 0.05
     batch.close()
+
+
+def test_a_new_episode_forgets_which_way_a_walker_went() -> None:
+    walker = {"controller": "external", "waypoints": [[6.0, 6.0], [7.5, 6.0]]}
+    batch, _ = puppet_batch(actors=[walker])
+
+    def way_points() -> list[float]:
+        """Where the walker goes, one after the other, when it walks on until its third arrival."""
+        seen = [float(batch.actors.goals_w[0, 0, 0])]
+        for _ in range(400):
+            pose, goal = batch.actors.poses[0, 0], batch.actors.goals_w[0, 0]
+            turn = np.arctan2(goal[1] - pose[1], goal[0] - pose[0]) - pose[3]
+            turn = (turn + np.pi) % (2 * np.pi) - np.pi
+            batch.step(idle(batch), np.float32([[[0.5 if abs(turn) < 0.5 else 0.0, turn]]]))
+            if batch.actors.goals_w[0, 0, 0] != seen[-1]:
+                seen.append(float(batch.actors.goals_w[0, 0, 0]))
+            if len(seen) == 4:
+                break
+        return seen
+
+    first = way_points()
+    assert len(first) == 4
+    assert first[0] == first[2] != first[1] == first[3]
+    batch.reset()
+    assert way_points() == first
 
 
 # -- clearance -------------------------------------------------------------------------------------

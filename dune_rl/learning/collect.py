@@ -91,7 +91,8 @@ class Collection:
     the mode `serial`, `state` restores the scenes in the middle of their
     episodes, bit for bit; in the other modes a resumed run begins new episodes.
 
-    `policy` must be on the CPU; it is this object's own copy.
+    `policy` must be on the CPU; it is this object's own copy. Each `stage` of a
+    serial run has episodes of its own.
     """
 
     def __init__(
@@ -105,6 +106,7 @@ class Collection:
         random_frames: int = 0,
         state: Mapping[str, Any] | None = None,
         learner_threads: int = 1,
+        stage: int = 0,
     ) -> None:
         self._policy = policy
         self._env: EnvBase | None = None
@@ -118,7 +120,7 @@ class Collection:
             "auto_register_policy_transforms": False,
         }
         if conf.mode == "serial":
-            self._env = make_env(conf.scenes, environment_seed(seed, 0, 0))
+            self._env = make_env(conf.scenes, environment_seed(seed, stage, 0))
             self._collector = Collector(self._env, track_traj_ids=False, **common)
             if state is not None:
                 self._env.resume(state)

@@ -5,11 +5,16 @@ from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from dune_rl.errors import ConfigError
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import make_policy
+
+_GUIDE_NOISE = 0.1
+_GUIDE_RANDOM_SHARE = 0.3
 
 
 class Policy(Protocol):
@@ -29,6 +34,35 @@ class GoToGoal:
         heading = observation.get("goal")[..., 1]
         speed = self._top_speed * heading.cos().clamp(min=0)
         return observation.set("action", torch.stack([speed, heading], -1))
+
+
+class Guide(TensorDictModuleBase):
+    """Drives at the goal with noise, and at random in a share of steps: experience to begin with.
+
+    Random actions alone reach one goal in ten episodes of 2,000 steps, and a
+    learner that has hardly met a goal learns to keep away from everything.
+    """
+
+    in_keys = ["goal"]  # noqa: RUF012
+    out_keys = ["action"]  # noqa: RUF012
+
+    def __init__(self, layout: Layout) -> None:
+        super().__init__()
+        if "goal" not in layout.sizes:
+            raise ConfigError("learning.warm_up=go_to_goal needs the sensor goal; take warm_up=random")
+        self._drive = GoToGoal(layout)
+        self.register_buffer("_low", torch.tensor(layout.low))
+        self.register_buffer("_high", torch.tensor(layout.high))
+
+    @torch.no_grad()
+    def forward(self, observation: TensorDictBase) -> TensorDictBase:
+        """Writes "action" (M, A), drawn with torch's global generator."""
+        action = self._drive(observation).get("action")
+        width = self._high - self._low
+        noisy = action + _GUIDE_NOISE * width * torch.randn_like(action)
+        random = self._low + width * torch.rand_like(action)
+        astray = torch.rand_like(action[..., :1]) < _GUIDE_RANDOM_SHARE
+        return observation.set("action", torch.where(astray, random, noisy).clamp(self._low, self._high))
 
 
 class UniformRandom:

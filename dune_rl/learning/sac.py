@@ -24,7 +24,8 @@ class SacConf(Settings):
     entropy_learning_rate: float = Field(
         3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
     )
-    learning_starts: int = Field(50_000, ge=0, description="frames of random actions before the first update")
+    learning_starts: int = Field(50_000, ge=0, description="frames before the first update")
+    warm_up: Literal["random", "go_to_goal"] = Field("go_to_goal", description="who acts in them")
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)

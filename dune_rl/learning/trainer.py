@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
@@ -27,7 +28,7 @@ from dune_rl.learning.evaluation import EvaluationConf, Row, averages, evaluate
 from dune_rl.learning.interrupts import StopRequest, stop_on_signals
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import make_policy
-from dune_rl.learning.policies import Deterministic, policy_content
+from dune_rl.learning.policies import Deterministic, Guide, policy_content
 from dune_rl.learning.progress import Reporter, Silent, Status
 from dune_rl.learning.random_state import random_state, set_random_state
 from dune_rl.learning.replay import Replay, ReplayConf
@@ -107,6 +108,7 @@ class Trainer:
         self.frames = 0
         self.updates = 0
         self._updates_due = 0.0
+        self._warming = False
         self._best_success = -1.0
         self._evaluated_at = -1
         self._next_evaluation = evaluation.every_frames
@@ -136,6 +138,10 @@ class Trainer:
             try:
                 if self.frames < end:
                     self._loop(collection, end, stop)
+                if self._warming and self.frames < end and not stop():
+                    collection.close()
+                    collection = self._collect()
+                    self._loop(collection, end, stop)
                 finished = self.frames >= self._total_frames
                 if finished and self._evaluated_at != self.frames and not stop():
                     self._evaluate(stop)
@@ -155,7 +161,8 @@ class Trainer:
         for batch in collection:
             self._absorb(batch)
             self._learn()
-            collection.send(self._sac.policy)
+            if not self._warming:
+                collection.send(self._sac.policy)
             self._report()
             if self.frames >= self._next_evaluation and not stop():
                 self._evaluate(stop)
@@ -163,24 +170,39 @@ class Trainer:
                 while self._next_save <= self.frames:
                     self._next_save += self._checkpoint_conf.every_frames
                 self._save(collection, with_replay=self._checkpoint_conf.replay)
-            if self.frames >= end or stop():
+            if self.frames >= end or stop() or (self._warming and not self._guided()):
                 return
 
+    def _guided(self) -> bool:
+        return self._sac_conf.warm_up == "go_to_goal" and self.frames < self._sac_conf.learning_starts
+
     def _collect(self) -> Collection:
+        """The collection that is due now: the guide's in this process, then the policy's."""
+        self._warming = self._guided()
+        conf = self._collector_conf
+        policy: TensorDictModuleBase = make_policy(
+            self._layout, self._sac_conf.hidden, self._sac_conf.observation_clip
+        )
+        if self._warming:
+            conf = conf.model_copy(update={"mode": "serial"})
+            policy = Guide(self._layout)
+        # Making networks and first resets must not move the learner's draws: a resumed run makes them anew.
+        before = random_state() if self._saved is None else self._saved["random"]
         collection = Collection(
-            self._collector_conf,
+            conf,
             self._make_env,
-            make_policy(self._layout, self._sac_conf.hidden, self._sac_conf.observation_clip),
+            policy,
             self._seed,
             frames=self.frames,
-            random_frames=self._sac_conf.learning_starts - self.frames,
+            random_frames=0 if self._warming else self._sac_conf.learning_starts - self.frames,
             state=self._scenes_to_resume(),
             learner_threads=self._threads,
+            stage=1 if self._warming else 0,
         )
-        collection.send(self._sac.policy)
-        if self._saved is not None:
-            set_random_state(self._saved["random"])
-            self._saved = None
+        if not self._warming:
+            collection.send(self._sac.policy)
+        set_random_state(before)
+        self._saved = None
         return collection
 
     def _absorb(self, batch: TensorDictBase) -> None:
@@ -274,6 +296,7 @@ class Trainer:
             "collector": {
                 "mode": self._collector_conf.mode,
                 "scenes": self._collector_conf.scenes,
+                "warming": self._warming,
                 "state": collection.state(),
             },
             "log": self._log.state(),
@@ -309,7 +332,7 @@ class Trainer:
         if self._saved is None:
             return None
         then, now = self._saved["collector"], self._collector_conf
-        same = (then["mode"], then["scenes"]) == (now.mode, now.scenes)
+        same = (then["mode"], then["scenes"], then["warming"]) == (now.mode, now.scenes, self._warming)
         return then["state"] if same else None
 
 
