@@ -120,6 +120,8 @@ def test_a_new_episode_forgets_which_way_a_walker_went() -> None:
             turn = np.arctan2(goal[1] - pose[1], goal[0] - pose[0]) - pose[3]
             turn = (turn + np.pi) % (2 * np.pi) - np.pi
             batch.step(idle(batch), np.float32([[[0.5 if abs(turn) < 0.5 else 0.0, turn]]]))
+            left = batch.actors.goals_w[0, 0] - batch.actors.poses[0, 0, :2]
+            assert np.hypot(*left) >= 0.5, "it is where it is going"
             if batch.actors.goals_w[0, 0, 0] != seen[-1]:
                 seen.append(float(batch.actors.goals_w[0, 0, 0]))
             if len(seen) == 4:

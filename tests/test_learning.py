@@ -222,7 +222,9 @@ def test_next_observation_is_the_final_one_not_the_reset_one() -> None:
     assert (moved[ends] <= 0.21).all()
     after = rows[:, 1:, :n][ends[:, :-1]]
     assert not torch.equal(after, rows[:, :-1, n : 2 * n][ends[:, :-1]])
-    learnt = transitions.batch(rows.flatten(0, 1), Normaliser(torch.zeros(n, dtype=torch.bool), clip=10.0), reward_scale=1.0)
+    learnt = transitions.batch(
+        rows.flatten(0, 1), Normaliser(torch.zeros(n, dtype=torch.bool), clip=10.0), reward_scale=1.0
+    )
     assert not learnt["next", "terminated"].any()
 
 

@@ -11,7 +11,7 @@ from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.actors.shapes import ray_shapes
 from dune_rl.env.action_log import ActionLog
 from dune_rl.env.encounters import Encounters
-from dune_rl.env.motion import Motion
+from dune_rl.env.motion import MAX_SENSED_SPEED_MPS, Motion
 from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.geometry.rays import RayScene
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
@@ -38,6 +38,7 @@ _SETTLE_S = 0.1
 # A new touch of the same body counts as a new encounter after this long without one.
 _ENCOUNTER_GAP_S = 1.0
 _EDGE_M = 0.3
+_GOAL_TRIES = 16
 
 
 @dataclass(frozen=True)
@@ -274,8 +275,15 @@ class Batch:
         for scene in np.flatnonzero(mask).tolist():
             draws = self._goal_streams[scene]
             assert draws is not None
-            goal = self.spawner.sample(draws)
-            self.goals_w[scene] = goal.goal_x, goal.goal_y
+            here = self.motion.position_w[scene]
+            for _ in range(_GOAL_TRIES):
+                goal = self.spawner.sample(draws)
+                self.goals_w[scene] = goal.goal_x, goal.goal_y
+                if (
+                    np.hypot(goal.goal_x - here[0], goal.goal_y - here[1])
+                    >= self.task.spawn.min_goal_distance_m
+                ):
+                    break
         if mask.any():
             self._goal_distance = self._distance_to_goal()
 
@@ -310,7 +318,13 @@ class Batch:
             self.motion.position_w,
             self.motion.velocity_w,
             self.world_diagonal_m,
+            self.max_closing_speed_mps,
         )
+
+    @property
+    def max_closing_speed_mps(self) -> float:
+        """The fastest that a walker sees the rover come or go [m/s]."""
+        return MAX_SENSED_SPEED_MPS + float(self.actors.top_speed[self.actors.external].max(initial=0.0))
 
     @property
     def world_diagonal_m(self) -> float:

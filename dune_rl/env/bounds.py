@@ -47,7 +47,7 @@ def walker_observation_bounds(batch: Batch) -> dict[str, Bounds]:
     """(low, high), each (n,), of what an actor that is an agent observes."""
     far = batch.world_diagonal_m
     top = float(batch.actors.top_speed[batch.actors.external].max())
-    closing = MAX_SENSED_SPEED_MPS + top
+    closing = batch.max_closing_speed_mps
     return {
         "goal": (np.array([0.0, -_PI], np.float32), np.array([far, _PI], np.float32)),
         "rover": (

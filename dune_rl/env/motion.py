@@ -50,8 +50,10 @@ class Motion:
         speed = np.abs(states[:, 7:10]).max(axis=1)
         turn = np.abs(states[:, 10:13]).max(axis=1)
         far = np.abs(states[:, :3]).max(axis=1)
+        # No component of a unit quaternion is above 1.
+        turned = np.abs(states[:, 3:7]).max(axis=1)
         # Written so that NaN, which compares false, counts as bad.
-        good = (speed < _MAX_SPEED_MPS) & (turn < _MAX_TURN_RADPS) & (far < 1e5)
+        good = (speed < _MAX_SPEED_MPS) & (turn < _MAX_TURN_RADPS) & (far < 1e5) & (turned < 1.01)
         self.diverged = ~good
         self._states = states if good.all() else np.where(good[:, None], states, self._states)
         self._derive()

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import wrap_angle
+from dune_rl.geometry.frames import within, wrap_angle
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -27,12 +27,13 @@ def walker_observation(
     rover_position_w: Array,
     rover_velocity_w: Array,
     limit_m: float,
+    limit_mps: float = np.inf,
 ) -> dict[str, NDArray[np.float32]]:
     """What walkers sense, each (M, E, n).
 
     `goal`: distance [m] and bearing [rad] of the next way point; `rover`:
     distance [m] (at most `limit_m`), bearing [rad] and velocity relative to
-    the walker's in its own frame [m/s] (2); `velocity`: own, in its frame (2).
+    the walker's in its own frame [m/s] (2), each at most `limit_mps`; `velocity`: own, in its frame (2).
     `poses` (M, E, 4), `velocity_w` and `goals_w` (M, E, 2), rover's (M, 3).
     """
     yaw = poses[..., 3]
@@ -47,7 +48,7 @@ def walker_observation(
         return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
 
     rover = polar(rover_position_w[:, None, :2] - poses[..., :2])
-    closing = to_own_frame(rover_velocity_w[:, None, :2] - velocity_w)
+    closing = within(to_own_frame(rover_velocity_w[:, None, :2] - velocity_w), -limit_mps, limit_mps)
     return {
         "goal": polar(goals_w - poses[..., :2]).astype(np.float32),
         "rover": np.concatenate([rover, closing], axis=-1).astype(np.float32),
