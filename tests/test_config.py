@@ -59,9 +59,14 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
             stuck=-25.0,
             flipped=-20.0,
             out_of_world=-10.0,
+            collision_distance_m=0.3,
+            contact=0.0,
         ),
-        termination=TerminationConf(goal_distance_m=0.5, stuck_distance_m=0.001, stuck_steps=600),
+        termination=TerminationConf(
+            goal_distance_m=0.5, stuck_distance_m=0.001, stuck_steps=600, continue_after_goal=True
+        ),
     ),
+    ("task", "paper"): PointGoalConf(reward=RewardConf(contact=0.0)),
     ("world", "flat"): FlatConf(),
     ("world", "inspection"): InspectionConf(),
 }

@@ -104,7 +104,7 @@ def test_a_goal_comes_instead_of_the_rest(distance, reached):
     assert ("distance" in got) == (not reached)
 
 
-@pytest.mark.parametrize(("clearance", "close"), [(0.3, False), (0.2999, True), (0.0, True)])
+@pytest.mark.parametrize(("clearance", "close"), [(0.2, False), (0.1999, True), (0.0, True)])
 def test_too_close_comes_instead_of_the_rest(clearance, close):
     got = earned(moment(clearance=[clearance], speed=[1.0]))
     assert (got == {"collision": -0.5}) == close

@@ -166,7 +166,7 @@ def test_inspection_has_its_objects(seed):
     assert kinds.count("bridge") == 2
     assert kinds.count("pipeline") == 3 + 1
     assert kinds.count("culvert") == 5
-    assert kinds.count("wall") == 4 + 2
+    assert kinds.count("wall") == 4 + 1
     assert kinds.count("water") == 1
     assert kinds.count("post") >= 12
     names = [p.name for p in inspection(seed).props]
