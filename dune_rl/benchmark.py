@@ -9,7 +9,8 @@ import multiprocessing
 import resource
 import sys
 import time
-from collections.abc import Callable, Sequence
+from argparse import Namespace
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -17,11 +18,11 @@ import numpy as np
 import torch
 
 from dune_rl import command
+from dune_rl.command import Page
 from dune_rl.config.build import make_batch, make_parallel_env, make_torchrl_env
 from dune_rl.config.compose import compose_benchmark
 from dune_rl.config.schema import BenchmarkConf
 from dune_rl.env.batch import Batch
-from dune_rl.errors import ConfigError
 
 _WARM_UP = 50
 
@@ -186,19 +187,10 @@ def measure_processes(conf: BenchmarkConf, processes: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(partial(_main, sys.argv[1:]))
+    command.run(Page("Measure what a step costs; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
 
 
-def _main(words: Sequence[str]) -> None:
-    """Print one line for a process by itself, and one for each number of processes."""
-    parsed = command.arguments(words)
-    if parsed.help:
-        command.show_help(
-            "Measure what a step costs; JSON lines.", USAGE, [*SETTINGS, *command.group_settings()], CLOSING
-        )
-        return
-    if parsed.multirun:
-        raise ConfigError("benchmark measures one configuration; leave -m out")
+def _main(parsed: Namespace) -> None:
     conf = compose_benchmark(parsed.overrides, command.config_dirs(parsed))
     _emit(benchmark="environment", world=conf.world.name, actors=len(conf.actors), **measure(conf))
     for processes in conf.processes:

@@ -6,6 +6,7 @@ import signal
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import FrameType
 from typing import NoReturn
 
@@ -39,13 +40,33 @@ class Terminated(BaseException):
     """SIGTERM, as an exception that runs every `finally` on its way out."""
 
 
-def run(body: Callable[[], None]) -> NoReturn:
-    """Call `body` and end the process: 0, 2 for what the user can mend, 130 for Ctrl-C, 143 for SIGTERM."""
+@dataclass(frozen=True)
+class Page:
+    """A page of help: what the command does, how it is called, what can be set, and a last word."""
+
+    title: str
+    usage: Lines
+    settings: Lines
+    closing: str
+
+
+def run(page: Page, body: Callable[[Namespace], None], *, sweeps: bool = False) -> NoReturn:
+    """Call `body` with what the command line says and end the process.
+
+    It ends with 0, with 2 for what the user can mend, 130 for Ctrl-C and 143
+    for SIGTERM. `--help` shows the page; without `sweeps`, `-m` is refused.
+    """
     signal.signal(signal.SIGTERM, _terminate)
     # TorchRL tells of each buffer that it allocates.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
-        body()
+        parsed = arguments(sys.argv[1:])
+        if parsed.help:
+            _show_help(page)
+        elif parsed.multirun and not sweeps:
+            raise ConfigError("this command runs once; leave -m out")
+        else:
+            body(parsed)
     except ReportedError:
         sys.exit(2)
     except (DuneError, OSError) as error:
@@ -112,19 +133,18 @@ def group_settings() -> list[tuple[str, str]]:
     return sorted(found, key=lambda item: not item[0].startswith("+"))
 
 
-def show_help(title: str, usage: Lines, settings: Lines, closing: str) -> None:
-    """Print a page of help: what can be called, then what can be set."""
-    page = Console(highlight=False, soft_wrap=True)
-    page.print(f"[bold]{title}[/bold]")
-    for lines in (usage, settings):
+def _show_help(page: Page) -> None:
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(f"[bold]{page.title}[/bold]")
+    for lines in (page.usage, [*group_settings(), *page.settings]):
         table = Table(box=None, show_header=False, padding=(0, 2))
         table.add_column(style="cyan", no_wrap=True)
         table.add_column(no_wrap=True)
         for name, meaning in lines:
             table.add_row(escape(name), escape(meaning))
-        page.print()
-        page.print(table)
-    page.print(f"\n{closing}", markup=False)
+        console.print()
+        console.print(table)
+    console.print(f"\n{page.closing}", markup=False)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

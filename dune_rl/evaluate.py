@@ -1,8 +1,7 @@
 """Measure a policy on numbered episodes: `python -m dune_rl.evaluate checkpoint=runs/NAME episodes=100`."""
 
 import os
-import sys
-from collections.abc import Sequence
+from argparse import Namespace
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import yaml
 from rich.progress import Progress, TaskID
 
 from dune_rl import command
+from dune_rl.command import Page
 from dune_rl.config.compose import compose_evaluation, given
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
@@ -41,18 +41,10 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(partial(_main, sys.argv[1:]))
+    command.run(Page("Measure a policy on numbered episodes.", USAGE, SETTINGS, CLOSING), _main)
 
 
-def _main(words: Sequence[str]) -> None:
-    parsed = command.arguments(words)
-    if parsed.help:
-        command.show_help(
-            "Measure a policy on numbered episodes.", USAGE, [*SETTINGS, *command.group_settings()], CLOSING
-        )
-        return
-    if parsed.multirun:
-        raise ConfigError("evaluate runs one evaluation; leave -m out")
+def _main(parsed: Namespace) -> None:
     checkpoint = given(parsed.overrides, "checkpoint")
     saved = None
     if checkpoint is not None:

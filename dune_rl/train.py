@@ -2,6 +2,7 @@
 
 import os
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from dune_rl import command, paths
+from dune_rl.command import Page
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, given
 from dune_rl.config.schema import Conf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
@@ -52,19 +54,12 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(partial(_main, sys.argv[1:]))
+    command.run(
+        Page("Train a rover to drive to goals off the road.", USAGE, SETTINGS, CLOSING), _main, sweeps=True
+    )
 
 
-def _main(words: Sequence[str]) -> None:
-    parsed = command.arguments(words)
-    if parsed.help:
-        command.show_help(
-            "Train a rover to drive to goals off the road.",
-            USAGE,
-            [*command.group_settings(), *SETTINGS],
-            CLOSING,
-        )
-        return
+def _main(parsed: Namespace) -> None:
     folders = command.config_dirs(parsed)
     source = given(parsed.overrides, "resume")
     if source is not None:
@@ -76,7 +71,7 @@ def _main(words: Sequence[str]) -> None:
         conf = compose(parsed.overrides, folders)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
-    flags = [word for word in words if word not in parsed.overrides]
+    flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
     _run_hydra([*flags, *ready])
 
 
