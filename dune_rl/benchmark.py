@@ -27,8 +27,8 @@ from dune_rl.env.batch import Batch
 _WARM_UP = 50
 
 USAGE = (
-    ("python -m dune_rl.benchmark", "the inspection world with two walkers"),
-    ("python -m dune_rl.benchmark world=flat actors=none scenes=32", "another environment"),
+    ("python -m dune_rl.benchmark", "inspection, two walkers"),
+    ("python -m dune_rl.benchmark world=flat actors=none", "another one"),
 )
 SETTINGS = (
     ("scenes=N", "stepped as one batch"),

@@ -22,7 +22,7 @@ from dune_rl.learning.table import paired_line, results_table
 USAGE = (
     ("python -m dune_rl.evaluate checkpoint=runs/NAME", "a trained policy"),
     ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in one"),
-    ("python -m dune_rl.evaluate checkpoint=runs/NAME against=go_to_goal", "both, on the same episodes"),
+    ("python -m dune_rl.evaluate checkpoint=RUN against=random", "two, in pairs"),
 )
 CLOSING = (
     "A checkpoint brings the settings of its run; what you write changes them. Equal\n"

@@ -131,7 +131,7 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (train, ["--wrold"], "there is no flag --wrold; settings are written key=value (see --help)\n"),
         (evaluate, ["policy=random", "+world=flat", "out=file/rows.csv"],
          "cannot write file: a file of that name is in the way; choose another place\n"),
-        (evaluate, ["-m", "policy=random"], "evaluate runs one evaluation; leave -m out\n"),
+        (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
          "choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random\n"),
     ],
