@@ -83,9 +83,9 @@ class Batch:
         solid = world.solid_mesh()
         self.lidar = Lidar(sensors.lidar, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
         self.imu = Imu(sensors.imu, num_scenes)
-        delay = max(1, round(sensors.past_s * physics.control_hz))
+        delay = max(1, round(sensors.rate_over_s * physics.control_hz))
         self._scans = History(num_scenes, sensors.lidar.n_segments, delay)
-        self._scanning = bool({"lidar", "lidar_past"} & set(sensors.enabled))
+        self._scanning = bool({"lidar", "lidar_rate"} & set(sensors.enabled))
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -209,6 +209,13 @@ class Batch:
         for scene in self._scenes:
             scene.coast(self.physics.substeps)
 
+    def _scan_rate(self) -> Floats:
+        sensors = self.sensors
+        delay_s = self._scans.delay_steps * self.physics.control_step_s
+        rate = (self._scans.now() - self._scans.past()) / np.float32(delay_s)
+        limit = np.float32(sensors.max_rate_mps)
+        return np.minimum(np.maximum(rate, -limit), limit)
+
     def _scan(self) -> Floats:
         ranges = self.lidar.ranges(self.motion.position_w, self.motion.rotation, self.actors.poses)
         return self.lidar.segments(ranges)
@@ -296,8 +303,8 @@ class Batch:
         for name in self.sensors.enabled:
             if name == "lidar":
                 out[name] = self._scans.now()
-            elif name == "lidar_past":
-                out[name] = self._scans.past()
+            elif name == "lidar_rate":
+                out[name] = self._scan_rate()
             elif name == "imu":
                 out[name] = self.imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)
             elif name == "goal":

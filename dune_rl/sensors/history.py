@@ -12,6 +12,7 @@ class History:
     def __init__(self, num_scenes: int, size: int, delay_steps: int) -> None:
         self._ring = np.zeros((delay_steps + 1, num_scenes, size), np.float32)
         self._newest = 0
+        self.delay_steps = delay_steps
 
     def restart(self, mask: NDArray[np.bool_], reading: Floats) -> None:
         """Let the scenes in `mask` (M,) have read nothing but `reading` (M, n) so far."""

@@ -8,17 +8,18 @@ from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.settings import Settings
 
-SensorName = Literal["lidar", "lidar_past", "imu", "goal", "velocity"]
+SensorName = Literal["lidar", "lidar_rate", "imu", "goal", "velocity"]
 
 
 class SensorsConf(Settings):
     """The sensors whose readings make the observation, in this order, and their settings.
 
-    `lidar_past` is the scan of `past_s` ago: beside the present one it tells
-    what moves, which one scan cannot.
+    `lidar_rate` is the change of each LiDAR value over `rate_over_s` [m/s],
+    clipped to `max_rate_mps`: one scan cannot tell what comes nearer.
     """
 
-    enabled: tuple[SensorName, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
+    enabled: tuple[SensorName, ...] = ("lidar", "lidar_rate", "imu", "goal", "velocity")
     lidar: LidarConf = LidarConf()
-    past_s: float = Field(0.3, gt=0.0, le=5.0)
+    rate_over_s: float = Field(0.3, gt=0.0, le=5.0)
+    max_rate_mps: float = Field(3.0, gt=0.0, le=100.0)
     imu: ImuConf = ImuConf()
