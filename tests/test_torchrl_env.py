@@ -80,7 +80,7 @@ def metric(env: DuneEnv, data: TensorDictBase, name: str) -> torch.Tensor:
 
 def test_single_agent_keys_stand_at_the_root() -> None:
     env = dune_rl.make("flat", 3, actors="walkers")
-    shapes = {"lidar": (3, 32), "lidar_rate": (3, 32), "imu": (3, 9), "goal": (3, 2), "velocity": (3, 2)}
+    shapes = {"lidar": (3, 32), "lidar_past": (3, 32), "imu": (3, 9), "goal": (3, 2), "velocity": (3, 2)}
     assert env.batch_size == (3,)
     assert env.group_map == {"rover": ["rover_0"]}
     data = env.rollout(2)
@@ -102,7 +102,7 @@ def test_agents_are_grouped() -> None:
     assert env.group_map == {"rover": ["rover_0"], "walker": ["walker_0", "walker_1"]}
     data = env.rollout(2)
     widths = {
-        "rover": {"lidar": 32, "lidar_rate": 32, "imu": 9, "goal": 2, "velocity": 2},
+        "rover": {"lidar": 32, "lidar_past": 32, "imu": 9, "goal": 2, "velocity": 2},
         "walker": {"goal": 2, "rover": 4, "velocity": 2},
     }
     for group, members in env.group_map.items():
@@ -190,13 +190,15 @@ def test_the_step_that_ends_shows_the_true_final_observation() -> None:
     env.close()
 
 
-def test_lidar_rate_is_over_0_3_s_but_never_over_another_episode() -> None:
-    env = dune_rl.make("inspection", 3, 2, actors="walkers", task=SHORT)
+def test_past_scan_and_rate_reach_back_0_3_s_but_never_into_another_episode() -> None:
+    sensors = {"enabled": ["lidar", "lidar_past", "lidar_rate"]}
+    env = dune_rl.make("inspection", 3, 2, actors="walkers", task=SHORT, sensors=sensors)
     steps, _ = advance(env, env.reset(), 30, 1)
     age = metric(env, steps, "steps").long()
     for now in range(30):
         for scene in range(3):
             then = now - min(6, int(age[now, scene]))
+            assert torch.equal(steps["lidar_past"][now, scene], steps["lidar"][then, scene])
             change = steps["lidar"][now, scene] - steps["lidar"][then, scene]
             torch.testing.assert_close(steps["lidar_rate"][now, scene], (change / 0.3).clamp(-3.0, 3.0))
     assert len(set(age[-1].tolist())) > 1
@@ -232,7 +234,7 @@ def test_reset_episode_is_the_one_a_full_reset_gives() -> None:
     partly = env.reset(data)
     other.reset()
     wholly = other.reset()
-    keys = ("lidar", "lidar_rate", "imu", "goal", "velocity", "metrics")
+    keys = ("lidar", "lidar_past", "imu", "goal", "velocity", "metrics")
     assert same(partly[1].select(*keys), wholly[1].select(*keys))
     env.close()
     other.close()

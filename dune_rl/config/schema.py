@@ -68,7 +68,7 @@ class Conf(SingleAgentConf):
     """A training run."""
 
     learning: LearningConf = LearningConf()
-    seed: int = Field(0, ge=0)
+    seed: int = Field(1, ge=0)
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
     run_dir: str = Field("runs", min_length=1)

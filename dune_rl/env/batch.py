@@ -83,9 +83,9 @@ class Batch:
         solid = world.solid_mesh()
         self.lidar = Lidar(sensors.lidar, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
         self.imu = Imu(sensors.imu, num_scenes)
-        delay = max(1, round(sensors.rate_over_s * physics.control_hz))
+        delay = max(1, round(sensors.past_s * physics.control_hz))
         self._scans = History(num_scenes, sensors.lidar.n_segments, delay)
-        self._scanning = bool({"lidar", "lidar_rate"} & set(sensors.enabled))
+        self._scanning = bool({"lidar", "lidar_past", "lidar_rate"} & set(sensors.enabled))
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -303,6 +303,8 @@ class Batch:
         for name in self.sensors.enabled:
             if name == "lidar":
                 out[name] = self._scans.now()
+            elif name == "lidar_past":
+                out[name] = self._scans.past()
             elif name == "lidar_rate":
                 out[name] = self._scan_rate()
             elif name == "imu":

@@ -21,11 +21,13 @@ def rover_observation_bounds(batch: Batch) -> dict[str, Bounds]:
     """(low, high), each (n,), of the rover's observations, in the order of `sensors.enabled`."""
     sensors = batch.sensors
     acceleration, turn = sensors.imu.acceleration_range_mps2, sensors.imu.angular_range_radps
+    scan = (
+        np.full(sensors.lidar.n_segments, sensors.lidar.min_range_m, np.float32),
+        np.full(sensors.lidar.n_segments, sensors.lidar.range_m, np.float32),
+    )
     everything: dict[str, Bounds] = {
-        "lidar": (
-            np.full(sensors.lidar.n_segments, sensors.lidar.min_range_m, np.float32),
-            np.full(sensors.lidar.n_segments, sensors.lidar.range_m, np.float32),
-        ),
+        "lidar": scan,
+        "lidar_past": scan,
         "lidar_rate": _symmetric([sensors.max_rate_mps] * sensors.lidar.n_segments),
         "imu": _symmetric([acceleration] * 3 + [turn] * 3 + [_PI] * 3),
         "goal": (

@@ -32,7 +32,7 @@ class RewardConf(Settings):
     collision_distance_m: float = Field(0.2, ge=0.0)
     # Earned once per encounter, beside the rest. Ours: with the paper's terms alone a bump costs less
     # than the time it saves. `task=paper` leaves it out.
-    contact: float = -20.0
+    contact: float = -10.0
     stuck: float = 0.0
     flipped: float = 0.0
     out_of_world: float = 0.0
