@@ -108,7 +108,7 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
     error = capsys.readouterr().err
     assert "job 0 failed: " in error
     assert "Traceback" not in error
-    done = folder / "sweep" / "1_flat_seed0"
+    done = folder / "sweep" / "1_flat_seed1"
     assert yaml.safe_load((done / ".hydra" / "config.yaml").read_text())["task"]["spawn"]["region"] == "world"
     assert (done / "policy.pt").exists()
     assert list(done.glob("events.out.tfevents.*"))
