@@ -286,3 +286,11 @@ def test_composing_leaves_a_callers_hydra_alone() -> None:
         assert hydra.compose("train", ["+world=flat"]).world.name == "flat"
     GlobalHydra.instance().clear()
     assert HydraConfig.instance().cfg is None or not GlobalHydra.instance().is_initialized()
+
+
+def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
+    (tmp_path / "world").mkdir()
+    (tmp_path / "world" / "mine.yaml").write_text("name: flat\nname: flat\n")
+    with pytest.raises(ConfigError, match=r"no valid YAML: .*mine\.yaml.*duplicate key name") as caught:
+        compose(["+world=mine"], [str(tmp_path)])
+    assert "\n" not in str(caught.value)

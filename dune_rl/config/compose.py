@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
+import yaml
 from hydra import compose as hydra_compose
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
@@ -165,6 +166,8 @@ def _hydra(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
         for folder in config_dirs:
             search_path.prepend("command-line", f"file://{Path(folder).resolve()}")
         yield Hydra.create_main_hydra2("dune_rl", search_path).config_loader
+    except yaml.YAMLError as error:
+        raise ConfigError(f"a file of settings is no valid YAML: {' '.join(str(error).split())}") from None
     finally:
         GlobalHydra.instance().clear()
         if before is not None:

@@ -78,7 +78,7 @@ class Spawner:
         extent = self._world.extent
         if region[0] < extent[0] or region[1] > extent[1] or region[2] < extent[2] or region[3] > extent[3]:
             raise WorldError(
-                f"spawn.region {_rectangle(region)} reaches outside the world {self._world.name!r}, "
+                f"task.spawn.region {_rectangle(region)} reaches outside the world {self._world.name!r}, "
                 f"which covers {_rectangle(extent)}: choose a rectangle within that."
             )
         return region
@@ -100,21 +100,21 @@ class Spawner:
         return part, free.centres(usable & (free.parts == part))
 
     def _why_none(self, free: FreeSpace, in_region: NDArray[np.bool_], clearance_m: float) -> str:
-        where = f"spawn.region {_rectangle(self.region)} of the world {self._world.name!r}"
+        where = f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r}"
         if not in_region.any():
-            return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen spawn.region."
+            return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen task.spawn.region."
         if not (in_region & free.inside).any():
-            return f"{where} lies within 1 m of the world's edge: move or widen spawn.region."
+            return f"{where} lies within 1 m of the world's edge: move or widen task.spawn.region."
         if free.steep[in_region].all():
             return (
-                f"{where} is steeper than spawn.max_slope_deg={self._conf.max_slope_deg:g} everywhere: "
-                "raise it, or choose another spawn.region."
+                f"{where} is steeper than task.spawn.max_slope_deg={self._conf.max_slope_deg:g} everywhere: "
+                "raise it, or choose another task.spawn.region."
             )
         return (
             f"{where} has no ground under {self._conf.max_slope_deg:g} degrees with {clearance_m:.2f} m of "
-            f"clearance (footprint {self._footprint_radius_m:.2f} m, spawn.margin_m={self._conf.margin_m:g}; "
-            f"there is {free.clearance[in_region].max():.2f} m at most).\n"
-            "Lower spawn.margin_m, raise spawn.max_slope_deg, or choose another spawn.region."
+            f"clearance (footprint {self._footprint_radius_m:.2f} m, "
+            f"task.spawn.margin_m={self._conf.margin_m:g}; there is {free.clearance[in_region].max():.2f} m at most).\n"
+            "Lower task.spawn.margin_m, raise task.spawn.max_slope_deg, or choose another task.spawn.region."
         )
 
     def _with_goal_in_reach(self) -> Array:
@@ -128,9 +128,9 @@ class Spawner:
         reach = self._conf.min_goal_distance_m
         if not (farthest >= reach).any():
             raise WorldError(
-                f"spawn.min_goal_distance_m={reach:g} is more than the {farthest.max():.2f} m "
-                f"across the free part of spawn.region {_rectangle(self.region)}: lower it, or widen the "
-                "region."
+                f"task.spawn.min_goal_distance_m={reach:g} is more than the {farthest.max():.2f} m "
+                f"across the free part of task.spawn.region {_rectangle(self.region)}: "
+                "lower it, or widen the region."
             )
         return self._cells[farthest >= reach]
 
@@ -179,8 +179,8 @@ class Spawner:
         usable = self._in_region(free) & free.traversable & (self.free_space.parts == self._part)
         if not usable.any():
             raise WorldError(
-                f"spawn.region {_rectangle(self.region)} has no free point with {radius_m:.2f} m of "
-                "clearance: make the actors smaller, or choose another spawn.region."
+                f"task.spawn.region {_rectangle(self.region)} has no free point with {radius_m:.2f} m of "
+                "clearance: make the actors smaller, or choose another task.spawn.region."
             )
         part = np.bincount(free.parts[usable]).argmax()
         return free.centres(usable & (free.parts == part))
