@@ -113,7 +113,8 @@ class Spawner:
         return (
             f"{where} has no ground under {self._conf.max_slope_deg:g} degrees with {clearance_m:.2f} m of "
             f"clearance (footprint {self._footprint_radius_m:.2f} m, "
-            f"task.spawn.margin_m={self._conf.margin_m:g}; there is {free.clearance[in_region].max():.2f} m at most).\n"
+            f"task.spawn.margin_m={self._conf.margin_m:g}; "
+            f"there is {free.clearance[in_region].max():.2f} m at most).\n"
             "Lower task.spawn.margin_m, raise task.spawn.max_slope_deg, or choose another task.spawn.region."
         )
 
