@@ -11,7 +11,7 @@ from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose
 from dune_rl.train import train
 
-MAKE_ENV = partial(make_torchrl_env, compose(["+world=inspection"]))
+MAKE_ENV = partial(make_torchrl_env, compose(["+world=inspection", "task.termination.max_steps=60"]))
 
 
 def test_halves_make_a_whole_on_inspection(tmp_path: Path) -> None:
