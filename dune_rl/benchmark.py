@@ -75,10 +75,6 @@ def _core_step(batch: Batch, driver: _Driver) -> None:
         batch.reset(done)
 
 
-def _raw_step(batch: Batch) -> None:
-    batch.coast()
-
-
 def _torchrl_stepper(conf: BenchmarkConf) -> Callable[[], None]:
     env = make_torchrl_env(conf, conf.scenes, conf.seed)
     driver = _Driver(conf.scenes)
@@ -125,12 +121,11 @@ def measure(conf: BenchmarkConf) -> dict[str, Any]:
     batch.reset()
     driver = _Driver(conf.scenes)
     core = partial(_core_step, batch, driver)
-    raw = partial(_raw_step, batch)
     torchrl = _torchrl_stepper(conf)
     pettingzoo = _pettingzoo_stepper(conf)
     steppers: dict[str, tuple[Callable[[], None], int]] = {
         "core": (core, conf.scenes),
-        "raw": (raw, conf.scenes),
+        "raw": (batch.coast, conf.scenes),
         "torchrl": (torchrl, conf.scenes),
         "pettingzoo": (pettingzoo, 1),
     }

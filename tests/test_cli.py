@@ -1,6 +1,7 @@
 """The command lines, end to end on a run of seconds: what they write, say and return."""
 
 import csv
+import json
 import os
 import signal
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from dune_rl import evaluate, train
+from dune_rl import benchmark, evaluate, train
 from dune_rl.learning.progress import Lines, Status
 
 TINY = [
@@ -200,3 +201,31 @@ def test_shown_settings_are_the_used_ones(
     assert call(evaluate.main, "+world=flat", "policy=random", "--cfg", "job") == 0
     assert yaml.safe_load(capsys.readouterr().out)["policy"] == "random"
     assert not list(folder.iterdir())
+
+
+def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
+    assert call(benchmark.main, *words) == 0
+    alone, together = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
+        assert alone[name] > 0
+    assert together["processes"] == 1
+    assert together["core_steps_per_s"] > 0
+
+
+def test_two_policies_are_compared_on_the_same_episodes(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "policy=go_to_goal",
+        "against=random",
+        "+world=flat",
+        "actors=none",
+        "episodes=3",
+        "out=both.csv",
+    ]
+    assert call(evaluate.main, *words, "task.termination.max_steps=250") == 0
+    assert "Paired: go_to_goal alone succeeds in " in capsys.readouterr().out
+    rows = (folder / "both.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["go_to_goal"] * 3 + ["random"] * 3
+    assert [row.split(",")[3] for row in rows] == ["0", "1", "2"] * 2
