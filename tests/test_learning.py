@@ -16,7 +16,7 @@ from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CheckpointConf
 from dune_rl.learning.collect import Collection, CollectorConf, MakeEnv, environment_seed
 from dune_rl.learning.evaluation import EvaluationConf
 from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import Normaliser, make_policy
+from dune_rl.learning.networks import Architecture, Normaliser, make_policy
 from dune_rl.learning.replay import Replay, ReplayConf, Transitions
 from dune_rl.learning.sac import Sac, SacConf
 from dune_rl.learning.trainer import Trainer, TrainingResult
@@ -115,9 +115,9 @@ def test_workers_act_by_the_weights_that_they_are_sent() -> None:
     env = make_point_mass(4, 0)
     layout = Layout.of(env)
     conf = CollectorConf(mode="async", workers=1, scenes=4, steps=4)
-    collection = Collection(conf, make_point_mass, make_policy(layout, (8,), 10.0), seed=1)
+    collection = Collection(conf, make_point_mass, make_policy(layout, Architecture((8,))), seed=1)
     try:
-        trained = make_policy(layout, (8,), 10.0)
+        trained = make_policy(layout, Architecture((8,)))
         with torch.no_grad():
             # A certain policy: full speed ahead, turning by a heading that the statistics set.
             last = trained[1].module[0].module.body[-1]
@@ -209,7 +209,7 @@ def test_next_observation_is_the_final_one_not_the_reset_one() -> None:
     layout = Layout.of(make_env(2, 0))
     transitions = Transitions(layout)
     collection = Collection(
-        CollectorConf(mode="serial", scenes=2, steps=12), make_env, make_policy(layout, (8,), 10.0), seed=0
+        CollectorConf(mode="serial", scenes=2, steps=12), make_env, make_policy(layout, Architecture((8,))), seed=0
     )
     batch = next(iter(collection))
     collection.close()
@@ -237,7 +237,7 @@ def test_entropy_target_is_that_of_scaled_actions() -> None:
     entropies = []
     for each in (layout, unit):
         torch.manual_seed(0)
-        actor = make_policy(each, (8,), 10.0)[1]
+        actor = make_policy(each, Architecture((8,)))[1]
         distribution = actor.get_dist(TensorDict(features=features, batch_size=[20_000]))
         entropies.append(-distribution.rsample_and_log_prob()[1].mean().item())
     assert entropies[0] - entropies[1] == pytest.approx(math.log(0.8) + math.log(math.pi), abs=1e-3)
@@ -246,7 +246,7 @@ def test_entropy_target_is_that_of_scaled_actions() -> None:
 def test_actions_keep_to_their_bounds_and_scale_for_the_critic() -> None:
     env = make_point_mass(16, 0)
     layout = Layout.of(env)
-    policy = make_policy(layout, (8,), 10.0)
+    policy = make_policy(layout, Architecture((8,)))
     with torch.no_grad():
         policy[1].module[0].module.body[-1].weight.mul_(1000)
     action = policy(env.reset())["action"]

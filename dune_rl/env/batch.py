@@ -18,7 +18,7 @@ from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
-from dune_rl.sensors.history import History
+from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.suite import SensorsConf
@@ -84,8 +84,8 @@ class Batch:
         self.lidar = Lidar(sensors.lidar, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
         self.imu = Imu(sensors.imu, num_scenes)
         delay = max(1, round(sensors.past_s * physics.control_hz))
-        self._scans = History(num_scenes, sensors.lidar.n_segments, delay)
-        self._scanning = bool({"lidar", "lidar_past", "lidar_rate"} & set(sensors.enabled))
+        self._past = PastScan(sensors.lidar, num_scenes, delay)
+        self._scan = np.zeros((num_scenes, sensors.lidar.n_segments), np.float32)
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -148,8 +148,7 @@ class Batch:
         self.imu.begin(mask, self.motion.rotation, self.motion.velocity_w, self.motion.angular_w)
         distance = self._distance_to_goal()
         self._goal_distance = np.where(mask, distance, self._goal_distance)
-        if self._scanning:
-            self._scans.restart(mask, self._scan())
+        self._sense_ranges(mask)
 
     def _distance_to_goal(self) -> Array:
         offset = self.goals_w - self.motion.position_w[:, :2]
@@ -177,8 +176,7 @@ class Batch:
         self._advance_physics(commands)
         self.imu.measure(self.motion.rotation, self.motion.velocity_w, self.motion.angular_w, step_s)
         self.steps += 1
-        if self._scanning:
-            self._scans.push(self._scan())
+        self._sense_ranges()
         now = self._snapshot()
         end = endings(now, self.task.termination)
         terms = reward_terms(now, self.task.reward, end.reached, end.stuck, end.flipped)
@@ -209,16 +207,20 @@ class Batch:
         for scene in self._scenes:
             scene.coast(self.physics.substeps)
 
-    def _scan_rate(self) -> Floats:
-        sensors = self.sensors
-        delay_s = self._scans.delay_steps * self.physics.control_step_s
-        rate = (self._scans.now() - self._scans.past()) / np.float32(delay_s)
-        limit = np.float32(sensors.max_rate_mps)
-        return np.minimum(np.maximum(rate, -limit), limit)
-
-    def _scan(self) -> Floats:
-        ranges = self.lidar.ranges(self.motion.position_w, self.motion.rotation, self.actors.poses)
-        return self.lidar.segments(ranges)
+    def _sense_ranges(self, begun: Flags | None = None) -> None:
+        """Scan, where the sensors ask for it, at a control step or at the start of the scenes `begun` (M,)."""
+        enabled, motion = self.sensors.enabled, self.motion
+        if "lidar" not in enabled and "lidar_past" not in enabled:
+            return
+        ranges = self.lidar.ranges(motion.position_w, motion.rotation, self.actors.poses)
+        self._scan = self.lidar.segments(ranges)
+        if "lidar_past" in enabled:
+            origin = self.lidar.origin(motion.position_w, motion.rotation)
+            ends_w = self.lidar.ends(origin, motion.rotation, ranges)
+            if begun is None:
+                self._past.push(ends_w)
+            else:
+                self._past.restart(begun, ends_w)
 
     def clearance(self) -> Array:
         """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
@@ -302,11 +304,10 @@ class Batch:
         out: dict[str, Floats] = {}
         for name in self.sensors.enabled:
             if name == "lidar":
-                out[name] = self._scans.now()
+                out[name] = self._scan.copy()
             elif name == "lidar_past":
-                out[name] = self._scans.past()
-            elif name == "lidar_rate":
-                out[name] = self._scan_rate()
+                origin = self.lidar.origin(motion.position_w, motion.rotation)
+                out[name] = self._past.seen_from(origin, motion.rotation)
             elif name == "imu":
                 out[name] = self.imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)
             elif name == "goal":

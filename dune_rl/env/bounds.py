@@ -28,7 +28,6 @@ def rover_observation_bounds(batch: Batch) -> dict[str, Bounds]:
     everything: dict[str, Bounds] = {
         "lidar": scan,
         "lidar_past": scan,
-        "lidar_rate": _symmetric([sensors.max_rate_mps] * sensors.lidar.n_segments),
         "imu": _symmetric([acceleration] * 3 + [turn] * 3 + [_PI] * 3),
         "goal": (
             np.array([0.0, -_PI], np.float32),

@@ -16,7 +16,7 @@ from dune_rl.errors import CheckpointError
 from dune_rl.settings import Settings
 
 FORMAT = "dune_rl"
-VERSION = 1
+VERSION = 2
 CHECKPOINT_FILE = "checkpoint.pt"
 BEST_POLICY_FILE = "policy.pt"
 LAST_POLICY_FILE = "policy_last.pt"
@@ -89,10 +89,10 @@ def read(path: Path, *kinds: str) -> dict[str, Any]:
         raise CheckpointError(
             f"{path} was not written by dune_rl.\nGive a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of a run."
         )
-    if content["version"] > VERSION:
+    if content["version"] != VERSION:
         raise CheckpointError(
-            f"{path} has format {content['version']}; this dune_rl reads up to {VERSION}.\n"
-            "Update dune_rl to the version that wrote it, or a later one."
+            f"{path} has format {content['version']}; this dune_rl reads {VERSION}.\n"
+            "Use the version of dune_rl that wrote it, or train anew."
         )
     if content["kind"] not in kinds:
         raise CheckpointError(f"{path} is a {content['kind']}, but a {' or '.join(kinds)} is needed here.")

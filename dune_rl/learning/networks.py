@@ -1,6 +1,8 @@
 """The policy and the action-value network, and the running normalisation before them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -8,10 +10,29 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from dune_rl.learning.layout import Layout
+from dune_rl.learning.scan_encoder import ScanEncoder
 
 FEATURES = "features"
 _LEAST_RANGE_M = 1e-3
 _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """What shapes the networks beside the layout: the settings of `learning` of the same names."""
+
+    hidden: tuple[int, ...]
+    scan_channels: int = 0
+    observation_clip: float = 10.0
+
+    def plain(self) -> dict[str, Any]:
+        """Containers that `torch.load(weights_only=True)` reads."""
+        return {**asdict(self), "hidden": list(self.hidden)}
+
+    @classmethod
+    def from_plain(cls, data: Mapping[str, Any]) -> "Architecture":
+        """The inverse of `plain`."""
+        return cls(tuple(data["hidden"]), data["scan_channels"], data["observation_clip"])
 
 
 class Normaliser(nn.Module):
@@ -60,15 +81,21 @@ class Normaliser(nn.Module):
 
 
 class Features(nn.Module):
-    """Concatenates the observation's parts and normalises them; an image encoder would join here."""
+    """Concatenates the observation's parts, normalises them and encodes the scans; an image would join here."""
 
-    def __init__(self, layout: Layout, clip: float) -> None:
+    def __init__(self, layout: Layout, architecture: Architecture) -> None:
         super().__init__()
-        self.normaliser = Normaliser(layout.range_columns, clip)
+        self.normaliser = Normaliser(layout.range_columns, architecture.observation_clip)
+        self.scans = ScanEncoder(layout, architecture.scan_channels)
+        self.size = self.scans.size
 
     def forward(self, *parts: Tensor) -> Tensor:
-        """Features (..., n) of the parts (..., n_i), in the layout's order."""
-        return self.normaliser(torch.cat(parts, -1))
+        """Features (..., size) of the parts (..., n_i), in the layout's order."""
+        return self.encode(torch.cat(parts, -1))
+
+    def encode(self, vectors: Tensor) -> Tensor:
+        """Features (..., size) of observation vectors (..., n)."""
+        return self.scans(self.normaliser(vectors))
 
 
 def _perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:
@@ -82,9 +109,9 @@ def _perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:
 class Actor(nn.Module):
     """Location and scale of the action before its tanh, each (..., A), from features."""
 
-    def __init__(self, layout: Layout, hidden: Sequence[int]) -> None:
+    def __init__(self, layout: Layout, features: int, hidden: Sequence[int]) -> None:
         super().__init__()
-        self.body = _perceptron(layout.observation_size, hidden, 2 * layout.action_size)
+        self.body = _perceptron(features, hidden, 2 * layout.action_size)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """In float32 also under autocast: the log-probability of a squashed action needs it."""
@@ -99,9 +126,9 @@ class ActionValue(nn.Module):
     middle: Tensor
     half_range: Tensor
 
-    def __init__(self, layout: Layout, hidden: Sequence[int]) -> None:
+    def __init__(self, layout: Layout, features: int, hidden: Sequence[int]) -> None:
         super().__init__()
-        self.body = _perceptron(layout.observation_size + layout.action_size, hidden, 1)
+        self.body = _perceptron(features + layout.action_size, hidden, 1)
         self.register_buffer("middle", layout.middle)
         self.register_buffer("half_range", layout.half_range)
 
@@ -112,15 +139,17 @@ class ActionValue(nn.Module):
 
 
 def make_policy(
-    layout: Layout, hidden: Sequence[int], clip: float, device: torch.device | str = "cpu"
+    layout: Layout, architecture: Architecture, device: torch.device | str = "cpu"
 ) -> TensorDictSequential:
     """From the observation's parts to "action": features, then a tanh-normal over the action's bounds.
 
-    Its first module holds the normaliser, its second is the actor that a loss takes.
+    Its first module holds the normaliser and the encoder, its second is the actor that a loss takes.
     """
-    features = TensorDictModule(Features(layout, clip), in_keys=layout.keys, out_keys=[FEATURES])
+    features = Features(layout, architecture)
     actor = ProbabilisticActor(
-        module=TensorDictModule(Actor(layout, hidden), in_keys=[FEATURES], out_keys=["loc", "scale"]),
+        module=TensorDictModule(
+            Actor(layout, features.size, architecture.hidden), in_keys=[FEATURES], out_keys=["loc", "scale"]
+        ),
         in_keys=["loc", "scale"],
         distribution_class=TanhNormal,
         distribution_kwargs={
@@ -128,13 +157,14 @@ def make_policy(
             "high": torch.tensor(layout.high, device=device),
         },
     )
-    return TensorDictSequential(features, actor).to(device)
+    encoder = TensorDictModule(features, in_keys=layout.keys, out_keys=[FEATURES])
+    return TensorDictSequential(encoder, actor).to(device)
 
 
 def make_action_value(
-    layout: Layout, hidden: Sequence[int], device: torch.device | str = "cpu"
+    layout: Layout, features: int, hidden: Sequence[int], device: torch.device | str = "cpu"
 ) -> TensorDictModule:
-    """From features and action to "state_action_value"."""
+    """From `features` features and the action to "state_action_value"."""
     return TensorDictModule(
-        ActionValue(layout, hidden), in_keys=[FEATURES, "action"], out_keys=["state_action_value"]
+        ActionValue(layout, features, hidden), in_keys=[FEATURES, "action"], out_keys=["state_action_value"]
     ).to(device)

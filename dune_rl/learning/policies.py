@@ -11,7 +11,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dune_rl.errors import ConfigError
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
 from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import make_policy
+from dune_rl.learning.networks import Architecture, make_policy
 
 _GUIDE_NOISE = 0.1
 _GUIDE_RANDOM_SHARE = 0.3
@@ -93,15 +93,14 @@ class Deterministic:
 
 
 def policy_content(
-    module: torch.nn.Module, layout: Layout, hidden: tuple[int, ...], clip: float, config: dict[str, Any]
+    module: torch.nn.Module, layout: Layout, architecture: Architecture, config: dict[str, Any]
 ) -> dict[str, Any]:
     """What a policy's file holds: weights, statistics, layout, and the settings that made it."""
     weights = {key: value.detach().cpu().clone() for key, value in module.state_dict().items()}
     return {
         "policy": weights,
         "layout": layout.plain(),
-        "hidden": list(hidden),
-        "observation_clip": clip,
+        "architecture": architecture.plain(),
         "config": config,
     }
 
@@ -116,7 +115,7 @@ def load_policy(path: Path, here: Layout) -> tuple[Deterministic, dict[str, Any]
     content = read(file, "policy", "checkpoint")
     layout = Layout.from_plain(content["layout"])
     layout.require(here, str(file))
-    module = make_policy(layout, content["hidden"], content["observation_clip"])
+    module = make_policy(layout, Architecture.from_plain(content["architecture"]))
     weights = content["policy"] if content["kind"] == "policy" else content["learner"]["policy"]
     module.load_state_dict(weights)
     return Deterministic(module), content["config"]

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +15,7 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import FEATURES, Normaliser
+from dune_rl.learning.networks import FEATURES
 from dune_rl.learning.returns import multi_step
 from dune_rl.settings import Settings
 
@@ -68,18 +68,24 @@ class Transitions:
         """The raw observations (k, n) of `rows`."""
         return rows[:, : self._layout.observation_size]
 
-    def batch(self, rows: Tensor, normaliser: Normaliser, reward_scale: float) -> TensorDict:
-        """What a loss takes, batch size (k,), from `rows` (k, width)."""
+    def batch(self, rows: Tensor, encode: Callable[[Tensor], Tensor], reward_scale: float) -> TensorDict:
+        """What a loss takes, batch size (k,), from `rows` (k, width).
+
+        `encode` makes features of observations; those of the later ones, which
+        only targets are made of, carry no gradient.
+        """
         now, after, action, reward, terminated, steps = rows.split(self._widths, -1)
         ended = terminated > 0
+        with torch.no_grad():
+            later = encode(after)
         return TensorDict(
             {
-                FEATURES: normaliser(now),
+                FEATURES: encode(now),
                 "action": action,
                 "steps_to_next_obs": steps,
                 "next": TensorDict(
                     {
-                        FEATURES: normaliser(after),
+                        FEATURES: later,
                         "reward": reward * reward_scale,
                         "terminated": ended,
                         "done": ended,

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.objectives import SACLoss, SoftUpdate
 
 from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import Normaliser, make_action_value, make_policy
+from dune_rl.learning.networks import FEATURES, Architecture, Features, make_action_value, make_policy
 from dune_rl.learning.replay import Transitions
 from dune_rl.settings import Settings
 
@@ -29,6 +29,7 @@ class SacConf(Settings):
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
+    scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
     gamma: float = Field(0.99, ge=0, lt=1)
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
@@ -45,6 +46,11 @@ class SacConf(Settings):
         None, ge=1, description="of the learner; null: 1 if serial, else the cores left over, up to 4"
     )
 
+    @property
+    def architecture(self) -> Architecture:
+        """Those of the settings that shape the networks."""
+        return Architecture(self.hidden, self.scan_channels, self.observation_clip)
+
 
 def has_bfloat16(device: torch.device) -> bool:
     """Whether `device` multiplies bfloat16 matrices itself, which halves the time of an update."""
@@ -57,7 +63,8 @@ class Sac:
     """Policy, twin action values and their optimiser, for one `Layout`.
 
     `policy` maps an environment's output to "action". Its normaliser is
-    updated only by `observe`, from collected data, and is no part of the loss.
+    updated only by `observe`, from collected data, and is no part of the loss;
+    its scan encoder serves the critics too.
     """
 
     def __init__(self, conf: SacConf, layout: Layout, total_frames: int, device: torch.device | str = "cpu"):
@@ -68,13 +75,13 @@ class Sac:
             conf.precision == "auto" and has_bfloat16(self._device)
         )
         self.transitions = Transitions(layout, conf.n_steps, conf.gamma)
-        self.policy = make_policy(layout, conf.hidden, conf.observation_clip, device)
-        self.normaliser: Normaliser = self.policy[0].module.normaliser
+        self.policy = make_policy(layout, conf.architecture, device)
+        self.features: Features = self.policy[0].module
         # The loss wants the entropy of actions in physical units, which the scaling shifts.
         entropy = -float(layout.action_size) if conf.target_entropy is None else conf.target_entropy
         self._loss = SACLoss(
             self.policy[1],
-            make_action_value(layout, conf.hidden, device),
+            make_action_value(layout, self.features.size, conf.hidden, device),
             num_qvalue_nets=2,
             loss_function="l2",
             alpha_init=conf.initial_entropy_coefficient,
@@ -88,6 +95,7 @@ class Sac:
         self._target_update = SoftUpdate(self._loss, tau=conf.tau)
         coefficient = self._loss.log_alpha
         networks = [p for p in self._loss.parameters() if p.requires_grad and p is not coefficient]
+        networks += self.features.parameters()
         self._optimiser = torch.optim.Adam(
             [
                 {"params": networks, "lr": conf.learning_rate},
@@ -98,7 +106,7 @@ class Sac:
 
     def observe(self, rows: Tensor) -> None:
         """Let the normaliser see newly collected `rows`, once, before they are learnt from."""
-        self.normaliser.observe(self.transitions.observations(rows).to(self._device))
+        self.features.normaliser.observe(self.transitions.observations(rows).to(self._device))
 
     def schedule(self, frames: int) -> float:
         """Set and give the learning rate that is due after `frames`."""
@@ -120,11 +128,17 @@ class Sac:
         return {key: float(value) / count for key, value in totals.items()}
 
     def _update(self, rows: Tensor) -> dict[str, Tensor]:
-        batch = self.transitions.batch(rows, self.normaliser, self._conf.reward_scale)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._reduced):
-            losses = self._loss(batch)
-        # The three losses share no parameter, so one backward pass and one optimiser serve them all.
-        (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
+            batch = self.transitions.batch(rows, self.features.encode, self._conf.reward_scale)
+            features = batch.get(FEATURES)
+            # The encoder learns from the critics alone, as in Yarats et al. (2021): it is cut off
+            # here, and given the gradient of their loss before the actor's adds its own.
+            cut = features.detach().requires_grad_()
+            losses = self._loss(batch.set(FEATURES, cut))
+        losses["loss_qvalue"].backward()
+        if features.requires_grad:
+            features.backward(cut.grad)
+        (losses["loss_actor"] + losses["loss_alpha"]).backward()
         self._optimiser.step()
         self._optimiser.zero_grad()
         self._target_update.step()

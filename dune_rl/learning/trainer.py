@@ -102,7 +102,7 @@ class Trainer:
         np.random.seed(seed % 2**32)
         self._sac = Sac(sac, self._layout, total_frames, device)
         # Workers and evaluations act on the CPU, whatever device learns.
-        self._acting = make_policy(self._layout, sac.hidden, sac.observation_clip)
+        self._acting = make_policy(self._layout, sac.architecture)
         self._replay = Replay(replay, self._sac.transitions.width, run_dir / "replay", device)
 
         self.frames = 0
@@ -180,9 +180,7 @@ class Trainer:
         """The collection that is due now: the guide's in this process, then the policy's."""
         self._warming = self._guided()
         conf = self._collector_conf
-        policy: TensorDictModuleBase = make_policy(
-            self._layout, self._sac_conf.hidden, self._sac_conf.observation_clip
-        )
+        policy: TensorDictModuleBase = make_policy(self._layout, self._sac_conf.architecture)
         if self._warming:
             conf = conf.model_copy(update={"mode": "serial"})
             policy = Guide(self._layout)
@@ -258,10 +256,8 @@ class Trainer:
             write(self._run_dir / BEST_POLICY_FILE, "policy", self._policy_content())
 
     def _policy_content(self) -> dict[str, Any]:
-        conf = self._sac_conf
-        content = policy_content(
-            self._sac.policy, self._layout, conf.hidden, conf.observation_clip, self._config
-        )
+        architecture = self._sac_conf.architecture
+        content = policy_content(self._sac.policy, self._layout, architecture, self._config)
         return {**content, "frames": self.frames}
 
     def _save(self, collection: Collection, *, with_replay: bool) -> None:
@@ -279,8 +275,7 @@ class Trainer:
                 ) from error
         content = {
             "layout": self._layout.plain(),
-            "hidden": list(self._sac_conf.hidden),
-            "observation_clip": self._sac_conf.observation_clip,
+            "architecture": self._sac_conf.architecture.plain(),
             "config": self._config,
             "learner": self._sac.state_dict(),
             "random": random_state(),
@@ -310,10 +305,11 @@ class Trainer:
 
     def _check(self, saved: Mapping[str, Any], source: Path) -> None:
         Layout.from_plain(saved["layout"]).require(self._layout, str(source))
-        if tuple(saved["hidden"]) != self._sac_conf.hidden:
+        theirs, ours = saved["architecture"], self._sac_conf.architecture.plain()
+        other = [f"learning.{key}={value}" for key, value in theirs.items() if value != ours[key]]
+        if other:
             raise CheckpointError(
-                f"{source} has hidden layers {saved['hidden']}, not {list(self._sac_conf.hidden)}.\n"
-                f"Resume with learning.hidden={saved['hidden']}, or train anew."
+                f"{source} has networks of another shape. Resume with {' '.join(other)}, or train anew."
             )
 
     def _restore(self, saved: Mapping[str, Any], source: Path) -> None:

@@ -61,6 +61,14 @@ class Lidar:
             for shape in dict.fromkeys(actor_shapes)
         ]
 
+    def origin(self, position_w: Array, rotation: Array) -> Array:
+        """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation` (M, 3, 3)."""
+        return position_w + rotation @ np.asarray(self.conf.mount_b)
+
+    def ends(self, origin: Array, rotation: Array, ranges: NDArray[np.float32]) -> Array:
+        """Where beams of `ranges` (M, n_beams) end in the world [m], (M, n_beams, 3)."""
+        return origin[:, None] + (self._beams_b * ranges[..., None]) @ rotation.transpose(0, 2, 1)
+
     def ranges(self, position_w: Array, rotation: Array, actor_poses: Array) -> NDArray[np.float32]:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
 
@@ -69,7 +77,7 @@ class Lidar:
         """
         conf = self.conf
         scenes, n_beams = len(position_w), conf.n_beams
-        origin = position_w + rotation @ np.asarray(conf.mount_b)
+        origin = self.origin(position_w, rotation)
         directions = self._beams_b @ rotation.transpose(0, 2, 1)
         ranges = np.full(scenes * n_beams, conf.range_m, np.float32)
         origins32 = np.repeat(origin.astype(np.float32), n_beams, axis=0)

@@ -8,19 +8,17 @@ from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.settings import Settings
 
-SensorName = Literal["lidar", "lidar_past", "lidar_rate", "imu", "goal", "velocity"]
+SensorName = Literal["lidar", "lidar_past", "imu", "goal", "velocity"]
 
 
 class SensorsConf(Settings):
     """The sensors whose readings make the observation, in this order, and their settings.
 
-    `lidar_past` is the scan of `past_s` ago, and `lidar_rate` the change of
-    each LiDAR value since then [m/s], clipped to `max_rate_mps`: one scan
-    cannot tell what moves.
+    `lidar_past` is the scan of `past_s` ago, carried into the present sensor
+    frame: where it differs from the present scan, something has moved.
     """
 
     enabled: tuple[SensorName, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
     lidar: LidarConf = LidarConf()
-    past_s: float = Field(0.3, gt=0.0, le=5.0)
-    max_rate_mps: float = Field(3.0, gt=0.0, le=100.0)
+    past_s: float = Field(0.5, gt=0.0, le=5.0)
     imu: ImuConf = ImuConf()
