@@ -209,7 +209,10 @@ def test_next_observation_is_the_final_one_not_the_reset_one() -> None:
     layout = Layout.of(make_env(2, 0))
     transitions = Transitions(layout)
     collection = Collection(
-        CollectorConf(mode="serial", scenes=2, steps=12), make_env, make_policy(layout, Architecture((8,))), seed=0
+        CollectorConf(mode="serial", scenes=2, steps=12),
+        make_env,
+        make_policy(layout, Architecture((8,))),
+        seed=0,
     )
     batch = next(iter(collection))
     collection.close()

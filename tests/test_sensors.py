@@ -6,23 +6,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from scanning import flat_with, lidar_in, turned
 from scenes import SUBSTEPS, Drive, Stage, about, every_backend
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import ray_shapes
 from dune_rl.config.build import build_world, make_batch
 from dune_rl.config.schema import EnvConf
 from dune_rl.env.motion import MAX_SENSED_SPEED_MPS, Motion
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.rays import RayScene
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.sensors.imu import Imu, ImuConf
-from dune_rl.sensors.lidar import Lidar, LidarConf, beam_angles
+from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection import InspectionConf
-from dune_rl.worlds.props import upright_box
-from dune_rl.worlds.world import Prop, World
+from dune_rl.worlds.world import World
 
 CONF = LidarConf()
 LEVEL = np.eye(3)
@@ -31,25 +29,6 @@ NOBODY = np.zeros((1, 0, 4))
 PERSON = ActorConf()
 MAST_M = 0.125 + CONF.mount_b[2]
 ALL = np.array([True])
-
-
-def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
-    """A plane with boxes (x, y, yaw, length, width), each 1 m high."""
-    props = [
-        Prop(f"box_{i}", "box", *upright_box((x, y), yaw, -0.1, 1.0, length, width))
-        for i, (x, y, yaw, length, width) in enumerate(boxes)
-    ]
-    ground = build_flat(FlatConf())
-    return World("test", ground.terrain, props, region=ground.region)
-
-
-def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf = CONF) -> Lidar:
-    solid = world.solid_mesh()
-    return Lidar(conf, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
-
-
-def turned(yaw: float) -> np.ndarray:
-    return rotation_matrices(about([0, 0, 1], yaw))
 
 
 def mount(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -18,9 +18,9 @@ from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
-from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.lidar import Lidar
+from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
@@ -208,7 +208,7 @@ class Batch:
             scene.coast(self.physics.substeps)
 
     def _sense_ranges(self, begun: Flags | None = None) -> None:
-        """Scan, where the sensors ask for it, at a control step or at the start of the scenes `begun` (M,)."""
+        """Scan if any sensor asks for it, at a control step or at the start of the scenes `begun` (M,)."""
         enabled, motion = self.sensors.enabled, self.motion
         if "lidar" not in enabled and "lidar_past" not in enabled:
             return

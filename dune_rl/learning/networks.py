@@ -81,7 +81,7 @@ class Normaliser(nn.Module):
 
 
 class Features(nn.Module):
-    """Concatenates the observation's parts, normalises them and encodes the scans; an image would join here."""
+    """Concatenates the observation's parts, normalises and encodes them; an image would join here."""
 
     def __init__(self, layout: Layout, architecture: Architecture) -> None:
         super().__init__()

@@ -21,24 +21,30 @@ class ScanEncoder(nn.Module):
     learn that anew for every direction. With `channels` 0 nothing is changed.
     """
 
+    _other: Tensor
+
     def __init__(self, layout: Layout, channels: int) -> None:
         super().__init__()
         scans = _columns_by_length(layout) if channels else {}
-        self._scans = [columns for _, columns in sorted(scans.items())]
-        scanned = {int(column) for columns in self._scans for column in columns.flatten()}
-        self._others = torch.tensor([i for i in range(layout.observation_size) if i not in scanned])
-        self.convolutions = nn.ModuleList(_convolution(len(columns), channels) for columns in self._scans)
-        self.size = layout.observation_size - len(scanned)
-        self.size += sum(channels * -(-columns.shape[1] // _STRIDE) for columns in self._scans)
+        other = torch.ones(layout.observation_size, dtype=torch.bool)
+        for columns in scans.values():
+            other[columns] = False
+        self.register_buffer("_other", other.nonzero().squeeze(1), persistent=False)
+        self._lengths = sorted(scans)
+        for length in self._lengths:
+            self.register_buffer(f"_scans_{length}", scans[length], persistent=False)
+        self.convolutions = nn.ModuleList(_convolution(len(scans[n]), channels) for n in self._lengths)
+        self.size = len(self._other) + sum(channels * -(-length // _STRIDE) for length in self._lengths)
 
     def forward(self, vectors: Tensor) -> Tensor:
         """Features (..., size), in float32 also under autocast."""
-        if not self._scans:
+        if not self._lengths:
             return vectors
         flat = vectors.reshape(-1, vectors.shape[-1])
-        parts = [flat[:, self._others]]
-        for columns, convolution in zip(self._scans, self.convolutions, strict=True):
-            parts.append(convolution(flat[:, columns]).flatten(1).float())
+        parts = [flat[:, self._other]]
+        for length, convolution in zip(self._lengths, self.convolutions, strict=True):
+            scans = flat[:, self.get_buffer(f"_scans_{length}")]
+            parts.append(convolution(scans).flatten(1).float())
         return torch.cat(parts, 1).reshape(*vectors.shape[:-1], self.size)
 
 
@@ -54,10 +60,7 @@ def _columns_by_length(layout: Layout) -> Mapping[int, Tensor]:
 
 
 def _convolution(scans: int, channels: int) -> nn.Sequential:
-    around = {"kernel_size": _KERNEL, "padding": _KERNEL // 2, "padding_mode": "circular"}
-    return nn.Sequential(
-        nn.Conv1d(scans, channels, **around),
-        nn.ReLU(),
-        nn.Conv1d(channels, channels, stride=_STRIDE, **around),
-        nn.ReLU(),
-    )
+    def round_the_scan(n_in: int, stride: int) -> nn.Conv1d:
+        return nn.Conv1d(n_in, channels, _KERNEL, stride, padding=_KERNEL // 2, padding_mode="circular")
+
+    return nn.Sequential(round_the_scan(scans, 1), nn.ReLU(), round_the_scan(channels, _STRIDE), nn.ReLU())

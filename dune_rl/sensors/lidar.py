@@ -62,7 +62,7 @@ class Lidar:
         ]
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
-        """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation` (M, 3, 3)."""
+        """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
         return position_w + rotation @ np.asarray(self.conf.mount_b)
 
     def ends(self, origin: Array, rotation: Array, ranges: NDArray[np.float32]) -> Array:

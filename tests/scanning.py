@@ -1,0 +1,32 @@
+"""Worlds of a few boxes, and LiDARs in them."""
+
+import numpy as np
+from scenes import about
+
+from dune_rl.actors.actor import ActorConf
+from dune_rl.actors.shapes import ray_shapes
+from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.geometry.rays import RayScene
+from dune_rl.sensors.lidar import Lidar, LidarConf
+from dune_rl.worlds.flat import FlatConf, build_flat
+from dune_rl.worlds.props import upright_box
+from dune_rl.worlds.world import Prop, World
+
+
+def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
+    """A plane with boxes (x, y, yaw, length, width), each 1 m high."""
+    props = [
+        Prop(f"box_{i}", "box", *upright_box((x, y), yaw, -0.1, 1.0, length, width))
+        for i, (x, y, yaw, length, width) in enumerate(boxes)
+    ]
+    ground = build_flat(FlatConf())
+    return World("test", ground.terrain, props, region=ground.region)
+
+
+def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
+    solid = world.solid_mesh()
+    return Lidar(conf or LidarConf(), RayScene(solid.vertices, solid.faces), ray_shapes(actors))
+
+
+def turned(yaw: float) -> np.ndarray:
+    return rotation_matrices(about([0, 0, 1], yaw))

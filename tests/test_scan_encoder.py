@@ -1,0 +1,85 @@
+"""The convolutions round a scan, and what they learn from."""
+
+import pytest
+import torch
+
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.networks import Architecture, make_policy
+from dune_rl.learning.sac import Sac, SacConf
+from dune_rl.learning.scan_encoder import ScanEncoder
+
+LAYOUT = Layout(
+    {"goal": 2, "lidar": 32, "lidar_past": 32, "velocity": 2},
+    (-1.0, -3.0),
+    (1.0, 3.0),
+    ("lidar", "lidar_past"),
+)
+
+
+def test_turned_scans_give_turned_features() -> None:
+    torch.manual_seed(0)
+    encoder = ScanEncoder(LAYOUT, 4)
+    vectors = torch.rand(3, 5, LAYOUT.observation_size)
+    turned = vectors.clone()
+    for start in (2, 34):
+        turned[..., start : start + 32] = vectors[..., start : start + 32].roll(6, -1)
+    one, other = encoder(vectors), encoder(turned)
+    assert one.shape == (3, 5, encoder.size) == (3, 5, 4 + 4 * 16)
+    assert torch.equal(one[..., :4], vectors[..., [0, 1, 66, 67]])
+    rings = (each[..., 4:].unflatten(-1, (4, 16)) for each in (one, other))
+    torch.testing.assert_close(next(rings).roll(3, -1), next(rings))
+
+
+def test_scans_of_one_direction_are_compared() -> None:
+    torch.manual_seed(0)
+    encoder = ScanEncoder(LAYOUT, 4)
+    vectors = torch.rand(1, LAYOUT.observation_size)
+    other = vectors.clone()
+    other[0, 34 + 8] += 1.0
+    change = (encoder(vectors) - encoder(other))[0, 4:].unflatten(-1, (4, 16)).abs().sum(0)
+    # Segment 8 reaches no more than four segments on either side.
+    assert change[2:7].sum() > 0
+    assert change[:2].sum() + change[7:].sum() == 0
+
+
+@pytest.mark.parametrize("channels", [0, 4])
+def test_without_scans_or_channels_vectors_pass_unchanged(channels: int) -> None:
+    layout = LAYOUT if channels == 0 else Layout({"goal": 2, "range": 1}, (-1.0,), (1.0,), ("range",))
+    encoder = ScanEncoder(layout, channels)
+    vectors = torch.rand(2, layout.observation_size)
+    assert encoder.size == layout.observation_size
+    assert torch.equal(encoder(vectors), vectors)
+
+
+def test_scans_of_unequal_length_have_convolutions_of_their_own() -> None:
+    layout = Layout({"far": 16, "near": 9, "other": 16}, (-1.0,), (1.0,), ("far", "near", "other"))
+    encoder = ScanEncoder(layout, 3)
+    assert len(encoder.convolutions) == 2
+    assert encoder(torch.rand(2, 41)).shape == (2, encoder.size) == (2, 3 * 8 + 3 * 5)
+
+
+def test_the_encoder_learns_from_the_critics_alone() -> None:
+    torch.manual_seed(0)
+    conf = SacConf(hidden=(16,), scan_channels=4, precision="float32")
+    sac = Sac(conf, LAYOUT, 1)
+    rows = torch.rand(64, sac.transitions.width) + 0.1
+    batch = sac.transitions.batch(rows, sac.features.encode, conf.reward_scale)
+    random_state = torch.get_rng_state()
+    weights = list(sac.features.parameters())
+    expected = torch.autograd.grad(sac._loss(batch)["loss_qvalue"], weights)
+    torch.set_rng_state(random_state)
+    seen: list[torch.Tensor] = []
+    step = sac._optimiser.step
+    sac._optimiser.step = lambda: (seen.extend(w.grad.clone() for w in weights if w.grad is not None), step())  # type: ignore[assignment,func-returns-value]
+    before = [weight.detach().clone() for weight in weights]
+    sac._update(rows)
+    for ours, theirs in zip(seen, expected, strict=True):
+        torch.testing.assert_close(ours, theirs)
+    assert all(not torch.equal(old, new) for old, new in zip(before, weights, strict=True))
+
+
+def test_a_policy_keeps_its_encoder() -> None:
+    policy = make_policy(LAYOUT, Architecture((8,), scan_channels=4))
+    assert any("convolutions" in key for key in policy.state_dict())
+    plain = Architecture((8,), scan_channels=4).plain()
+    assert Architecture.from_plain(plain) == Architecture((8,), scan_channels=4)
