@@ -194,6 +194,13 @@ def test_walkers_start_away_from_the_rover():
         assert np.hypot(*actors.poses[0, 0, :2]) >= 4.0
 
 
+def test_a_walker_whose_path_is_all_near_the_rover_starts_at_its_far_part():
+    actors = actors_of(ActorConf(waypoints=((0.0, 0.0), (3.0, 0.0)), start_distance_m=9.0), start=False)
+    for seed in range(20):
+        actors.reset(0, np.random.default_rng(seed), np.zeros(2))
+        assert 2.5 < actors.poses[0, 0, 0] <= 3.0
+
+
 def test_way_points_through_an_obstacle_are_an_error():
     with pytest.raises(WorldError, match=r"lead through an obstacle of yard: move actors\.waypoints"):
         actors_of(ActorConf(waypoints=((-6.0, 0.0), (6.0, 0.0))), world=yard(*BOXES))

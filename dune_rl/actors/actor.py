@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _BANK_SIZE = 64
 MAX_TURN_RADPS = 3.0
 _GOAL_RADIUS_M = 0.5
+_START_TRIES = 50
 
 
 class ActorConf(Settings):
@@ -38,7 +39,7 @@ class ActorConf(Settings):
     height_m: float = Field(1.75, gt=0.0, le=5.0)
     waypoints: tuple[tuple[float, float], ...] = ()
     length_range_m: tuple[float, float] = (6.0, 16.0)
-    # Distance to the rover at which an episode may start.
+    # Distance to the rover at which an episode may start, where the path reaches that far.
     start_distance_m: float = Field(2.0, ge=0.0)
 
     @model_validator(mode="after")
@@ -115,20 +116,27 @@ class Actors:
         )
 
     def reset(self, scene: int, rng: np.random.Generator, rover_xy: Array) -> None:
-        """Start `scene` anew: each actor on a path drawn with `rng`, away from `rover_xy` (2,)."""
+        """Start `scene` anew: each actor on a path drawn with `rng`, away from `rover_xy` (2,).
+
+        Where no place on an actor's paths is far enough away, it takes the farthest that was tried.
+        """
         if self._bank is None:
             return
         for index, conf in enumerate(self.confs):
-            for _ in range(50):
+            farthest = -1.0
+            for _ in range(_START_TRIES):
                 loop = rng.choice(self._choices[index])
                 travelled = rng.uniform(0.0, self._bank.lengths[loop]) * SPACING_M
                 pose = self._bank.pose(loop, np.asarray(travelled))
-                if np.hypot(*(pose[:2] - rover_xy)) >= conf.start_distance_m:
+                apart = float(np.hypot(*(pose[:2] - rover_xy)))
+                if apart > farthest:
+                    farthest = apart
+                    self._loop[scene, index] = loop
+                    self._travelled[scene, index] = travelled
+                    self.poses[scene, index] = pose
+                    self.goals_w[scene, index] = self._bank.far_end(loop)[:2]
+                if apart >= conf.start_distance_m:
                     break
-            self._loop[scene, index] = loop
-            self._travelled[scene, index] = travelled
-            self.poses[scene, index] = pose
-            self.goals_w[scene, index] = self._bank.far_end(loop)[:2]
         self._outbound[scene] = True
         self.velocity_w[scene] = 0.0
         self.blocked[scene] = False

@@ -8,19 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
-from dune_rl.actors.shapes import ray_shapes
 from dune_rl.env.action_log import ActionLog
 from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import MAX_SENSED_SPEED_MPS, Motion
 from dune_rl.env.scene import scene_spec, standing_pose
-from dune_rl.geometry.rays import RayScene
+from dune_rl.env.senses import Senses
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
-from dune_rl.sensors.imu import Imu
-from dune_rl.sensors.lidar import Lidar
-from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
@@ -80,12 +76,7 @@ class Batch:
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self._actor_confs = actors
         self.actors = self._new_actors(seed)
-        solid = world.solid_mesh()
-        self.lidar = Lidar(sensors.lidar, RayScene(solid.vertices, solid.faces), ray_shapes(actors))
-        self.imu = Imu(sensors.imu, num_scenes)
-        delay = max(1, round(sensors.past_s * physics.control_hz))
-        self._past = PastScan(sensors.lidar, num_scenes, delay)
-        self._scan = np.zeros((num_scenes, sensors.lidar.n_segments), np.float32)
+        self._senses = Senses(sensors, world, self.actors, physics, num_scenes)
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -145,10 +136,9 @@ class Batch:
             physics.step(settle, still, self.actors.poses[scene])
             self.motion.set_row(scene, physics.body_state())
         self.motion.begin(mask)
-        self.imu.begin(mask, self.motion.rotation, self.motion.velocity_w, self.motion.angular_w)
+        self._senses.begin(mask, self.motion, self.actors.poses)
         distance = self._distance_to_goal()
         self._goal_distance = np.where(mask, distance, self._goal_distance)
-        self._sense_ranges(mask)
 
     def _distance_to_goal(self) -> Array:
         offset = self.goals_w - self.motion.position_w[:, :2]
@@ -174,9 +164,8 @@ class Batch:
         commands = self.robot.wheel_commands(wanted, self.motion.angular_b[:, 2], step_s).tolist()
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
         self._advance_physics(commands)
-        self.imu.measure(self.motion.rotation, self.motion.velocity_w, self.motion.angular_w, step_s)
+        self._senses.measure(self.motion, self.actors.poses)
         self.steps += 1
-        self._sense_ranges()
         now = self._snapshot()
         end = endings(now, self.task.termination)
         terms = reward_terms(now, self.task.reward, end.reached, end.stuck, end.flipped)
@@ -207,21 +196,6 @@ class Batch:
         for scene in self._scenes:
             scene.coast(self.physics.substeps)
 
-    def _sense_ranges(self, begun: Flags | None = None) -> None:
-        """Scan if any sensor asks for it, at a control step or at the start of the scenes `begun` (M,)."""
-        enabled, motion = self.sensors.enabled, self.motion
-        if "lidar" not in enabled and "lidar_past" not in enabled:
-            return
-        ranges = self.lidar.ranges(motion.position_w, motion.rotation, self.actors.poses)
-        self._scan = self.lidar.segments(ranges)
-        if "lidar_past" in enabled:
-            origin = self.lidar.origin(motion.position_w, motion.rotation)
-            ends_w = self.lidar.ends(origin, motion.rotation, ranges)
-            if begun is None:
-                self._past.push(ends_w)
-            else:
-                self._past.restart(begun, ends_w)
-
     def clearance(self) -> Array:
         """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
         nearest = self.world.clearance(self.motion.outline_w()).min(axis=1)
@@ -245,7 +219,7 @@ class Batch:
             tilt=motion.tilt(),
             speed=motion.velocity_b[:, 0],
             angular_b=motion.angular_b,
-            acceleration_b=self.imu.acceleration_b,
+            acceleration_b=self._senses.acceleration_b,
             goal_distance=self._goal_distance,
             previous_goal_distance=previous,
             goal_heading=motion.bearing(self.goals_w),
@@ -300,23 +274,9 @@ class Batch:
 
     def observe(self) -> dict[str, Floats]:
         """The rovers' observation, each (M, n); asking twice gives the same."""
-        motion = self.motion
-        out: dict[str, Floats] = {}
-        for name in self.sensors.enabled:
-            if name == "lidar":
-                out[name] = self._scan.copy()
-            elif name == "lidar_past":
-                origin = self.lidar.origin(motion.position_w, motion.rotation)
-                out[name] = self._past.seen_from(origin, motion.rotation)
-            elif name == "imu":
-                out[name] = self.imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)
-            elif name == "goal":
-                limit = self.world_diagonal_m
-                distance = np.minimum(self._goal_distance, limit)
-                out[name] = np.stack([distance, motion.bearing(self.goals_w)], axis=1).astype(np.float32)
-            else:
-                out[name] = motion.sensed_velocity()
-        return out
+        distance = np.minimum(self._goal_distance, self.world_diagonal_m)
+        goal = np.stack([distance, self.motion.bearing(self.goals_w)], axis=1)
+        return self._senses.observe(self.motion, goal)
 
     def observe_walkers(self) -> dict[str, Floats]:
         """What the E actors that are agents sense, each (M, E, n)."""
