@@ -29,7 +29,7 @@ class SacConf(Settings):
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
-    scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
+    scan_channels: int = Field(8, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
     gamma: float = Field(0.99, ge=0, lt=1)
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")

@@ -1,4 +1,4 @@
-"""Sensors against geometry and mechanics worked out by other means."""
+"""The LiDAR against geometry worked out by other means."""
 
 import numpy as np
 import pybullet
@@ -7,16 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
-from scenes import SUBSTEPS, Drive, Stage, about, every_backend
+from scenes import about
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.config.build import build_world, make_batch
 from dune_rl.config.schema import EnvConf
-from dune_rl.env.motion import MAX_SENSED_SPEED_MPS, Motion
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
-from dune_rl.sensors.imu import Imu, ImuConf
 from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection import InspectionConf
@@ -28,7 +25,6 @@ STANDING = np.array([0.0, 0.0, 0.125])
 NOBODY = np.zeros((1, 0, 4))
 PERSON = ActorConf()
 MAST_M = 0.125 + CONF.mount_b[2]
-ALL = np.array([True])
 
 
 def mount(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -58,9 +54,6 @@ def range_to_pole(origin: np.ndarray, direction: np.ndarray, centre: np.ndarray,
     along = offset @ direction[:2]
     aside = offset @ offset - along**2
     return along - np.sqrt(radius**2 - aside) if aside < radius**2 and along > 0 else np.inf
-
-
-# -- LiDAR -----------------------------------------------------------------------------------------
 
 
 def test_a_full_circle_leaves_out_its_last_beam():
@@ -289,210 +282,3 @@ def test_a_moving_actor_is_seen_where_it_is_at_that_instant():
             assert lidar[scene].min() == pytest.approx(apart - 0.25, abs=0.02)
     batch.close()
     assert seen > 30
-
-
-# -- IMU -------------------------------------------------------------------------------------------
-
-
-def imu_after(
-    *motions: tuple[np.ndarray, np.ndarray, np.ndarray], conf: ImuConf | None = None, step_s=0.05
-) -> Imu:
-    imu = Imu(conf or ImuConf(), 1)
-    first, *others = [tuple(part[None] for part in motion) for motion in motions]
-    imu.begin(ALL, *first)
-    for motion in others:
-        imu.measure(*motion, step_s)
-    return imu
-
-
-def read(imu: Imu, rotation: np.ndarray, angular_b: np.ndarray | None = None) -> np.ndarray:
-    angular_b = np.zeros(3) if angular_b is None else angular_b
-    return imu.reading(rotation[None], angular_b[None], np.zeros((1, 3)))[0]
-
-
-@pytest.mark.parametrize(
-    ("axis", "angle"), [([1, 0, 0], 0.0), ([1, 0, 0], 0.4), ([0, 1, 0], -0.3), ([0.6, 0.8, 0], 2.0)]
-)
-def test_at_rest_it_reads_what_holds_it_up(axis, angle):
-    rotation = rotation_matrices(about(axis, angle))
-    still = (rotation, np.zeros(3), np.zeros(3))
-    force = read(imu_after(still, still), rotation)[:3]
-    # Rodrigues' formula, turned back, for (0, 0, 9.81).
-    k, up = np.asarray(axis, float), np.array([0.0, 0.0, 9.81])
-    expected = up * np.cos(angle) - np.cross(k, up) * np.sin(angle) + k * (k @ up) * (1 - np.cos(angle))
-    np.testing.assert_allclose(force, expected, atol=1e-5)
-
-
-@every_backend
-def test_a_resting_rover_reads_gravity_upward(backend):
-    drive = Drive(backend)
-    motion = Motion(1, drive.rover)
-    imu = Imu(ImuConf(), 1)
-    for step in range(20):
-        drive.stage.step(SUBSTEPS)
-        motion.update(drive.stage.state[None])
-        state = motion.rotation, motion.velocity_w, motion.angular_w
-        if step == 0:
-            imu.begin(ALL, *state)
-        imu.measure(*state, 0.05)
-    reading = imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)[0]
-    np.testing.assert_allclose(reading[:6], [0, 0, 9.81, 0, 0, 0], atol=0.01)
-    np.testing.assert_allclose(reading[6:], 0.0, atol=1e-3)
-
-
-@every_backend
-def test_a_falling_rover_reads_nothing(backend):
-    stage = Stage(backend)
-    stage.place([0.0, 0.0, 6.0], about([0.6, 0.8, 0.0], 0.5))
-    motion = Motion(1, RoverZero(RoverZeroConf(), 1))
-    imu = Imu(ImuConf(), 1)
-    motion.update(stage.state[None])
-    imu.begin(ALL, motion.rotation, motion.velocity_w, motion.angular_w)
-    for _ in range(5):
-        stage.step(SUBSTEPS)
-        motion.update(stage.state[None])
-        imu.measure(motion.rotation, motion.velocity_w, motion.angular_w, 0.05)
-        reading = imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)[0]
-        np.testing.assert_allclose(reading[:3], 0.0, atol=1e-4)
-
-
-@every_backend
-def test_acceleration_is_the_second_difference_of_true_positions(backend):
-    drive = Drive(backend)
-    motion = Motion(1, drive.rover)
-    imu = Imu(ImuConf(mount_b=(0.0, 0.0, 0.0)), 1)
-    felt, places, speeds = [], [], []
-    motion.update(drive.stage.state[None])
-    imu.begin(ALL, motion.rotation, motion.velocity_w, motion.angular_w)
-    for step in range(40):
-        drive.step(1.0 if step < 20 else -0.5, 0.3)
-        motion.update(drive.stage.state[None])
-        acceleration_b = imu.measure(motion.rotation, motion.velocity_w, motion.angular_w, 0.05)
-        felt.append(motion.rotation[0] @ acceleration_b[0])
-        places.append(motion.position_w[0])
-        speeds.append(motion.velocity_w[0])
-    # Summed up, accelerations are velocities and those, summed again, the way: no step is lost.
-    np.testing.assert_allclose(
-        np.cumsum(felt[1:], axis=0) * 0.05, np.array(speeds[1:]) - speeds[0], atol=1e-9
-    )
-    second = np.diff(places, n=2, axis=0) / 0.05**2
-    # Over two steps of even acceleration, a second difference is the mean of the two.
-    felt_pairs = (np.array(felt)[1:-1] + np.array(felt)[2:]) / 2
-    apart = np.abs(felt_pairs - second)
-    assert apart.max() < 1.5
-    assert apart.mean() < 0.15
-    assert np.abs(felt).max() > 3.0
-
-
-def test_off_the_axis_it_feels_the_turn():
-    # On a turntable: centripetal toward the axis, radius times rate squared.
-    rate, radius, step = 2.0, 0.3, 1e-3
-    spin = np.array([0.0, 0.0, rate])
-    motions = [(turned(rate * step * k), np.zeros(3), spin) for k in (0, 1)]
-    imu = imu_after(*motions, conf=ImuConf(mount_b=(radius, 0.0, 0.1)), step_s=step)
-    np.testing.assert_allclose(read(imu, motions[1][0])[:3], [-radius * rate**2, 0.0, 9.81], atol=5e-3)
-
-
-def test_acceleration_is_told_in_the_body_frame():
-    rotation = turned(np.pi / 2)
-    faster = (rotation, np.array([0.0, 0.1, 0.0]), np.zeros(3))
-    imu = imu_after((rotation, np.zeros(3), np.zeros(3)), faster)
-    np.testing.assert_allclose(read(imu, rotation)[:3], [2.0, 0.0, 9.81], atol=1e-5)
-
-
-def test_begin_takes_motion_as_unaccelerated_only_where_told():
-    imu = Imu(ImuConf(), 2)
-    rotation, still, fast = np.tile(LEVEL, (2, 1, 1)), np.zeros((2, 3)), np.tile([1.0, 0, 0], (2, 1))
-    imu.begin(np.array([True, True]), rotation, still, still)
-    imu.measure(rotation, fast, still, 0.05)
-    imu.begin(np.array([True, False]), rotation, 2 * fast, still)
-    np.testing.assert_allclose(imu.acceleration_b, [[0, 0, 0], [20.0, 0, 0]])
-    np.testing.assert_allclose(imu.measure(rotation, 2 * fast, still, 0.05), [[0, 0, 0], [20.0, 0, 0]])
-
-
-def test_gyroscope_attitude_and_ranges():
-    conf = ImuConf(acceleration_range_mps2=20.0, angular_range_radps=3.0)
-    imu = imu_after(
-        (LEVEL, np.zeros(3), np.zeros(3)), (LEVEL, np.array([-50.0, 0, 0.1]), np.zeros(3)), conf=conf
-    )
-    attitude = np.array([[0.1, -0.2, 3.0]])
-    reading = imu.reading(LEVEL[None], np.array([[0.5, -9.0, 4.0]]), attitude)[0]
-    np.testing.assert_allclose(reading, [-20.0, 0.0, 11.81, 0.5, -3.0, 3.0, 0.1, -0.2, 3.0], rtol=1e-6)
-    assert reading.dtype == np.float32
-
-
-@every_backend
-def test_a_turning_rover_s_gyroscope_tells_its_turn(backend):
-    drive = Drive(backend)
-    motion = Motion(1, drive.rover)
-    yaws, rates = [], []
-    for _ in range(60):
-        drive.step(0.0, 0.5)
-        motion.update(drive.stage.state[None])
-        yaws.append(motion.roll_pitch_yaw[0, 2])
-        rates.append(motion.sensed_velocity()[0, 1])
-    turned_by = np.unwrap(yaws)[-1] - yaws[9]
-    assert np.sum(rates[10:]) * 0.05 == pytest.approx(turned_by, rel=0.05)
-    assert turned_by > 2.0
-
-
-# -- true motion -----------------------------------------------------------------------------------
-
-
-def state_of(
-    position=(0, 0, 0), quaternion=(0, 0, 0, 1), velocity=(0, 0, 0), angular=(0, 0, 0)
-) -> np.ndarray:
-    return np.array([[*position, *quaternion, *velocity, *angular]], float)
-
-
-def motion_at(**kwargs) -> Motion:
-    motion = Motion(1, RoverZero(RoverZeroConf(), 1))
-    motion.update(state_of(**kwargs))
-    return motion
-
-
-def test_sensed_speed_is_forward_in_the_body_frame_and_within_range():
-    left = about([0, 0, 1], np.pi / 2)
-    np.testing.assert_allclose(
-        motion_at(quaternion=left, velocity=(0.3, 0.7, 0), angular=(0, 0, 0.4)).sensed_velocity(),
-        [[0.7, 0.4]],
-        rtol=1e-6,
-    )
-    fast = motion_at(velocity=(-30.0, 0, 0), angular=(0, 0, 100.0)).sensed_velocity()
-    np.testing.assert_allclose(fast, [[-MAX_SENSED_SPEED_MPS, 34.9]], rtol=1e-6)
-
-
-def test_a_goal_s_bearing_is_from_the_nose_to_the_left():
-    motion = motion_at(position=(1, 1, 0), quaternion=about([0, 0, 1], np.pi / 2))
-    for point, bearing in (((1, 5), 0.0), ((-3, 1), np.pi / 2), ((5, 1), -np.pi / 2), ((2, 2), -np.pi / 4)):
-        assert motion.bearing(np.array([point], float)) == pytest.approx(bearing)
-    assert abs(motion.bearing(np.array([[1.0, -5.0]]))) == pytest.approx(np.pi)
-
-
-@pytest.mark.parametrize(
-    "broken",
-    [
-        {"velocity": (np.nan, 0, 0)},
-        {"velocity": (0, 60.0, 0)},
-        {"angular": (0, 0, -300.0)},
-        {"position": (1e6, 0, 0)},
-    ],
-)
-def test_a_state_that_cannot_be_leaves_the_last_good_one(broken):
-    motion = motion_at(position=(1, 2, 3), velocity=(0.5, 0, 0))
-    motion.update(state_of(**broken))
-    assert motion.diverged.all()
-    np.testing.assert_array_equal(motion.position_w, [[1, 2, 3]])
-    np.testing.assert_array_equal(motion.velocity_b, [[0.5, 0, 0]])
-    motion.update(state_of(position=(1, 2, 3)))
-    assert not motion.diverged.any()
-
-
-def test_steps_since_moved_counts_from_the_last_place_left():
-    motion = motion_at()
-    motion.begin(ALL)
-    counts = []
-    for x in (0.0, 0.05, 0.09, 0.12, 0.12, 0.2, 0.23):
-        motion.update(state_of(position=(x, 0, 0)))
-        counts.append(int(motion.steps_since_moved(0.1)[0]))
-    assert counts == [1, 2, 3, 0, 1, 2, 0]
