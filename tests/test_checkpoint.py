@@ -10,7 +10,7 @@ from point_mass import PointMass, make_point_mass
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.checkpoint import find, read, replaced, write
 from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import make_policy
+from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import load_policy, policy_content
 
 
@@ -22,8 +22,8 @@ def layout() -> Layout:
 @pytest.fixture
 def saved(tmp_path: Path, layout: Layout) -> Path:
     path = tmp_path / "policy.pt"
-    module = make_policy(layout, (8,), 10.0)
-    write(path, "policy", policy_content(module, layout, (8,), 10.0, {"seed": 1}))
+    module = make_policy(layout, Architecture((8,)))
+    write(path, "policy", policy_content(module, layout, Architecture((8,)), {"seed": 1}))
     return path
 
 
@@ -113,9 +113,10 @@ def test_not_ours(tmp_path: Path) -> None:
         read(tmp_path / "other.pt", "policy")
 
 
-def test_newer_format(saved: Path) -> None:
-    torch.save({**torch.load(saved, weights_only=True), "version": 99}, saved)
-    with pytest.raises(CheckpointError, match="format 99"):
+@pytest.mark.parametrize("version", [1, 99])
+def test_another_format(saved: Path, version: int) -> None:
+    torch.save({**torch.load(saved, weights_only=True), "version": version}, saved)
+    with pytest.raises(CheckpointError, match=f"format {version}"):
         read(saved, "policy")
 
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from dune_rl.learning.curve import draw_curve
 from dune_rl.learning.evaluation import averages, compare, evaluate, summary, write_csv
 from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import make_policy
+from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import Deterministic, GoToGoal, UniformRandom
 from dune_rl.learning.progress import Lines, Status
 from dune_rl.learning.statistics import mcnemar, mean, proportion
@@ -26,7 +26,7 @@ LAYOUT = Layout.of(make_point_mass(1, 0))
 @pytest.mark.parametrize("scenes", [1, 3, 7, 20])
 def test_every_episode_once_whatever_the_batch(scenes: int) -> None:
     torch.manual_seed(1)
-    policy = Deterministic(make_policy(LAYOUT, (8,), 10.0))
+    policy = Deterministic(make_policy(LAYOUT, Architecture((8,))))
     for each in (GoToGoal(LAYOUT), policy):
         alone = evaluate(each, make_point_mass(1, 0), 10, seed=5)
         rows = evaluate(each, make_point_mass(scenes, 0), 10, seed=5)
@@ -80,7 +80,7 @@ def test_random_states_are_left_alone() -> None:
 
 
 def test_statistics_are_frozen_while_evaluating() -> None:
-    module = make_policy(LAYOUT, (8,), 10.0)
+    module = make_policy(LAYOUT, Architecture((8,)))
     before = {key: value.clone() for key, value in module.state_dict().items()}
     evaluate(Deterministic(module), make_point_mass(2, 0), 3, seed=5)
     assert all(torch.equal(value, before[key]) for key, value in module.state_dict().items())

@@ -241,7 +241,7 @@ def test_rays_agree_with_the_physics_engine_s(inspection_in_bullet):
     assert returns > 200
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.floats(-6, 6),
     st.floats(-6, 6),
