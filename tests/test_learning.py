@@ -18,6 +18,7 @@ from dune_rl.learning.evaluation import EvaluationConf
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, Normaliser, make_policy
 from dune_rl.learning.replay import Replay, ReplayConf, Transitions
+from dune_rl.learning.run_log import Speed
 from dune_rl.learning.sac import Sac, SacConf
 from dune_rl.learning.trainer import Trainer, TrainingResult
 
@@ -318,3 +319,14 @@ def test_result_counts_updates_by_the_ratio(tmp_path: Path) -> None:
     # 512 frames of random actions; the batch that completes them is learnt from already.
     assert result.updates == (2048 - 512 + 128) // 16
     assert result.signal is None
+
+
+def test_speeds_leave_out_a_pause_and_outlast_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 2.0, 100.0, 101.0])
+    monkeypatch.setattr("dune_rl.learning.run_log.time.monotonic", lambda: next(clock))
+    speed = Speed()
+    assert speed.mark(0, 0) == (0.0, 0.0)
+    assert speed.mark(600, 40) == (300.0, 20.0)
+    speed.pause()
+    assert speed.mark(600, 40) == (300.0, 20.0)
+    assert speed.mark(700, 50) == (100.0, 10.0)

@@ -26,18 +26,22 @@ class Speed:
 
     def __init__(self) -> None:
         self._marks: deque[tuple[float, int, int]] = deque()
+        self._latest = (0.0, 0.0)
 
     def mark(self, frames: int, updates: int) -> tuple[float, float]:
-        """Take note of the counts now; gives frames/s and updates/s, zero before the second mark."""
+        """Take note of the counts now; gives frames/s and updates/s, zero before the second mark.
+
+        The first mark after a pause gives the speeds from before it.
+        """
         now = time.monotonic()
         self._marks.append((now, frames, updates))
         while len(self._marks) > 2 and now - self._marks[0][0] > _SPEED_WINDOW_S:
             self._marks.popleft()
         start, frames_then, updates_then = self._marks[0]
         span = now - start
-        if span <= 0:
-            return 0.0, 0.0
-        return (frames - frames_then) / span, (updates - updates_then) / span
+        if span > 0:
+            self._latest = (frames - frames_then) / span, (updates - updates_then) / span
+        return self._latest
 
     def pause(self) -> None:
         """Leave what happened since the last mark out of the speeds: an evaluation, say."""
