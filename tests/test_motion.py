@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scanning import sensed_speed
 from scenes import about
 
-from dune_rl.env.motion import MAX_SENSED_SPEED_MPS, Motion
+from dune_rl.env.motion import Motion
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
 
 ALL = np.array([True])
 
@@ -25,11 +27,11 @@ def motion_at(**kwargs) -> Motion:
 def test_sensed_speed_is_forward_in_the_body_frame_and_within_range():
     left = about([0, 0, 1], np.pi / 2)
     np.testing.assert_allclose(
-        motion_at(quaternion=left, velocity=(0.3, 0.7, 0), angular=(0, 0, 0.4)).sensed_velocity(),
+        sensed_speed(motion_at(quaternion=left, velocity=(0.3, 0.7, 0), angular=(0, 0, 0.4))),
         [[0.7, 0.4]],
         rtol=1e-6,
     )
-    fast = motion_at(velocity=(-30.0, 0, 0), angular=(0, 0, 100.0)).sensed_velocity()
+    fast = sensed_speed(motion_at(velocity=(-30.0, 0, 0), angular=(0, 0, 100.0)))
     np.testing.assert_allclose(fast, [[-MAX_SENSED_SPEED_MPS, 34.9]], rtol=1e-6)
 
 

@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.env.action_log import ActionLog
 from dune_rl.env.encounters import Encounters
-from dune_rl.env.motion import MAX_SENSED_SPEED_MPS, Motion
+from dune_rl.env.motion import Motion
 from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.env.senses import Senses
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
+from dune_rl.sensors.sensor import Moment, Reading
+from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
@@ -76,7 +78,7 @@ class Batch:
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self._actor_confs = actors
         self.actors = self._new_actors(seed)
-        self._senses = Senses(sensors, world, self.actors, physics, num_scenes)
+        self.senses = Senses(sensors, world, self.actors, physics, num_scenes)
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -136,9 +138,12 @@ class Batch:
             physics.step(settle, still, self.actors.poses[scene])
             self.motion.set_row(scene, physics.body_state())
         self.motion.begin(mask)
-        self._senses.begin(mask, self.motion, self.actors.poses)
+        self.senses.begin(mask, self._moment())
         distance = self._distance_to_goal()
         self._goal_distance = np.where(mask, distance, self._goal_distance)
+
+    def _moment(self) -> Moment:
+        return self.motion.moment(self.actors.poses, self.seed, self.episodes, self.steps)
 
     def _distance_to_goal(self) -> Array:
         offset = self.goals_w - self.motion.position_w[:, :2]
@@ -164,8 +169,8 @@ class Batch:
         commands = self.robot.wheel_commands(wanted, self.motion.angular_b[:, 2], step_s).tolist()
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
         self._advance_physics(commands)
-        self._senses.measure(self.motion, self.actors.poses)
         self.steps += 1
+        self.senses.measure(self._moment())
         now = self._snapshot()
         end = endings(now, self.task.termination)
         terms = reward_terms(now, self.task.reward, end.reached, end.stuck, end.flipped)
@@ -219,7 +224,7 @@ class Batch:
             tilt=motion.tilt(),
             speed=motion.velocity_b[:, 0],
             angular_b=motion.angular_b,
-            acceleration_b=self._senses.acceleration_b,
+            acceleration_b=self.senses.acceleration_b,
             goal_distance=self._goal_distance,
             previous_goal_distance=previous,
             goal_heading=motion.bearing(self.goals_w),
@@ -272,11 +277,9 @@ class Batch:
 
     # -- what agents see --------------------------------------------------------------------------
 
-    def observe(self) -> dict[str, Floats]:
-        """The rovers' observation, each (M, n); asking twice gives the same."""
-        distance = np.minimum(self._goal_distance, self.world_diagonal_m)
-        goal = np.stack([distance, self.motion.bearing(self.goals_w)], axis=1)
-        return self._senses.observe(self.motion, goal)
+    def observe(self) -> dict[str, Reading]:
+        """The rovers' observation, each (M, ...); asking twice gives the same."""
+        return self.senses.observe(self._goal_distance, self.motion.bearing(self.goals_w))
 
     def observe_walkers(self) -> dict[str, Floats]:
         """What the E actors that are agents sense, each (M, E, n)."""
@@ -287,7 +290,7 @@ class Batch:
             actors.goals_w[:, columns],
             self.motion.position_w,
             self.motion.velocity_w,
-            self.world_diagonal_m,
+            self.senses.farthest_goal_m,
             self.max_closing_speed_mps,
         )
 
@@ -295,12 +298,6 @@ class Batch:
     def max_closing_speed_mps(self) -> float:
         """The fastest that a walker sees the rover come or go [m/s]."""
         return MAX_SENSED_SPEED_MPS + float(self.actors.top_speed[self.actors.external].max(initial=0.0))
-
-    @property
-    def world_diagonal_m(self) -> float:
-        """The farthest that two points of the world can be apart [m]."""
-        xmin, xmax, ymin, ymax = self.world.extent
-        return float(np.hypot(xmax - xmin, ymax - ymin))
 
     def _walker_distance(self, goals_w: Array) -> Array:
         """Distance [m] of the walkers that are agents from `goals_w` (M, E, 2), (M, E)."""

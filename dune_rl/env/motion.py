@@ -5,14 +5,13 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, within, wrap_angle
 from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.sensors.sensor import Moment
 
 Array = NDArray[np.float64]
 
 # No rover of ours moves or falls this fast, and no world reaches so far: beyond, physics has diverged.
 _MAX_SPEED_MPS = 50.0
 _MAX_TURN_RADPS = 200.0
-MAX_SENSED_SPEED_MPS = 10.0
-MAX_SENSED_TURN_RADPS = 34.9
 
 
 class Motion:
@@ -99,9 +98,20 @@ class Motion:
         self._since[moved] = 0
         return self._since.copy()
 
-    def sensed_velocity(self) -> NDArray[np.float32]:
-        """Forward speed [m/s] and yaw rate [rad/s] as sensed, clipped to the sensor's range, (M, 2)."""
-        out = np.empty((len(self.position_w), 2), np.float32)
-        out[:, 0] = within(self.velocity_b[:, 0], -MAX_SENSED_SPEED_MPS, MAX_SENSED_SPEED_MPS)
-        out[:, 1] = within(self.angular_b[:, 2], -MAX_SENSED_TURN_RADPS, MAX_SENSED_TURN_RADPS)
-        return out
+    def moment(
+        self, actor_poses: Array, seed: int, episodes: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> Moment:
+        """What there is to be sensed now; see `Moment`."""
+        return Moment(
+            self.position_w,
+            self.rotation,
+            self.velocity_w,
+            self.angular_w,
+            self.velocity_b,
+            self.angular_b,
+            self.roll_pitch_yaw,
+            actor_poses,
+            seed,
+            episodes,
+            steps,
+        )

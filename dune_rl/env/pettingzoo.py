@@ -9,21 +9,20 @@ from pettingzoo import ParallelEnv
 
 from dune_rl.env.batch import Batch
 from dune_rl.env.bounds import (
-    Bounds,
     rover_action_bounds,
     rover_observation_bounds,
     walker_action_bounds,
     walker_observation_bounds,
 )
+from dune_rl.sensors.sensor import Bounds, Reading
 
-Floats = NDArray[np.float32]
-Observation = dict[str, Floats]
+Observation = dict[str, Reading]
 
 ROVER = "rover_0"
 
 
 def _box(bounds: Bounds) -> gymnasium.spaces.Box:
-    return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
+    return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=bounds[0].dtype.type)
 
 
 class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]

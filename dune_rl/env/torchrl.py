@@ -11,12 +11,12 @@ from torchrl.envs import EnvBase
 
 from dune_rl.env.batch import Batch
 from dune_rl.env.bounds import (
-    Bounds,
     rover_action_bounds,
     rover_observation_bounds,
     walker_action_bounds,
     walker_observation_bounds,
 )
+from dune_rl.sensors.sensor import Bounds
 
 _ENDS = ("done", "terminated", "truncated")
 
@@ -170,8 +170,9 @@ class DuneEnv(EnvBase):
 
 
 def _bounded(bounds: Bounds, shape: tuple[int, ...]) -> Bounded:
-    low, high = (torch.from_numpy(np.array(np.broadcast_to(b, (*shape, len(b))))) for b in bounds)
-    return Bounded(low=low, high=high, shape=(*shape, len(bounds[0])), dtype=torch.float32)
+    full = (*shape, *bounds[0].shape)
+    low, high = (torch.from_numpy(np.array(np.broadcast_to(bound, full))) for bound in bounds)
+    return Bounded(low=low, high=high, shape=full, dtype=low.dtype)
 
 
 def _merged(parts: list[dict[str, Any]]) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """Ray casting against triangle meshes, on Embree."""
 
+from typing import NamedTuple
+
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore import EmbreeDevice
@@ -46,18 +48,36 @@ class RayScene:
         # Of the queries without further output only this one writes the ranges back.
         self._scene.run(origins, directions, dists=ranges, query="DISTANCE")
 
-    def first_hit(
+    def hits(
         self,
-        origins: NDArray[np.floating],
-        directions: NDArray[np.floating],
-        range_m: float,
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        ranges: NDArray[np.float32],
+    ) -> "Hits":
+        """First hits of rays as in `shorten`; `ranges` (N,) are shortened too."""
+        found = self._scene.run(origins, directions, dists=ranges, output=True)
+        ranges[:] = found["tfar"]
+        return Hits(found["primID"], ranges, found["Ng"])
+
+    def first_hit(
+        self, origins: NDArray[np.floating], directions: NDArray[np.floating], range_m: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Range to the first hit (N,), `range_m` for none, and its normal there (N, 3), of any length."""
         ranges = np.full(len(origins), range_m, np.float32)
-        found = self._scene.run(
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
-            dists=ranges,
-            output=True,
+        found = self.hits(
+            np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32), ranges
         )
-        return np.asarray(found["tfar"]), np.asarray(found["Ng"])
+        return found.range, found.normal
+
+    def blocked(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether anything at all lies on each ray, (N,)."""
+        missed: NDArray[np.bool_] = self._scene.run(origins, directions, query="OCCLUDED") < 0
+        return ~missed
+
+
+class Hits(NamedTuple):
+    """What rays met first: the face's index (N,), -1 for none; the range (N,); its normal, of any length."""
+
+    face: NDArray[np.int32]
+    range: NDArray[np.float32]
+    normal: NDArray[np.float32]

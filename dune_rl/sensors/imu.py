@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.geometry.frames import cross, to_body, within
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Reading
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -65,3 +66,36 @@ class Imu:
         out[:, 3:6] = within(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
         out[:, 6:9] = roll_pitch_yaw
         return out
+
+
+class ImuSensor:
+    """The reading "imu", (M, 9), of an `Imu`, which is measured here and may be asked by others."""
+
+    def __init__(self, imu: Imu, num_scenes: int, step_s: float) -> None:
+        self._imu = imu
+        self._step_s = step_s
+        self._reading = np.zeros((num_scenes, 9), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """The unit's ranges, and whole turns."""
+        conf = self._imu.conf
+        ranges = [conf.acceleration_range_mps2] * 3 + [conf.angular_range_radps] * 3 + [PI32] * 3
+        high = np.array(ranges, np.float32)
+        return {"imu": (-high, high)}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Start the episodes in `mask` (M,) unaccelerated."""
+        self._imu.begin(mask, now.rotation, now.velocity_w, now.angular_w)
+        self._take(now)
+
+    def measure(self, now: Moment) -> None:
+        """Measure the control step that has just ended."""
+        self._imu.measure(now.rotation, now.velocity_w, now.angular_w, self._step_s)
+        self._take(now)
+
+    def _take(self, now: Moment) -> None:
+        self._reading = self._imu.reading(now.rotation, now.angular_b, now.roll_pitch_yaw)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest measurement."""
+        return {"imu": self._reading.copy()}

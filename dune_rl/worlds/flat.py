@@ -7,6 +7,7 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.settings import Settings
+from dune_rl.worlds.ground import GRAVEL
 from dune_rl.worlds.world import World
 
 # Contact solvers lose precision on triangles much longer than the robot.
@@ -27,4 +28,6 @@ def build_flat(conf: FlatConf) -> World:
     cells = int(np.ceil(conf.size_m / _SPACING_M))
     half, reach = conf.size_m / 2, conf.region_size_m / 2
     terrain = HeightField(np.zeros((cells + 1, cells + 1)), conf.size_m / cells, (-half, -half))
-    return World("flat", terrain, region=(-reach, reach, -reach, reach), friction=conf.friction)
+    return World(
+        "flat", terrain, region=(-reach, reach, -reach, reach), friction=conf.friction, ground=GRAVEL
+    )

@@ -31,4 +31,4 @@ def build_inspection(conf: InspectionConf) -> World:
     props = place_props(terrain, gully, conf.seed, conf.yard_obstacles)
     x, y = YARD_CENTRE
     region = (x - YARD_HALF_M, x + YARD_HALF_M, y - YARD_HALF_M, y + YARD_HALF_M)
-    return World("inspection", terrain, props, region=region, friction=conf.friction)
+    return World("inspection", terrain, props, region=region, friction=conf.friction, texture_seed=conf.seed)

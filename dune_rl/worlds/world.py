@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.ground import MEADOW, Ground
 
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
@@ -48,7 +49,8 @@ class World:
 
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
-    ground and of every prop.
+    ground and of every prop. `ground` and `texture_seed` are what the ground
+    looks like.
     """
 
     def __init__(
@@ -59,12 +61,16 @@ class World:
         *,
         region: Rectangle,
         friction: float = 1.0,
+        ground: Ground = MEADOW,
+        texture_seed: int = 0,
     ) -> None:
         self.name = name
         self.terrain = terrain
         self.props = tuple(props)
         self.region = region
         self.friction = friction
+        self.ground = ground
+        self.texture_seed = texture_seed
 
     @property
     def extent(self) -> Rectangle:

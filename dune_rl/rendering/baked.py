@@ -1,0 +1,146 @@
+"""Scenery with its light worked out beforehand, so that a small picture costs little more than its rays."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.light import Light, srgb
+from dune_rl.rendering.scenery import Scenery, Segment, Shape, joined, subdivided
+
+Floats = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+# Things are cut into triangles of this size, so that shadows can fall on parts of them.
+_LONGEST_EDGE_M = 0.6
+_OFF_SURFACE_M = 0.02
+# The sky's share is smooth: it is looked for on a coarser grid.
+_SKY_GRID_M = 0.5
+_SKY_RAYS = 24
+_SKY_STEPS = 64
+
+
+class Baked:
+    """Colours and segments of everything in a `Scenery` by where a ray meets it.
+
+    `rays` is what to cast against: the ground's faces first, then the things'.
+    """
+
+    def __init__(self, scenery: Scenery, light: Light) -> None:
+        self.scenery, self.light = scenery, light
+        self.terrain = scenery.terrain
+        ground_vertices, ground_faces = self.terrain.mesh()
+        self.things = subdivided(scenery.things, _LONGEST_EDGE_M)
+        ground = Shape(
+            ground_vertices,
+            ground_faces,
+            np.zeros((len(ground_faces), 3), np.float32),
+            np.full(len(ground_faces), Segment.GROUND, np.uint8),
+        )
+        everything = joined([ground, self.things])
+        self.rays = RayScene(everything.vertices, everything.faces)
+        self.ground_faces = len(ground_faces)
+        # Index -1, a miss, finds the last entry.
+        self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
+        self.sky_share = self._ground_sky_share()
+        self.ground = self._bake_ground()
+        self.faces = np.concatenate(
+            [np.zeros((self.ground_faces, 3), np.uint8), self._bake_things(), np.zeros((1, 3), np.uint8)]
+        )
+        # Straight down to straight up; only upward directions meet the sky.
+        self.sky = encoded(light.sky(np.linspace(-1.0, 1.0, 2 * _SKY_STEPS, dtype=np.float32)))
+
+    def ground_texel_positions(self) -> Array:
+        """Points (rows, columns, 3) on the ground in the middle of the texture's texels."""
+        rows, columns = self.scenery.ground.albedo.shape[:2]
+        return _grid_on(self.terrain, rows, columns)
+
+    def _ground_sky_share(self) -> Floats:
+        xmin, xmax, ymin, ymax = self.terrain.extent
+        columns = max(2, min(256, round((xmax - xmin) / _SKY_GRID_M)))
+        rows = max(2, min(256, round((ymax - ymin) / _SKY_GRID_M)))
+        points = _grid_on(self.terrain, rows, columns).reshape(-1, 3)
+        normals = smooth_normals(self.terrain, points[:, :2])
+        share = sky_share(self.rays, points, normals).reshape(rows, columns)
+        return ndimage.gaussian_filter(share, 0.7)
+
+    def _bake_ground(self) -> NDArray[np.uint8]:
+        albedo = self.scenery.ground.albedo
+        points = self.ground_texel_positions().reshape(-1, 3)
+        normals = smooth_normals(self.terrain, points[:, :2])
+        zoom = [a / b for a, b in zip(albedo.shape[:2], self.sky_share.shape, strict=True)]
+        share = ndimage.zoom(self.sky_share, zoom, order=1, mode="nearest", grid_mode=True)
+        lit = self.light.on(
+            albedo.reshape(-1, 3), normals, sunlit(self.rays, self.light, points, normals), share.ravel()
+        )
+        return encoded(lit).reshape(albedo.shape)
+
+    def _bake_things(self) -> NDArray[np.uint8]:
+        things = self.things
+        if not len(things.faces):
+            return np.zeros((0, 3), np.uint8)
+        corners = things.vertices[things.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        normals32 = normals.astype(np.float32)
+        points = corners.mean(axis=1)
+        share = sky_share(self.rays, points, normals32)
+        return encoded(
+            self.light.on(things.albedo, normals32, sunlit(self.rays, self.light, points, normals32), share)
+        )
+
+
+def encoded(colour: Floats) -> NDArray[np.uint8]:
+    """Bytes (...) for a screen, of linear values (...)."""
+    return (srgb(colour) * 255.0 + 0.5).astype(np.uint8)
+
+
+def smooth_normals(terrain: HeightField, xy: Array) -> Floats:
+    """Unit normals (N, 3) at points (N, 2), turning evenly from vertex to vertex instead of at the edges."""
+    rise_y, rise_x = np.gradient(terrain.heights, terrain.spacing_m)
+    at = ((xy - terrain.origin) / terrain.spacing_m).T[::-1]
+    slopes = [ndimage.map_coordinates(rise, at, order=1, mode="nearest") for rise in (rise_x, rise_y)]
+    normals = np.stack([-slopes[0], -slopes[1], np.ones(len(xy))], axis=1)
+    unit: Floats = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    return unit
+
+
+def sunlit(rays: RayScene, light: Light, points: Array, normals: Floats) -> Floats:
+    """1 where the sun reaches points (N, 3) on surfaces with unit `normals` (N, 3), else 0."""
+    facing = normals @ light.to_sun > 0.0
+    share = facing.astype(np.float32)
+    if light.shadows and facing.any():
+        origins = (points[facing] + normals[facing] * _OFF_SURFACE_M).astype(np.float32)
+        directions = np.ascontiguousarray(np.broadcast_to(light.to_sun, origins.shape))
+        share[facing] = ~rays.blocked(origins, directions)
+    return share
+
+
+def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
+    """Share of the hemisphere over points (N, 3) on surfaces with unit `normals` (N, 3) that is open sky."""
+    # Directions over the sphere, evenly, in a golden spiral; each surface uses those on its side.
+    index = np.arange(2 * _SKY_RAYS) + 0.5
+    z = 1.0 - index / _SKY_RAYS
+    turn = np.pi * (1.0 + 5**0.5) * index
+    level = np.sqrt(1.0 - z * z)
+    sphere = np.stack([level * np.cos(turn), level * np.sin(turn), z], axis=1).astype(np.float32)
+    origins = (points + normals * _OFF_SURFACE_M).astype(np.float32)
+    open_weight, weight = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
+    for direction in sphere:
+        cosine = np.maximum(normals @ direction, 0.0)
+        faced = cosine > 0.0
+        if not faced.any():
+            continue
+        towards = np.ascontiguousarray(np.broadcast_to(direction, (int(faced.sum()), 3)))
+        open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards)
+        weight += cosine
+    return (open_weight / np.maximum(weight, 1e-6)).astype(np.float32)
+
+
+def _grid_on(terrain: HeightField, rows: int, columns: int) -> Array:
+    xmin, xmax, ymin, ymax = terrain.extent
+    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
+    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
+    xy = np.stack(np.meshgrid(x, y), axis=-1)
+    return np.concatenate([xy, terrain.height(xy)[..., None]], axis=-1)

@@ -1,0 +1,85 @@
+"""Sun and sky: how bright and of what colour a surface appears, all in linear RGB."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.settings import Settings
+
+Floats = NDArray[np.float32]
+
+_SUN_HIGH, _SUN_LOW = np.array([2.05, 1.96, 1.80]), np.array([1.75, 0.95, 0.45])
+_ZENITH, _ZENITH_LOW = np.array([0.16, 0.32, 0.68]), np.array([0.12, 0.18, 0.38])
+_HORIZON, _HORIZON_LOW = np.array([0.62, 0.74, 0.88]), np.array([0.85, 0.60, 0.42])
+
+
+class LightConf(Settings):
+    """Where the sun stands: bearing from the world's x axis and height over the horizon."""
+
+    sun_bearing_rad: float = Field(2.2, ge=-2 * np.pi, le=2 * np.pi)
+    sun_elevation_rad: float = Field(0.75, ge=0.02, le=np.pi / 2)
+    shadows: bool = True
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light of a `LightConf`: direction to the sun, and linear RGB of sun, zenith, horizon: each (3,)."""
+
+    to_sun: Floats
+    sun: Floats
+    zenith: Floats
+    horizon: Floats
+    shadows: bool
+
+    @classmethod
+    def of(cls, conf: LightConf) -> "Light":
+        """A low sun is dimmer and redder, and so is the sky round it."""
+        height = np.sin(conf.sun_elevation_rad)
+        level = np.cos(conf.sun_elevation_rad)
+        bearing = conf.sun_bearing_rad
+        # How much air the sunlight has passed: none of its warmth is left above some 35 degrees.
+        high = min(1.0, height / 0.55) ** 0.7
+        return cls(
+            np.array([level * np.cos(bearing), level * np.sin(bearing), height], np.float32),
+            (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW)).astype(np.float32),
+            (_ZENITH_LOW + high * (_ZENITH - _ZENITH_LOW)).astype(np.float32),
+            (_HORIZON_LOW + high * (_HORIZON - _HORIZON_LOW)).astype(np.float32),
+            conf.shadows,
+        )
+
+    def on(self, albedo: Floats, normals: Floats, sunlit: Floats, sky_share: Floats) -> Floats:
+        """Linear RGB (..., 3) of matt surfaces of `albedo` (..., 3) and unit `normals` (..., 3).
+
+        `sunlit` (...) is the share of the sun and `sky_share` (...) that of the
+        sky that reach them. The ground gives some light back from below.
+        """
+        facing = np.maximum(normals @ self.to_sun, 0.0) * sunlit
+        upward = ((1.0 + normals[..., 2]) / 2 * sky_share)[..., None]
+        sky = 0.55 * self.zenith + 0.25 * self.horizon
+        bounce = 0.10 * self.sun * (1.0 - upward) * sky_share[..., None]
+        lit: Floats = albedo * (facing[..., None] * self.sun + upward * sky + bounce)
+        return lit
+
+    def sky(self, up: Floats) -> Floats:
+        """Linear RGB (..., 3) of the sky where the direction's z is `up` (...), in [-1, 1]."""
+        share = np.sqrt(np.clip(up, 0.0, 1.0))[..., None]
+        colour: Floats = self.horizon + share * (self.zenith - self.horizon)
+        return colour
+
+
+def srgb(linear: Floats) -> Floats:
+    """Values in [0, 1] for a screen, of linear ones (...), the bright ones compressed instead of cut off."""
+    # Linear up to a half, then toward 1 with the same slope at the join.
+    bright = 0.5 + 0.5 * (1.0 - np.exp(-(np.maximum(linear, 0.5) - 0.5) / 0.5))
+    low = np.clip(np.where(linear > 0.5, bright, linear), 0.0, 1.0)
+    encoded: Floats = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
+    return encoded.astype(np.float32)
+
+
+def linear(encoded: Floats) -> Floats:
+    """Linear values (...) of sRGB ones in [0, 1], such as colours in files and settings."""
+    value = np.asarray(encoded, np.float32)
+    decoded: Floats = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return decoded.astype(np.float32)

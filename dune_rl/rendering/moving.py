@@ -1,0 +1,56 @@
+"""Things that move, each drawn in its own frame: one small ray scene serves all of the same shape."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.rays import Hits, RayScene
+from dune_rl.rendering.baked import encoded
+from dune_rl.rendering.light import Light
+from dune_rl.rendering.scenery import Segment, Shape
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+
+class Figure:
+    """A closed shape that stands upright, turns about its own z axis and is lit where it is.
+
+    `radius_m` is that of a sphere round `centre` (3,) that holds it, in its own frame.
+    """
+
+    def __init__(self, shape: Shape, segment: Segment = Segment.ACTOR) -> None:
+        self.rays = RayScene(shape.vertices, shape.faces)
+        self.segment = segment
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        # On its own axis, so that turning leaves it in place.
+        self.centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
+        self.radius_m = float(np.linalg.norm(shape.vertices - self.centre, axis=1).max())
+        self._albedo = shape.albedo
+
+    def hits(self, origins: Array, directions: Floats, poses: Array, ranges: Floats) -> Hits:
+        """First hits of world rays (R, 3) with figures at `poses` (R, 4: x, y, z, yaw), within `ranges` (R,).
+
+        Normals are unit vectors in the world frame.
+        """
+        cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+        offset = origins - poses[:, :3]
+        local = np.stack(
+            [cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0], offset[:, 2]],
+            axis=1,
+        )
+        x, y = directions[:, 0], directions[:, 1]
+        carried = np.stack([cos * x + sin * y, cos * y - sin * x, directions[:, 2]], axis=1)
+        face, ranges, normal = self.rays.hits(
+            local.astype(np.float32), carried.astype(np.float32), ranges.copy()
+        )
+        normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        world = np.stack(
+            [cos * normal[:, 0] - sin * normal[:, 1], sin * normal[:, 0] + cos * normal[:, 1], normal[:, 2]],
+            axis=1,
+        )
+        return Hits(face, ranges, world.astype(np.float32))
+
+    def colours(self, light: Light, face: NDArray[np.int32], normal: Floats) -> NDArray[np.uint8]:
+        """Bytes (R, 3) of faces `face` (R,) with unit world `normal` (R, 3), in full light."""
+        everywhere = np.ones(len(face), np.float32)
+        return encoded(light.on(self._albedo[face], normal, everywhere, everywhere))

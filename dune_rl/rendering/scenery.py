@@ -1,0 +1,83 @@
+"""What a world looks like: ground with a texture, and things with a colour for each face."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from dune_rl.geometry.heightfield import HeightField
+
+Floats = NDArray[np.float32]
+
+
+class Segment(IntEnum):
+    """What a pixel or a beam shows: the values of segmentations."""
+
+    SKY = 0
+    GROUND = 1
+    DECK = 2
+    OBSTACLE = 3
+    WATER = 4
+    VEGETATION = 5
+    ACTOR = 6
+    ROBOT = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Triangles: `vertices` (V, 3) [m], `faces` (F, 3), `albedo` (F, 3) in linear RGB, `segments` (F,)."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    albedo: Floats
+    segments: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTexture:
+    """Linear RGB albedo (rows, columns, 3) of the ground, stretched over a rectangle seen from above.
+
+    The rectangle is that of the terrain; row 0 lies at its lowest y, column 0 at its lowest x.
+    """
+
+    albedo: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """All of a world that stands still and can be seen."""
+
+    terrain: HeightField
+    ground: GroundTexture
+    things: Shape
+
+
+def joined(shapes: list[Shape]) -> Shape:
+    """Several shapes as one, in their order."""
+    if not shapes:
+        return Shape(
+            np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
+        )
+    starts = np.cumsum([0, *(len(shape.vertices) for shape in shapes[:-1])])
+    return Shape(
+        np.concatenate([shape.vertices for shape in shapes]),
+        np.concatenate(
+            [shape.faces + start for shape, start in zip(shapes, starts, strict=True)], dtype=np.int32
+        ),
+        np.concatenate([shape.albedo for shape in shapes]),
+        np.concatenate([shape.segments for shape in shapes]),
+    )
+
+
+def subdivided(shape: Shape, longest_m: float) -> Shape:
+    """The same surface in triangles whose edges are at most `longest_m`, so that light can vary over it."""
+    if not len(shape.faces):
+        return shape
+    vertices, faces, origin = trimesh.remesh.subdivide_to_size(
+        shape.vertices, shape.faces, longest_m, return_index=True
+    )
+    return Shape(
+        np.asarray(vertices), np.asarray(faces, np.int32), shape.albedo[origin], shape.segments[origin]
+    )

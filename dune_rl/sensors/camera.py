@@ -1,0 +1,256 @@
+"""A camera on every rover: colours, depth, segments and normals of all scenes' pictures in one go."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.rendering.baked import Baked
+from dune_rl.rendering.moving import Figure
+from dune_rl.rendering.scenery import Segment
+from dune_rl.sensors.lens import Lens, LensConf
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
+
+
+class CameraConf(LensConf):
+    """Lens, mount and outputs. The defaults are the paper's: 64 by 64 pixels, 60 degrees, RGB.
+
+    `mount_b` is forward, left and up of the chassis centre [m]; `pitch_rad`
+    tilts the camera down. `range_m` is how far it sees, and the depth where
+    nothing is seen.
+    """
+
+    outputs: tuple[Output, ...] = Field(("rgb",), min_length=1)
+    mount_b: tuple[float, float, float] = (0.2, 0.0, 0.175)
+    pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    range_m: float = Field(100.0, gt=0.0, le=10_000.0)
+
+
+class Camera:
+    """Pictures of M scenes, which share the static world and differ in their moving actors.
+
+    A picture is (height, width, channels), its first row at the top. `rgb` and
+    `grey` are bytes for a screen, `segmentation` bytes of `Segment`; `depth`
+    [m] is measured along the optical axis of a pinhole, along the ray of a
+    fisheye; `normals` are unit vectors in the camera frame (x forward, y left,
+    z up), zero where nothing is seen.
+    """
+
+    def __init__(self, conf: CameraConf, baked: Baked, figures: Sequence[Figure]) -> None:
+        self.conf = conf
+        self._baked = baked
+        self._figures = figures
+        lens = Lens(conf)
+        cos, sin = np.cos(conf.pitch_rad), np.sin(conf.pitch_rad)
+        self._tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+        self._directions = lens.directions.reshape(-1, 3)
+        self._directions_b = np.ascontiguousarray(self._directions @ self._tilt.T, np.float32)
+        self._axial = (
+            self._directions[:, 0].astype(np.float32) if conf.projection == "pinhole" else np.float32(1.0)
+        )
+        # Whatever lies within this angle of the axis may be in the picture.
+        self._half_angle = float(np.arccos(np.clip(self._directions[:, 0].min(), -1.0, 1.0)))
+        self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
+        self._tables()
+
+    def _tables(self) -> None:
+        baked = self._baked
+        rows, columns = baked.ground.shape[:2]
+        xmin, xmax, ymin, ymax = baked.terrain.extent
+        self._corner = np.array([xmin, ymin])
+        self._texels = np.array([columns / (xmax - xmin), rows / (ymax - ymin)], np.float32)
+        self._last_texel = np.array([columns - 1, rows - 1], np.float32)
+        self._row_length = np.float32(columns)
+        self._ground = _packed(baked.ground.reshape(-1, 3))
+        self._faces = _packed(baked.faces)
+        self._sky = _packed(baked.sky)
+
+    def origin(self, position_w: Array, rotation: Array) -> Array:
+        """Where the cameras are [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
+        return position_w + rotation @ np.asarray(self.conf.mount_b)
+
+    def frames(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, NDArray[Any]]:
+        """A picture (M, height, width, channels) of each output.
+
+        `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
+        `actor_poses` (M, K, 4) the actors' x, y, z and yaw.
+        """
+        scenes, pixels = len(position_w), len(self._directions_b)
+        origin = self.origin(position_w, rotation)
+        directions = self._directions_b @ rotation.transpose(0, 2, 1).astype(np.float32)
+        origins32 = np.repeat(origin.astype(np.float32), pixels, axis=0)
+        directions32 = directions.reshape(-1, 3)
+        ranges = np.full(scenes * pixels, self.conf.range_m, np.float32)
+        baked = self._baked
+        face, ranges, normal = baked.rays.hits(origins32, directions32, ranges)
+        outputs = self.conf.outputs
+        colour = self._colours(origin, directions, ranges, face) if self._coloured else None
+        segments = baked.segments.take(face, mode="wrap") if "segmentation" in outputs else None
+        looks = (colour, segments, normal)
+        self._draw_figures(origin, rotation, directions32, actor_poses, ranges, looks)
+        found: dict[str, NDArray[Any]] = {}
+        size = (scenes, self.conf.height, self.conf.width)
+        for name in outputs:
+            if name == "rgb":
+                assert colour is not None
+                found[name] = np.ascontiguousarray(colour.view(np.uint8).reshape(*size, 4)[..., :3])
+            elif name == "grey":
+                assert colour is not None
+                found[name] = _grey(colour).reshape(*size, 1)
+            elif name == "segmentation":
+                assert segments is not None
+                found[name] = segments.reshape(*size, 1)
+            elif name == "depth":
+                found[name] = (ranges.reshape(scenes, pixels) * self._axial).reshape(*size, 1)
+            else:
+                found[name] = self._seen_normals(normal, directions, rotation).reshape(*size, 3)
+        return found
+
+    def _colours(
+        self, origin: Array, directions: Floats, ranges: Floats, face: NDArray[np.int32]
+    ) -> NDArray[np.uint32]:
+        """Packed colours (M * P,) of what rays `directions` (M, P, 3) from `origin` (M, 3) have met."""
+        scenes = len(origin)
+        along = ranges.reshape(scenes, -1)
+        start = ((origin[:, :2] - self._corner) * self._texels).astype(np.float32)
+        texel = []
+        for axis in (0, 1):
+            at = directions[..., axis] * along
+            at *= self._texels[axis]
+            at += start[:, axis, None]
+            texel.append(np.clip(at, 0.0, self._last_texel[axis], out=at).astype(np.int32))
+        index = texel[1] * np.int32(self._row_length)
+        index += texel[0]
+        on_ground = face.view(np.uint32) < self._baked.ground_faces
+        colour: NDArray[np.uint32] = np.where(
+            on_ground, self._ground.take(index.ravel()), self._faces.take(face, mode="wrap")
+        )
+        missed = face < 0
+        if missed.any():
+            up = (directions[..., 2].ravel()[missed] + 1.0) * (len(self._sky) / 2)
+            colour[missed] = self._sky.take(up.astype(np.int32), mode="clip")
+        return colour
+
+    def _draw_figures(
+        self,
+        origin: Array,
+        rotation: Array,
+        directions: Floats,
+        poses: Array,
+        ranges: Floats,
+        looks: tuple[NDArray[np.uint32] | None, NDArray[np.uint8] | None, Floats],
+    ) -> None:
+        """Put the actors at `poses` (M, K, 4) into the pictures, where they are nearer than what is there."""
+        colour, segments, normal = looks
+        for figure, columns in groups(self._figures):
+            ray, actor = self._pixels_near(figure, origin, rotation, poses[:, columns])
+            if not len(ray):
+                continue
+            near = poses[:, columns].reshape(-1, 4)[actor]
+            scene = ray // len(self._directions_b)
+            hit = figure.hits(origin[scene], directions[ray], near, ranges[ray])
+            # Rays of different actors of one group can meet: the nearest counts, so go from far to near.
+            order = np.flatnonzero(hit.face >= 0)
+            order = order[np.argsort(-hit.range[order], kind="stable")]
+            ray, face = ray[order], hit.face[order]
+            ranges[ray], normal[ray] = hit.range[order], hit.normal[order]
+            if colour is not None:
+                lit = figure.colours(self._baked.light, face, hit.normal[order])
+                colour[ray] = _packed(lit)
+            if segments is not None:
+                segments[ray] = figure.segment
+
+    def _pixels_near(
+        self, figure: Figure, origin: Array, rotation: Array, poses: Array
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
+        offset = poses[..., :3] + figure.centre - origin[:, None]
+        distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
+        towards = np.einsum("mkj,mji->mki", offset / distance[..., None], rotation @ self._tilt)
+        apparent = np.arcsin(np.minimum(figure.radius_m / distance, 1.0))
+        aside = np.arccos(np.clip(towards[..., 0], -1.0, 1.0))
+        inside = distance <= figure.radius_m
+        actor = np.flatnonzero((aside - apparent < self._half_angle) | inside)
+        cosine = self._directions.astype(np.float32) @ towards.reshape(-1, 3)[actor].T.astype(np.float32)
+        limit = np.where(inside, -2.0, np.cos(apparent)).ravel()[actor]
+        pixel, which = np.nonzero(cosine >= limit.astype(np.float32))
+        scene = actor[which] // poses.shape[1]
+        return scene * len(self._directions) + pixel, actor[which]
+
+    def _seen_normals(self, normal: Floats, directions: Floats, rotation: Array) -> Floats:
+        unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        unit = unit.reshape(directions.shape)
+        away = np.einsum("mpi,mpi->mp", unit, directions) > 0.0
+        unit = np.where(away[..., None], -unit, unit)
+        seen: Floats = unit @ (rotation @ self._tilt).astype(np.float32)
+        return seen
+
+
+def groups(figures: Sequence[Figure]) -> list[tuple[Figure, NDArray[np.int64]]]:
+    """Each different figure, with the columns of the actors that have it."""
+    return [
+        (figure, np.flatnonzero([figure is other for other in figures])) for figure in dict.fromkeys(figures)
+    ]
+
+
+class CameraSensor:
+    """The readings "camera_<output>", (M, height, width, channels), of a `Camera`."""
+
+    def __init__(self, camera: Camera, num_scenes: int) -> None:
+        self._camera = camera
+        self._frames: dict[str, NDArray[Any]] = {
+            name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
+        }
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Bytes, metres up to the range, and components of unit vectors."""
+        conf = self._camera.conf
+        limits: dict[str, tuple[int, float, float, type]] = {
+            "rgb": (3, 0, 255, np.uint8),
+            "grey": (1, 0, 255, np.uint8),
+            "segmentation": (1, 0, max(Segment), np.uint8),
+            "depth": (1, 0.0, conf.range_m, np.float32),
+            "normals": (3, -1.001, 1.001, np.float32),
+        }
+        found: dict[str, Bounds] = {}
+        for name in conf.outputs:
+            channels, low, high, kind = limits[name]
+            shape = (conf.height, conf.width, channels)
+            found[f"camera_{name}"] = (np.full(shape, low, kind), np.full(shape, high, kind))
+        return found
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Look in the scenes in `mask` (M,); the others keep their pictures."""
+        rows = np.flatnonzero(mask)
+        frames = self._camera.frames(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
+        for name, frame in frames.items():
+            self._frames[f"camera_{name}"][rows] = frame
+
+    def measure(self, now: Moment) -> None:
+        """Look again."""
+        frames = self._camera.frames(now.position_w, now.rotation, now.actor_poses)
+        self._frames = {f"camera_{name}": frame for name, frame in frames.items()}
+
+    def read(self) -> dict[str, Reading]:
+        """The latest pictures."""
+        return {name: frame.copy() for name, frame in self._frames.items()}
+
+
+def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Bytes (N, 3) as (N,) words: one look-up then fetches a whole colour."""
+    words = np.zeros((len(colours), 4), np.uint8)
+    words[:, :3] = colours
+    return words.view(np.uint32).ravel()
+
+
+def _grey(colour: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    # Luma: the weights on encoded values, as Pillow and OpenCV take it.
+    weights = np.array([0.299, 0.587, 0.114, 0.0], np.float32)
+    return (colour.view(np.uint8).reshape(-1, 4) @ weights + 0.5).astype(np.uint8)

@@ -1,0 +1,86 @@
+"""What the ground looks like: grass, earth and stones mixed by noise and by slope."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.light import linear
+from dune_rl.rendering.scenery import GroundTexture
+from dune_rl.seeding import stream
+
+Floats = NDArray[np.float32]
+Colour = tuple[float, float, float]
+
+_TEXEL_M = 0.1
+_MOST_TEXELS = 1024
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Colours (sRGB) of a ground: `low` and `high` patches of growth, and `bare` earth on steep places.
+
+    `bare_from_rad` is the slope from which growth gives way; `contrast` scales
+    the grain.
+    """
+
+    low: Colour
+    high: Colour
+    bare: Colour
+    bare_from_rad: float
+    contrast: float = 1.0
+
+
+MEADOW = Ground(low=(0.42, 0.45, 0.24), high=(0.56, 0.54, 0.30), bare=(0.50, 0.42, 0.33), bare_from_rad=0.30)
+GRAVEL = Ground(
+    low=(0.55, 0.53, 0.49), high=(0.64, 0.61, 0.56), bare=(0.50, 0.46, 0.42), bare_from_rad=0.6, contrast=0.8
+)
+
+
+def ground_texture(terrain: HeightField, ground: Ground, seed: int) -> GroundTexture:
+    """The look of `ground` on `terrain`: the same for the same seed."""
+    xmin, xmax, ymin, ymax = terrain.extent
+    columns, rows = (
+        int(np.clip(round(side / _TEXEL_M), 2, _MOST_TEXELS)) for side in (xmax - xmin, ymax - ymin)
+    )
+    rng = stream(seed, "ground texture")
+    texel_m = (xmax - xmin) / columns
+    patches = _noise(rng, rows, columns, [9.0, 4.0, 1.6, 0.6], texel_m)
+    edges = _noise(rng, rows, columns, [3.0, 1.2, 0.5, 0.25], texel_m)
+    grain = _noise(rng, rows, columns, [0.5, 0.2, 0.1], texel_m)
+    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
+    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
+    slope = terrain.slope(np.stack(np.meshgrid(x, y), axis=-1))
+    slope = ndimage.gaussian_filter(slope, 0.5 / texel_m)
+    growth = _step((patches + 0.8) / 1.6)[..., None]
+    bare = _step((slope - ground.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
+    low, high, earth = (linear(np.array(colour)) for colour in (ground.low, ground.high, ground.bare))
+    albedo = low + growth * (high - low)
+    albedo = albedo + bare * (earth - albedo)
+    # Grass is rougher than earth.
+    shade = 1.0 + ground.contrast * (0.16 * grain[..., None] + 0.10 * patches[..., None]) * (1.0 - 0.3 * bare)
+    return GroundTexture(np.clip(albedo * shade, 0.01, 0.95).astype(np.float32))
+
+
+def _noise(
+    rng: np.random.Generator, rows: int, columns: int, wavelengths_m: list[float], texel_m: float
+) -> NDArray[np.float64]:
+    # Value noise of several wavelengths, the shorter the weaker, of about unit variance.
+    total, power = np.zeros((rows, columns)), 0.0
+    for level, wavelength in enumerate(wavelengths_m):
+        cells = [max(2, round(n * texel_m / wavelength)) + 3 for n in (rows, columns)]
+        coarse = rng.standard_normal(cells)
+        at = np.meshgrid(
+            np.linspace(1, cells[0] - 2, rows), np.linspace(1, cells[1] - 2, columns), indexing="ij"
+        )
+        weight = 0.65**level
+        total += weight * ndimage.map_coordinates(coarse, at, order=2, mode="nearest")
+        power += weight**2
+    return total / (0.7 * np.sqrt(power))
+
+
+def _step(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    t = np.clip(t, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
