@@ -126,7 +126,7 @@ def test_wrong_kind(saved: Path) -> None:
 
 
 def test_another_observation_is_named(saved: Path) -> None:
-    with pytest.raises(CheckpointError, match="lidar has 32 values there, 64 here") as caught:
+    with pytest.raises(CheckpointError, match="lidar has 32 values there, 64 values here") as caught:
         load_policy(saved, Layout.of(PointMass(1, 0, beams=64)))
     assert len(str(caught.value).splitlines()) == 2
 

@@ -227,7 +227,9 @@ def test_next_observation_is_the_final_one_not_the_reset_one() -> None:
     after = rows[:, 1:, :n][ends[:, :-1]]
     assert not torch.equal(after, rows[:, :-1, n : 2 * n][ends[:, :-1]])
     learnt = transitions.batch(
-        rows.flatten(0, 1), Normaliser(torch.zeros(n, dtype=torch.bool), clip=10.0), reward_scale=1.0
+        rows.flatten(0, 1),
+        lambda packed: Normaliser(torch.zeros(n, dtype=torch.bool), clip=10.0)(packed.floats),
+        reward_scale=1.0,
     )
     assert not learnt["next", "terminated"].any()
 

@@ -12,6 +12,8 @@ from hydra.errors import HydraException
 
 from dune_rl.config.checks import closest, one_of
 
+_SENSORS = "sensors"
+
 
 @dataclass(frozen=True)
 class Request:
@@ -65,6 +67,10 @@ def read(overrides: Sequence[str], loader: ConfigLoader) -> Request:
             faults.append(_unreadable(text))
             continue
         key = override.key_or_group
+        if key == _SENSORS and text.partition("=")[2].startswith("["):
+            # A list is of sensors; the group's options are whole sets of settings.
+            override = parser.parse_override(f"{_SENSORS}.enabled={text.partition('=')[2]}")
+            key = override.key_or_group
         if override.is_hydra_override() or key.startswith("hydra."):
             engine.append(override)
         elif _is_group(loader, key) and not isinstance(override.value(), dict):

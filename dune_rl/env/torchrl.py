@@ -101,11 +101,11 @@ class DuneEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         if not self._walkers:
-            outcome = self._core.step(tensordict["action"].numpy())
+            outcome = self._core.step(tensordict["action"].detach().numpy())
             reward: dict[str, Any] = {"reward": torch.from_numpy(outcome.rover_reward).unsqueeze(-1)}
         else:
-            rover = tensordict["rover", "action"].numpy()[:, 0]
-            outcome = self._core.step(rover, tensordict["walker", "action"].numpy())
+            rover = tensordict["rover", "action"].detach().numpy()[:, 0]
+            outcome = self._core.step(rover, tensordict["walker", "action"].detach().numpy())
             reward = {
                 "rover": {"reward": torch.from_numpy(outcome.rover_reward)[:, None, None]},
                 "walker": {"reward": torch.from_numpy(outcome.walker_reward)[..., None]},

@@ -1,8 +1,9 @@
 """What a policy reads and commands: the observation's parts, in order, and the action's bounds."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -17,27 +18,54 @@ METRICS_KEY = "metrics"
 
 
 @dataclass(frozen=True)
+class Image:
+    """A part with `shape` (height, width, channels): bytes or float32, its values from `low` to `high`."""
+
+    shape: tuple[int, int, int]
+    whole_bytes: bool
+    low: float
+    high: float
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return math.prod(self.shape)
+
+
+class Packed(NamedTuple):
+    """Observations as two matrices: `floats` (..., F), vectors first, and `octets` (..., B), of bytes."""
+
+    floats: Tensor
+    octets: Tensor
+
+
+@dataclass(frozen=True)
 class Layout:
     """Observation keys with their sizes, in the order in which they are concatenated, and action bounds.
 
     `low` and `high` are in the action's own (physical) units. `ranges` names the
     parts whose values are positive throughout, such as a LiDAR's: of those
-    it is the ratio that matters, 0.3 m to 0.6 m as much as 3 m to 6 m.
+    it is the ratio that matters, 0.3 m to 0.6 m as much as 3 m to 6 m. `sizes`
+    are of the vectors; `images` follow them in the same way.
     """
 
     sizes: Mapping[str, int]
     low: tuple[float, ...]
     high: tuple[float, ...]
     ranges: tuple[str, ...] = ()
+    images: Mapping[str, Image] = field(default_factory=dict)
 
     @classmethod
     def of(cls, env: EnvBase) -> "Layout":
-        """The layout of a batched environment: every float vector that it observes, by name."""
+        """The layout of a batched environment: every vector and image that it observes, by name."""
+        axes = len(env.batch_size)
+        parts = {key: spec for key, spec in sorted(env.observation_spec.items()) if key != METRICS_KEY}
         sizes = {
             key: spec.shape[-1]
-            for key, spec in sorted(env.observation_spec.items())
-            if key != METRICS_KEY and spec.dtype.is_floating_point and spec.ndim == len(env.batch_size) + 1
+            for key, spec in parts.items()
+            if spec.dtype.is_floating_point and spec.ndim == axes + 1
         }
+        images = {key: _image(spec) for key, spec in parts.items() if spec.ndim == axes + 3}
         bounds = env.action_spec.space
         size = env.action_spec.shape[-1]
         return cls(
@@ -45,17 +73,25 @@ class Layout:
             tuple(bounds.low.reshape(-1, size)[0].tolist()),
             tuple(bounds.high.reshape(-1, size)[0].tolist()),
             tuple(key for key in sizes if _positive(env.observation_spec[key])),
+            images,
         )
 
     @property
     def keys(self) -> list[str]:
-        """Names of the observation's parts, in order."""
-        return list(self.sizes)
+        """Names of the observation's parts, in order: vectors, then images."""
+        return [*self.sizes, *self.images]
 
     @property
     def observation_size(self) -> int:
-        """Length of the concatenated observation."""
+        """Length of the concatenated vectors."""
         return sum(self.sizes.values())
+
+    @property
+    def packed_sizes(self) -> tuple[int, int]:
+        """Widths F and B of what `pack` gives."""
+        floats = sum(image.size for image in self.images.values() if not image.whole_bytes)
+        octets = sum(image.size for image in self.images.values() if image.whole_bytes)
+        return self.observation_size + floats, octets
 
     @property
     def action_size(self) -> int:
@@ -64,8 +100,9 @@ class Layout:
 
     @property
     def range_columns(self) -> Tensor:
-        """Which entries of the concatenated observation are ranges, bool, shape (observation_size,)."""
-        return torch.cat([torch.full((size,), key in self.ranges) for key, size in self.sizes.items()])
+        """Which entries of the concatenated vectors are ranges, bool, shape (observation_size,)."""
+        columns = [torch.full((size,), key in self.ranges) for key, size in self.sizes.items()]
+        return torch.cat([torch.zeros(0, dtype=torch.bool), *columns])
 
     @property
     def half_range(self) -> Tensor:
@@ -77,9 +114,29 @@ class Layout:
         """Centre of each action component's interval, shape (A,)."""
         return (torch.tensor(self.high) + torch.tensor(self.low)) / 2
 
-    def vector(self, observation: TensorDictBase) -> Tensor:
-        """The parts concatenated, shape (..., observation_size)."""
-        return torch.cat([observation.get(key) for key in self.sizes], -1)
+    def pack(self, observation: TensorDictBase) -> Packed:
+        """The parts of `observation` (...), flat and side by side."""
+        shape = observation.batch_size
+        floats, octets = [torch.zeros(*shape, 0)], [torch.zeros(*shape, 0, dtype=torch.uint8)]
+        for key in self.keys:
+            part = observation.get(key)
+            if key in self.sizes:
+                floats.append(part)
+            else:
+                (octets if self.images[key].whole_bytes else floats).append(part.flatten(-3))
+        return Packed(torch.cat(floats, -1), torch.cat(octets, -1))
+
+    def unpack(self, packed: Packed) -> tuple[Tensor, list[Tensor]]:
+        """Vectors (..., observation_size), and each image (..., height, width, channels)."""
+        vectors = packed.floats[..., : self.observation_size]
+        images = []
+        starts = {False: self.observation_size, True: 0}
+        for image in self.images.values():
+            matrix = packed.octets if image.whole_bytes else packed.floats
+            start = starts[image.whole_bytes]
+            starts[image.whole_bytes] = start + image.size
+            images.append(matrix[..., start : start + image.size].unflatten(-1, image.shape))
+        return vectors, images
 
     def plain(self) -> dict[str, Any]:
         """Containers that `torch.load(weights_only=True)` reads."""
@@ -88,24 +145,39 @@ class Layout:
             "low": list(self.low),
             "high": list(self.high),
             "ranges": list(self.ranges),
+            "images": {
+                key: {
+                    "shape": list(each.shape),
+                    "bytes": each.whole_bytes,
+                    "low": each.low,
+                    "high": each.high,
+                }
+                for key, each in self.images.items()
+            },
         }
 
     @classmethod
     def from_plain(cls, data: Mapping[str, Any]) -> "Layout":
         """The inverse of `plain`."""
-        return cls(dict(data["sizes"]), tuple(data["low"]), tuple(data["high"]), tuple(data["ranges"]))
+        # Files from before there were images have none.
+        images = {
+            key: Image(tuple(each["shape"]), each["bytes"], each["low"], each["high"])
+            for key, each in data.get("images", {}).items()
+        }
+        low, high = tuple(data["low"]), tuple(data["high"])
+        return cls(dict(data["sizes"]), low, high, tuple(data["ranges"]), images)
 
     def require(self, here: "Layout", source: str) -> None:
         """Raise unless a policy of this layout, read from `source`, fits the environment `here`."""
         faults = []
-        for key in sorted({*self.sizes, *here.sizes}):
-            there, now = self.sizes.get(key), here.sizes.get(key)
+        for key in sorted({*self.keys, *here.keys}):
+            there, now = self._extent(key), here._extent(key)
             if there is None:
-                faults.append(f"{key} is missing there, {now} values here")
+                faults.append(f"{key} is missing there, {now} here")
             elif now is None:
-                faults.append(f"{key} has {there} values there, is missing here")
+                faults.append(f"{key} has {there} there, is missing here")
             elif there != now:
-                faults.append(f"{key} has {there} values there, {now} here")
+                faults.append(f"{key} has {there} there, {now} here")
         theirs, ours = (
             ", ".join(f"[{low:g}, {high:g}]" for low, high in zip(each.low, each.high, strict=True))
             for each in (self, here)
@@ -118,6 +190,19 @@ class Layout:
                 "Use the robot and sensor settings that it was trained with (its run's folder holds them), "
                 "or train anew."
             )
+
+    def _extent(self, key: str) -> str | None:
+        if key in self.sizes:
+            return f"{self.sizes[key]} values"
+        if key not in self.images:
+            return None
+        height, width, channels = self.images[key].shape
+        return f"{height} by {width} pixels of {channels}"
+
+
+def _image(spec: TensorSpec) -> Image:
+    low, high = float(spec.space.low.min()), float(spec.space.high.max())
+    return Image(tuple(spec.shape[-3:]), spec.dtype == torch.uint8, low, high)
 
 
 def _positive(spec: TensorSpec) -> bool:

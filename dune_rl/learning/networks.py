@@ -9,7 +9,8 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from dune_rl.learning.layout import Layout
+from dune_rl.learning.image_encoder import ImageEncoder
+from dune_rl.learning.layout import Layout, Packed
 from dune_rl.learning.scan_encoder import ScanEncoder
 
 FEATURES = "features"
@@ -24,15 +25,19 @@ class Architecture:
     hidden: tuple[int, ...]
     scan_channels: int = 0
     observation_clip: float = 10.0
+    image_channels: tuple[int, ...] = (16, 32, 32)
+    image_features: int = 64
 
     def plain(self) -> dict[str, Any]:
         """Containers that `torch.load(weights_only=True)` reads."""
-        return {**asdict(self), "hidden": list(self.hidden)}
+        return {**asdict(self), "hidden": list(self.hidden), "image_channels": list(self.image_channels)}
 
     @classmethod
     def from_plain(cls, data: Mapping[str, Any]) -> "Architecture":
         """The inverse of `plain`."""
-        return cls(tuple(data["hidden"]), data["scan_channels"], data["observation_clip"])
+        # What a file does not know of is as it was before.
+        lists = {key: tuple(data[key]) for key in ("hidden", "image_channels") if key in data}
+        return cls(**{**data, **lists})
 
 
 class Normaliser(nn.Module):
@@ -81,21 +86,38 @@ class Normaliser(nn.Module):
 
 
 class Features(nn.Module):
-    """Concatenates the observation's parts, normalises and encodes them; an image would join here."""
+    """Makes one vector of the observation's parts: the vectors normalised, scans and images encoded."""
 
     def __init__(self, layout: Layout, architecture: Architecture) -> None:
         super().__init__()
+        self._layout = layout
         self.normaliser = Normaliser(layout.range_columns, architecture.observation_clip)
         self.scans = ScanEncoder(layout, architecture.scan_channels)
-        self.size = self.scans.size
+        encoders = [
+            ImageEncoder(image, architecture.image_channels, architecture.image_features)
+            for image in layout.images.values()
+        ]
+        self.images = nn.ModuleList(encoders)
+        self.size = self.scans.size + sum(encoder.size for encoder in encoders)
 
     def forward(self, *parts: Tensor) -> Tensor:
-        """Features (..., size) of the parts (..., n_i), in the layout's order."""
-        return self.encode(torch.cat(parts, -1))
+        """Features (..., size) of the parts, vectors (..., n_i) and images, in the layout's order."""
+        vectors = len(self._layout.sizes)
+        if not vectors:
+            nothing = parts[0].new_zeros((*parts[0].shape[:-3], 0), dtype=torch.float32)
+            return self._encode(nothing, parts)
+        return self._encode(torch.cat(parts[:vectors], -1), parts[vectors:])
 
-    def encode(self, vectors: Tensor) -> Tensor:
-        """Features (..., size) of observation vectors (..., n)."""
-        return self.scans(self.normaliser(vectors))
+    def encode(self, observations: Packed) -> Tensor:
+        """Features (..., size) of what `Layout.pack` gives."""
+        return self._encode(*self._layout.unpack(observations))
+
+    def _encode(self, vectors: Tensor, images: Sequence[Tensor]) -> Tensor:
+        features = self.scans(self.normaliser(vectors))
+        if not images:
+            return features
+        seen = [encoder(image) for encoder, image in zip(self.images, images, strict=True)]
+        return torch.cat([features, *seen], -1)
 
 
 def _perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:

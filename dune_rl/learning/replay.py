@@ -1,4 +1,4 @@
-"""The replay buffer: flat float32 transitions, in memory or on disk."""
+"""The replay buffer: transitions as flat rows, in memory or on disk."""
 
 import os
 import shutil
@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
 from dune_rl.errors import CheckpointError
-from dune_rl.learning.layout import Layout
+from dune_rl.learning.layout import Layout, Packed
 from dune_rl.learning.networks import FEATURES
 from dune_rl.learning.returns import multi_step
 from dune_rl.settings import Settings
@@ -34,47 +34,65 @@ class Transitions:
 
     Observations are kept raw: they are normalised when sampled, with the statistics of that day. The
     later one is `steps` later, at most `n_steps`, and the reward is the discounted sum until then.
+    Rows are float32; where there are images of bytes, rows are the bytes of those floats, and the images
+    of both observations behind them.
     """
 
     def __init__(self, layout: Layout, n_steps: int = 1, gamma: float = 0.99) -> None:
         self._layout = layout
         self._n_steps, self._gamma = n_steps, gamma
-        self._widths = [layout.observation_size] * 2 + [layout.action_size, 1, 1, 1]
-        self.width = sum(self._widths)
+        floats, self._octets = layout.packed_sizes
+        self._widths = [floats] * 2 + [layout.action_size, 1, 1, 1]
+        self._floats = sum(self._widths)
+        self.dtype = torch.uint8 if self._octets else torch.float32
+        self.width = 4 * self._floats + 2 * self._octets if self._octets else self._floats
 
     def rows(self, batch: TensorDictBase) -> Tensor:
-        """Rows (k, width) of a collected batch (scenes, steps) with k transitions.
+        """Rows (k, width) of a collected batch (scenes, steps), or (steps,), with k transitions.
 
         The later observation is that of the step itself, before any reset. Only
         `terminated` is kept of the three ends, so a time limit cannot be mistaken for one.
         """
+        batch = batch.reshape(-1, batch.shape[-1])
         after = batch.get("next")
         done = after.get("done").squeeze(-1)
         reward, steps = multi_step(after.get("reward").squeeze(-1), done, self._n_steps, self._gamma)
-        last = (torch.arange(done.shape[-1]) + steps - 1).unsqueeze(-1)
-        later = torch.cat([self._layout.vector(after), after.get("terminated").float()], -1)
-        later = later.gather(-2, last.expand(*last.shape[:-1], later.shape[-1]))
+        last = torch.arange(done.shape[-1]) + steps - 1
+        chosen = (torch.arange(len(done)).unsqueeze(-1), last)
+        now, later = self._layout.pack(batch), self._layout.pack(after)
         parts = [
-            self._layout.vector(batch),
-            later[..., :-1],
+            now.floats,
+            later.floats[chosen],
             batch.get("action"),
             reward.unsqueeze(-1),
-            later[..., -1:],
+            after.get("terminated").float()[chosen],
             steps.unsqueeze(-1).float(),
         ]
-        return torch.cat(parts, -1).reshape(-1, self.width)
+        rows = torch.cat(parts, -1).reshape(-1, self._floats)
+        if not self._octets:
+            return rows
+        images = [each.reshape(len(rows), -1) for each in (now.octets, later.octets[chosen])]
+        return torch.cat([rows.view(torch.uint8), *images], -1)
 
-    def observations(self, rows: Tensor) -> Tensor:
-        """The raw observations (k, n) of `rows`."""
-        return rows[:, : self._layout.observation_size]
+    def vectors(self, rows: Tensor) -> Tensor:
+        """The raw vectors (k, observation_size) observed in `rows`."""
+        return self._split(rows)[0].floats[:, : self._layout.observation_size]
 
-    def batch(self, rows: Tensor, encode: Callable[[Tensor], Tensor], reward_scale: float) -> TensorDict:
+    def _split(self, rows: Tensor) -> tuple[Packed, Packed, list[Tensor]]:
+        now = later = rows.new_zeros((len(rows), 0), dtype=torch.uint8)
+        if self._octets:
+            now, later = rows[:, 4 * self._floats :].split(self._octets, -1)
+            rows = rows[:, : 4 * self._floats].contiguous().view(torch.float32)
+        first, second, *rest = rows.split(self._widths, -1)
+        return Packed(first, now), Packed(second, later), rest
+
+    def batch(self, rows: Tensor, encode: Callable[[Packed], Tensor], reward_scale: float) -> TensorDict:
         """What a loss takes, batch size (k,), from `rows` (k, width).
 
         `encode` makes features of observations; those of the later ones, which
         only targets are made of, carry no gradient.
         """
-        now, after, action, reward, terminated, steps = rows.split(self._widths, -1)
+        now, after, (action, reward, terminated, steps) = self._split(rows)
         ended = terminated > 0
         with torch.no_grad():
             later = encode(after)
@@ -98,10 +116,15 @@ class Transitions:
 
 
 class Replay:
-    """A ring of rows (width,) sampled uniformly with torch's global generator."""
+    """A ring of rows (width,) of one type, sampled uniformly with torch's global generator."""
 
     def __init__(
-        self, conf: ReplayConf, width: int, scratch: Path, device: torch.device | str = "cpu"
+        self,
+        conf: ReplayConf,
+        width: int,
+        scratch: Path,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         """`scratch` is the folder that the storage `disk` maps into memory."""
         if conf.storage == "disk":
@@ -111,6 +134,7 @@ class Replay:
         self._buffer = ReplayBuffer(storage=storage)
         self._scratch = scratch
         self._width = width
+        self._dtype = dtype
         self._capacity = conf.capacity
         self._device = torch.device(device)
 
@@ -133,13 +157,17 @@ class Replay:
             yield from rows.split(size)
             count -= now
 
+    @property
+    def _descr(self) -> str:
+        return "|u1" if self._dtype == torch.uint8 else "<f4"
+
     def save(self, path: Path) -> dict[str, int]:
         """Write the rows as a `.npy` file, and give the plain numbers that `load` needs beside it."""
         size = len(self)
-        rows = self._buffer.storage[:size] if size else torch.zeros(0, self._width)
+        rows = self._buffer.storage[:size] if size else torch.zeros(0, self._width, dtype=self._dtype)
         with path.open("wb") as file:
             np.lib.format.write_array_header_1_0(
-                file, {"descr": "<f4", "fortran_order": False, "shape": (size, self._width)}
+                file, {"descr": self._descr, "fortran_order": False, "shape": (size, self._width)}
             )
             # In pieces: the ring may be as large as the memory.
             for piece in rows.split(_ROWS_PER_COPY):
@@ -161,10 +189,10 @@ class Replay:
             raise CheckpointError(
                 f"{path} is damaged: {error}.\nPut a good copy in its place, or train anew."
             ) from error
-        if rows.shape != (numbers["size"], self._width):
+        if rows.shape != (numbers["size"], self._width) or rows.dtype.str != self._descr:
             raise CheckpointError(
-                f"{path} holds rows of shape {rows.shape}, not {(numbers['size'], self._width)}: "
-                "it belongs to another checkpoint.\nPut the right file in its place, or train anew."
+                f"{path} holds rows of shape {rows.shape} of {rows.dtype.str}, not "
+                f"{(numbers['size'], self._width)} of {self._descr}: it belongs to another checkpoint.\nPut the right file in its place, or train anew."
             )
         if len(rows) > self._capacity:
             raise CheckpointError(

@@ -30,6 +30,10 @@ class SacConf(Settings):
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
     scan_channels: int = Field(8, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
+    image_channels: tuple[Width, ...] = Field(
+        (16, 32, 32), min_length=1, description="of the convolutions over each image, if there are any"
+    )
+    image_features: int = Field(64, ge=1, le=4096, description="values that each image is reduced to")
     gamma: float = Field(0.99, ge=0, lt=1)
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
@@ -49,7 +53,9 @@ class SacConf(Settings):
     @property
     def architecture(self) -> Architecture:
         """Those of the settings that shape the networks."""
-        return Architecture(self.hidden, self.scan_channels, self.observation_clip)
+        return Architecture(
+            self.hidden, self.scan_channels, self.observation_clip, self.image_channels, self.image_features
+        )
 
 
 def has_bfloat16(device: torch.device) -> bool:
@@ -106,7 +112,7 @@ class Sac:
 
     def observe(self, rows: Tensor) -> None:
         """Let the normaliser see newly collected `rows`, once, before they are learnt from."""
-        self.features.normaliser.observe(self.transitions.observations(rows).to(self._device))
+        self.features.normaliser.observe(self.transitions.vectors(rows).to(self._device))
 
     def schedule(self, frames: int) -> float:
         """Set and give the learning rate that is due after `frames`."""

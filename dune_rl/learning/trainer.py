@@ -103,7 +103,8 @@ class Trainer:
         self._sac = Sac(sac, self._layout, total_frames, device)
         # Workers and evaluations act on the CPU, whatever device learns.
         self._acting = make_policy(self._layout, sac.architecture)
-        self._replay = Replay(replay, self._sac.transitions.width, run_dir / "replay", device)
+        transitions = self._sac.transitions
+        self._replay = Replay(replay, transitions.width, run_dir / "replay", device, transitions.dtype)
 
         self.frames = 0
         self.updates = 0

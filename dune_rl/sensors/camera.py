@@ -85,11 +85,10 @@ class Camera:
         scenes, pixels = len(position_w), len(self._directions_b)
         origin = self.origin(position_w, rotation)
         directions = self._directions_b @ rotation.transpose(0, 2, 1).astype(np.float32)
-        origins32 = np.repeat(origin.astype(np.float32), pixels, axis=0)
         directions32 = directions.reshape(-1, 3)
         ranges = np.full(scenes * pixels, self.conf.range_m, np.float32)
         baked = self._baked
-        face, ranges, normal = baked.rays.hits(origins32, directions32, ranges)
+        face, ranges, normal = baked.rays.hits(origin.astype(np.float32), directions32, ranges, coherent=True)
         outputs = self.conf.outputs
         colour = self._colours(origin, directions, ranges, face) if self._coloured else None
         segments = baked.segments.take(face, mode="wrap") if "segmentation" in outputs else None

@@ -1,0 +1,198 @@
+"""Ray packets on Embree: sixteen rays at a time, several times faster than one by one.
+
+The library is the one that embreex carries. Its own interface casts single
+rays; this module binds the packet functions of the same library instead.
+Layouts follow embree4/rtcore_ray.h and rtcore_common.h (Embree 4).
+"""
+
+import ctypes
+import weakref
+from typing import Any
+
+import embreex.rtcore_scene
+import llvmlite.binding
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
+
+_WIDTH = 16
+# Rows of 16 words in a packet: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask, id and flags 9-11;
+# then the hit: normal 12-14, u and v 15-16, face 17, geometry 18, instance 19.
+_ROWS = 24
+_TNEAR, _TIME, _TFAR, _MASK, _ID, _FLAGS = 3, 7, 8, 9, 10, 11
+_NORMAL, _FACE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
+_NONE = np.uint32(0xFFFFFFFF)
+_ALL_FEATURES = 0xFFFFFFFF
+_COHERENT = 1 << 16
+_TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003
+
+_extension = embreex.rtcore_scene.__file__
+_library = ctypes.CDLL(_extension)
+# Makes the functions known by name to compiled code, cached or not.
+llvmlite.binding.load_library_permanently(_extension)
+
+
+def _function(name: str, result: Any, *arguments: Any) -> Any:
+    function = getattr(_library, name)
+    function.restype, function.argtypes = result, arguments
+    return function
+
+
+_pointer = ctypes.c_void_p
+_new_device = _function("rtcNewDevice", _pointer, ctypes.c_char_p)
+_new_scene = _function("rtcNewScene", _pointer, _pointer)
+_release_scene = _function("rtcReleaseScene", None, _pointer)
+_commit_scene = _function("rtcCommitScene", None, _pointer)
+_new_geometry = _function("rtcNewGeometry", _pointer, _pointer, ctypes.c_int)
+_commit_geometry = _function("rtcCommitGeometry", None, _pointer)
+_release_geometry = _function("rtcReleaseGeometry", None, _pointer)
+_attach_geometry = _function("rtcAttachGeometry", ctypes.c_uint, _pointer, _pointer)
+_new_buffer = _function(
+    "rtcSetNewGeometryBuffer",
+    _pointer,
+    *(_pointer, ctypes.c_int, ctypes.c_uint, ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t),
+)
+_packet_function = types.void(types.intp, types.intp, types.intp, types.intp)
+_intersect16: Any = types.ExternalFunction("rtcIntersect16", _packet_function)
+_occluded16: Any = types.ExternalFunction("rtcOccluded16", _packet_function)
+
+
+class _Arguments(ctypes.Structure):
+    # RTCIntersectArguments, whose layout RTCOccludedArguments shares; room for fields of later versions.
+    _fields_ = (
+        ("flags", ctypes.c_uint),
+        ("features", ctypes.c_uint),
+        ("pointers", _pointer * 3),
+        ("room", ctypes.c_uint * 8),
+    )
+
+
+_arguments = {coherent: _Arguments(_COHERENT if coherent else 0, _ALL_FEATURES) for coherent in (False, True)}
+_device: int | None = None
+
+
+def _shared_device() -> int:
+    # One device serves every scene of a process: each further one costs threads and memory.
+    global _device
+    if _device is None:
+        _device = _new_device(b"threads=1,set_affinity=0")
+        if not _device:
+            raise RuntimeError("Embree could not be started on this machine")
+    return _device
+
+
+class TriangleScene:
+    """Triangles that rays are cast against: `vertices` (V, 3), `faces` (F, 3), copied."""
+
+    def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+        device = _shared_device()
+        self._handle = _new_scene(device)
+        weakref.finalize(self, _release_scene, self._handle)
+        geometry = _new_geometry(device, _TRIANGLES)
+        for slot, layout, values in ((_VERTICES, _FLOAT3, vertices), (_INDICES, _UINT3, faces)):
+            kind = ctypes.c_float if slot == _VERTICES else ctypes.c_uint
+            address = _new_buffer(geometry, slot, 0, layout, 12, len(values))
+            buffer = ctypes.cast(address, ctypes.POINTER(kind))
+            np.ctypeslib.as_array(buffer, (len(values), 3))[:] = values
+        _commit_geometry(geometry)
+        _attach_geometry(self._handle, geometry)
+        _release_geometry(geometry)
+        _commit_scene(self._handle)
+
+    def intersect(
+        self,
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        ranges: NDArray[np.float32],
+        faces: NDArray[np.int32],
+        normals: NDArray[np.float32],
+        coherent: bool,
+    ) -> None:
+        """Shorten `ranges` (N,) in place to first hits; fill `faces` (N,), `normals` (N, 3), unless empty."""
+        arguments = ctypes.addressof(_arguments[coherent])
+        _intersect(self._handle, arguments, _plain(origins), _plain(directions), ranges, faces, normals)
+
+    def occluded(
+        self, origins: NDArray[np.float32], directions: NDArray[np.float32], coherent: bool
+    ) -> NDArray[np.bool_]:
+        """Whether anything lies on each ray, (N,)."""
+        blocked = np.empty(len(directions), np.bool_)
+        arguments = ctypes.addressof(_arguments[coherent])
+        _occluded(self._handle, arguments, _plain(origins), _plain(directions), blocked)
+        return blocked
+
+
+def _plain(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    # Of one layout, so that one compiled function serves all.
+    values = np.ascontiguousarray(values, np.float32)
+    return values if values.flags.writeable else values.copy()
+
+
+@njit(cache=True, nogil=True)
+def _packet() -> Any:
+    # Embree wants packets, and the mask of rays in use, at multiples of 64 bytes.
+    room = np.empty((_ROWS + 2) * _WIDTH, np.uint32)
+    start = (64 - room.ctypes.data % 64) // 4
+    words = room[start : start + (_ROWS + 1) * _WIDTH].reshape(_ROWS + 1, _WIDTH)
+    numbers = words.view(np.float32)
+    for k in range(_WIDTH):
+        numbers[_TNEAR, k] = 0.0
+        numbers[_TIME, k] = 0.0
+        words[_MASK, k] = _NONE
+        words[_ID, k] = k
+        words[_FLAGS, k] = 0
+        words[_INSTANCE, k] = _NONE
+        words[_ROWS, k] = _NONE
+    return words, numbers
+
+
+@njit(cache=True, nogil=True)
+def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: int, first: int) -> int:
+    # Rays from `first` on into a packet; how many there are.
+    count = min(_WIDTH, len(directions) - first)
+    for k in range(_WIDTH):
+        words[_ROWS, k] = _NONE if k < count else np.uint32(0)
+    for k in range(count):
+        ray = first + k
+        origin = ray // per_origin
+        for axis in range(3):
+            numbers[axis, k] = origins[origin, axis]
+            numbers[4 + axis, k] = directions[ray, axis]
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _intersect(
+    scene: int, arguments: int, origins: Any, directions: Any, ranges: Any, faces: Any, normals: Any
+) -> None:
+    words, numbers = _packet()
+    detailed = len(faces) > 0
+    per_origin = len(directions) // max(1, len(origins))
+    for first in range(0, len(directions), _WIDTH):
+        count = _load(words, numbers, origins, directions, per_origin, first)
+        for k in range(count):
+            numbers[_TFAR, k] = ranges[first + k]
+            words[_GEOMETRY, k] = _NONE
+        _intersect16(words[_ROWS:].ctypes.data, scene, words.ctypes.data, arguments)
+        for k in range(count):
+            ranges[first + k] = numbers[_TFAR, k]
+        if detailed:
+            for k in range(count):
+                hit = words[_GEOMETRY, k] != _NONE
+                faces[first + k] = np.int32(words[_FACE, k]) if hit else np.int32(-1)
+                for axis in range(3):
+                    normals[first + k, axis] = numbers[_NORMAL + axis, k] if hit else np.float32(0.0)
+
+
+@njit(cache=True, nogil=True)
+def _occluded(scene: int, arguments: int, origins: Any, directions: Any, blocked: Any) -> None:
+    words, numbers = _packet()
+    per_origin = len(directions) // max(1, len(origins))
+    for first in range(0, len(directions), _WIDTH):
+        count = _load(words, numbers, origins, directions, per_origin, first)
+        for k in range(count):
+            numbers[_TFAR, k] = np.float32(np.inf)
+        _occluded16(words[_ROWS:].ctypes.data, scene, words.ctypes.data, arguments)
+        for k in range(count):
+            # Embree marks a blocked ray by a range below zero.
+            blocked[first + k] = numbers[_TFAR, k] < 0.0
