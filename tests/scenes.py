@@ -171,8 +171,21 @@ class Stage:
         return float(roll_pitch_yaw(self.rotation)[2])
 
     @property
+    def wheels(self) -> np.ndarray:
+        """Angles, speeds and torques of the drive joints, (3, W)."""
+        return np.array(self.scene.drive_state()).reshape(3, -1)
+
+    @property
+    def wheel_angles(self) -> np.ndarray:
+        return self.wheels[0]
+
+    @property
     def wheel_speeds(self) -> np.ndarray:
-        return np.array(self.scene.drive_speeds())
+        return self.wheels[1]
+
+    @property
+    def wheel_torques(self) -> np.ndarray:
+        return self.wheels[2]
 
     def touched(self) -> set[int]:
         return set(self.scene.touched())
@@ -228,7 +241,7 @@ def rollout(stage: Stage, after: Callable[[], None] = lambda: None) -> str:
         stage.step(SUBSTEPS, wheels, [[1.5 - 0.06 * number, 1.0 - 0.04 * number, 0.1, -2.5]])
         touched |= stage.touched()
         digest.update(
-            repr((stage.scene.body_state(), stage.scene.drive_speeds(), sorted(stage.touched()))).encode()
+            repr((stage.scene.body_state(), stage.scene.drive_state(), sorted(stage.touched()))).encode()
         )
         after()
     assert touched == {1, 2}, "the run should have met both the wall and the walker"

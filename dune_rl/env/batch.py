@@ -76,7 +76,7 @@ class Batch:
         self.num_scenes = num_scenes
         self.robot = make_robot(num_scenes)
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
-        self._actor_confs = actors
+        self.actor_confs = actors
         self.actors = self._new_actors(seed)
         self.senses = Senses(sensors, world, self.actors, physics, num_scenes)
         self.motion = Motion(num_scenes, self.robot)
@@ -96,7 +96,7 @@ class Batch:
 
     def _new_actors(self, seed: int) -> Actors:
         paths = stream(seed, "paths")
-        return Actors(self._actor_confs, self.world, self.spawner.sample_points, paths, self.num_scenes)
+        return Actors(self.actor_confs, self.world, self.spawner.sample_points, paths, self.num_scenes)
 
     # -- episodes ---------------------------------------------------------------------------------
 
@@ -136,7 +136,8 @@ class Batch:
             physics = self._scenes[scene]
             physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
             physics.step(settle, still, self.actors.poses[scene])
-            self.motion.set_row(scene, physics.body_state())
+            drive = physics.drive_state() if self.senses.needs_wheels else None
+            self.motion.set_row(scene, physics.body_state(), drive)
         self.motion.begin(mask)
         self.senses.begin(mask, self._moment())
         distance = self._distance_to_goal()
@@ -189,12 +190,15 @@ class Batch:
     def _advance_physics(self, commands: list[list[float]]) -> None:
         substeps, poses = self.physics.substeps, self.actors.poses
         self._touches = []
-        states = []
+        needs_wheels = self.senses.needs_wheels
+        states, drives = [], []
         for index, scene in enumerate(self._scenes):
             scene.step(substeps, commands[index], poses[index])
             states.append(scene.body_state())
+            if needs_wheels:
+                drives.append(scene.drive_state())
             self._touches += [(index, body) for body in scene.touched()]
-        self.motion.update(np.array(states))
+        self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
@@ -204,7 +208,7 @@ class Batch:
     def clearance(self) -> Array:
         """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
         nearest = self.world.clearance(self.motion.outline_w()).min(axis=1)
-        if len(self._actor_confs):
+        if len(self.actor_confs):
             apart = self.motion.distance_from_hull(self.actors.poses[..., :2]) - self.actors.radius
             nearest = np.minimum(nearest, apart.min(axis=1))
         return np.maximum(nearest, 0.0)

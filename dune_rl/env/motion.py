@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, within, wrap_angle
 from dune_rl.robots.rover_zero import RoverZero
-from dune_rl.sensors.sensor import Moment
+from dune_rl.sensors.sensor import Moment, Wheels
 
 Array = NDArray[np.float64]
 
@@ -20,12 +20,14 @@ class Motion:
     `position_w` (M, 3), `rotation` (M, 3, 3) body to world, `velocity_w` and
     `angular_w` (M, 3), the same in the body frame with `_b`, and
     `roll_pitch_yaw` (M, 3). Where physics diverges, the last good state stands
-    and `diverged` (M,) says so.
+    and `diverged` (M,) says so. The wheels' angles, speeds and torques are kept
+    where they are given.
     """
 
     def __init__(self, num_scenes: int, robot: RoverZero) -> None:
         self._states = np.zeros((num_scenes, 13))
         self._states[:, 6] = 1.0
+        self._drives: Array | None = None
         self._outline = robot.outline()
         self._half_size = np.array([robot.length_m, robot.width_m]) / 2
         self.diverged = np.zeros(num_scenes, bool)
@@ -33,9 +35,16 @@ class Motion:
         self._since = np.zeros(num_scenes, np.int64)
         self._derive()
 
-    def set_row(self, scene: int, state: tuple[float, ...]) -> None:
-        """Take the physics state of one scene, at the start of an episode; `begin` completes it."""
+    def set_row(self, scene: int, state: tuple[float, ...], drive: tuple[float, ...] | None = None) -> None:
+        """Take the physics state of one scene, at the start of an episode; `begin` completes it.
+
+        `drive` is the wheels', as `PhysicsScene.drive_state` orders it.
+        """
         self._states[scene] = state
+        if drive is not None:
+            if self._drives is None:
+                self._drives = np.zeros((len(self._states), len(drive)))
+            self._drives[scene] = drive
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Start afresh in the scenes in `mask` (M,)."""
@@ -44,8 +53,11 @@ class Motion:
         self._anchor[mask] = self.position_w[mask, :2]
         self._since[mask] = 0
 
-    def update(self, states: Array) -> None:
-        """Take the physics states after a step, (M, 13), as `PhysicsScene.body_state` orders them."""
+    def update(self, states: Array, drives: Array | None = None) -> None:
+        """Take the physics states after a step, (M, 13), as `PhysicsScene.body_state` orders them.
+
+        `drives` (M, 3 * W) are the wheels', as `PhysicsScene.drive_state` orders them.
+        """
         speed = np.abs(states[:, 7:10]).max(axis=1)
         turn = np.abs(states[:, 10:13]).max(axis=1)
         far = np.abs(states[:, :3]).max(axis=1)
@@ -55,6 +67,10 @@ class Motion:
         good = (speed < _MAX_SPEED_MPS) & (turn < _MAX_TURN_RADPS) & (far < 1e5) & (turned < 1.01)
         self.diverged = ~good
         self._states = states if good.all() else np.where(good[:, None], states, self._states)
+        if drives is not None:
+            sound = good & np.isfinite(drives).all(axis=1)
+            before = np.zeros_like(drives) if self._drives is None else self._drives
+            self._drives = drives if sound.all() else np.where(sound[:, None], drives, before)
         self._derive()
 
     def _derive(self) -> None:
@@ -114,4 +130,5 @@ class Motion:
             seed,
             episodes,
             steps,
+            None if self._drives is None else Wheels(*np.split(self._drives, 3, axis=1)),
         )

@@ -22,7 +22,10 @@ _GOAL = "goal"
 
 
 class Senses:
-    """The instruments of M rovers, and the goal, which the task tells; the unwanted is not measured."""
+    """The instruments of M rovers, and the goal, which the task tells; the unwanted is not measured.
+
+    `needs_wheels` tells whether one of them reads a moment's `wheels`.
+    """
 
     def __init__(
         self, conf: SensorsConf, world: World, actors: Actors, physics: PhysicsConf, num_scenes: int
@@ -40,6 +43,8 @@ class Senses:
         known = {_GOAL: self._goal_bounds()}
         for sensor in self._sensors:
             known |= sensor.bounds()
+        # A wheel's state costs a call of physics for every scene: it is asked for where it is read.
+        self.needs_wheels = any(getattr(sensor, "needs_wheels", False) for sensor in self._sensors)
         self._order = conf.readings()
         self.bounds: dict[str, Bounds] = {name: known[name] for name in self._order}
 

@@ -207,9 +207,10 @@ class BulletScene:
         linear, angular = pybullet.getBaseVelocity(self._robot, physicsClientId=self._client)
         return (*position, *quaternion, *linear, *angular)
 
-    def drive_speeds(self) -> tuple[float, ...]:
+    def drive_state(self) -> tuple[float, ...]:
         states = pybullet.getJointStates(self._robot, self._drive_joints, physicsClientId=self._client)
-        return tuple(state[1] for state in states)
+        angles, speeds, _, torques = zip(*states, strict=True)
+        return (*angles, *speeds, *torques)
 
     def touched(self) -> list[int]:
         # Wheels meet nothing but ground, so the hull's contacts are all that can be collisions.

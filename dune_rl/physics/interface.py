@@ -125,8 +125,13 @@ class PhysicsScene(Protocol):
         """
         ...
 
-    def drive_speeds(self) -> tuple[float, ...]:
-        """Speed of each drive joint [rad/s]."""
+    def drive_state(self) -> tuple[float, ...]:
+        """Angles [rad], speeds [rad/s] and torques [N m] of the W drive joints, one after another (3 * W).
+
+        Angles are 0 where the robot is put down and count whole turns. A
+        torque is what the drive gave in the last physics step, positive where
+        it pushes toward a positive speed.
+        """
         ...
 
     def touched(self) -> Sequence[int]:

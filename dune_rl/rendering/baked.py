@@ -56,6 +56,14 @@ class Baked:
         rows, columns = self.scenery.ground.albedo.shape[:2]
         return _grid_on(self.terrain, rows, columns)
 
+    def on_grid(self, points: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+        """Row and column (N,) each, not whole, of points (N, 2 or 3) in a grid of cells over the ground."""
+        xmin, xmax, ymin, ymax = self.terrain.extent
+        rows, columns = shape
+        row = (points[:, 1] - np.float32(ymin)) * np.float32(rows / (ymax - ymin)) - np.float32(0.5)
+        column = (points[:, 0] - np.float32(xmin)) * np.float32(columns / (xmax - xmin)) - np.float32(0.5)
+        return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+
     def _ground_sky_share(self) -> Floats:
         xmin, xmax, ymin, ymax = self.terrain.extent
         columns = max(2, min(256, round((xmax - xmin) / _SKY_GRID_M)))
@@ -78,6 +86,7 @@ class Baked:
 
     def _bake_things(self) -> NDArray[np.uint8]:
         things = self.things
+        self.things_sky_share = np.zeros(0, np.float32)
         if not len(things.faces):
             return np.zeros((0, 3), np.uint8)
         corners = things.vertices[things.faces]
@@ -85,7 +94,7 @@ class Baked:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         normals32 = normals.astype(np.float32)
         points = corners.mean(axis=1)
-        share = sky_share(self.rays, points, normals32)
+        share = self.things_sky_share = sky_share(self.rays, points, normals32)
         return encoded(
             self.light.on(things.albedo, normals32, sunlit(self.rays, self.light, points, normals32), share)
         )
@@ -113,7 +122,7 @@ def sunlit(rays: RayScene, light: Light, points: Array, normals: Floats) -> Floa
     if light.shadows and facing.any():
         origins = (points[facing] + normals[facing] * _OFF_SURFACE_M).astype(np.float32)
         directions = np.ascontiguousarray(np.broadcast_to(light.to_sun, origins.shape))
-        share[facing] = ~rays.blocked(origins, directions)
+        share[facing] = ~rays.blocked(origins, directions, coherent=True)
     return share
 
 
@@ -133,7 +142,7 @@ def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
         if not faced.any():
             continue
         towards = np.ascontiguousarray(np.broadcast_to(direction, (int(faced.sum()), 3)))
-        open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards)
+        open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards, coherent=True)
         weight += cosine
     return (open_weight / np.maximum(weight, 1e-6)).astype(np.float32)
 

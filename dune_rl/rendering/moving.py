@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.rays import Hits, RayScene
+from dune_rl.geometry.rays import Hits
 from dune_rl.rendering.baked import encoded
+from dune_rl.rendering.body import Solid
 from dune_rl.rendering.light import Light
 from dune_rl.rendering.scenery import Segment, Shape
 
@@ -12,20 +13,18 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 
-class Figure:
+class Figure(Solid):
     """A closed shape that stands upright, turns about its own z axis and is lit where it is.
 
     `radius_m` is that of a sphere round `centre` (3,) that holds it, in its own frame.
     """
 
     def __init__(self, shape: Shape, segment: Segment = Segment.ACTOR) -> None:
-        self.rays = RayScene(shape.vertices, shape.faces)
+        super().__init__(shape)
         self.segment = segment
-        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
         # On its own axis, so that turning leaves it in place.
-        self.centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
+        self.centre = np.array([0.0, 0.0, self.centre[2]])
         self.radius_m = float(np.linalg.norm(shape.vertices - self.centre, axis=1).max())
-        self._albedo = shape.albedo
 
     def hits(self, origins: Array, directions: Floats, poses: Array, ranges: Floats) -> Hits:
         """First hits of world rays (R, 3) with figures at `poses` (R, 4: x, y, z, yaw), within `ranges` (R,).
@@ -41,7 +40,7 @@ class Figure:
         x, y = directions[:, 0], directions[:, 1]
         carried = np.stack([cos * x + sin * y, cos * y - sin * x, directions[:, 2]], axis=1)
         face, ranges, normal = self.rays.hits(
-            local.astype(np.float32), carried.astype(np.float32), ranges.copy()
+            local.astype(np.float32), carried.astype(np.float32), ranges.copy(), coherent=True
         )
         normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         world = np.stack(
@@ -53,4 +52,4 @@ class Figure:
     def colours(self, light: Light, face: NDArray[np.int32], normal: Floats) -> NDArray[np.uint8]:
         """Bytes (R, 3) of faces `face` (R,) with unit world `normal` (R, 3), in full light."""
         everywhere = np.ones(len(face), np.float32)
-        return encoded(light.on(self._albedo[face], normal, everywhere, everywhere))
+        return encoded(light.on(self.shape.albedo[face], normal, everywhere, everywhere))

@@ -17,6 +17,19 @@ PI32 = np.nextafter(np.float32(np.pi), np.float32(4.0))
 
 
 @dataclass(frozen=True)
+class Wheels:
+    """Angle [rad], speed [rad/s] and torque [N m] of the W drive joints, each (M, W).
+
+    Positive rolls the rover forward. Angles count whole turns; torques are the
+    drives' own, of the last physics step.
+    """
+
+    angle: Array
+    speed: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
 class Moment:
     """The rovers' true motion, and where the actors are, at one instant of M scenes.
 
@@ -25,7 +38,8 @@ class Moment:
     `rotation` (M, 3, 3) turns body to world, `roll_pitch_yaw` (M, 3) [rad];
     `actor_poses` (M, K, 4) are x, y, z on the ground and yaw. What is random
     in a sensor depends on `seed`, `episodes` (M,) and `steps` (M,) alone: how
-    many control steps each episode has had.
+    many control steps each episode has had. `wheels` is there where a sensor
+    has `needs_wheels`.
     """
 
     position_w: Array
@@ -39,10 +53,21 @@ class Moment:
     seed: int
     episodes: Counts
     steps: Counts
+    wheels: Wheels | None = None
+
+
+def wheels_of(now: Moment) -> Wheels:
+    """What `now` tells of the wheels, for a sensor that has `needs_wheels`."""
+    if now.wheels is None:
+        raise ValueError("the moment tells nothing of wheels; give the sensor `needs_wheels = True`")
+    return now.wheels
 
 
 class Sensor(Protocol):
-    """An instrument on each of M rovers, with one or more readings by name."""
+    """An instrument on each of M rovers, with one or more readings by name.
+
+    One that reads a moment's `wheels` has a further attribute, `needs_wheels`, which is true.
+    """
 
     def bounds(self) -> dict[str, Bounds]:
         """Lowest and highest values of each reading, for one rover."""

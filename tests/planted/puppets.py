@@ -35,8 +35,8 @@ class PuppetScene:
     def body_state(self) -> tuple[float, ...]:
         return tuple(self.state.tolist())
 
-    def drive_speeds(self) -> tuple[float, ...]:
-        return (0.0,) * len(self.spec.robot.drive_joints)
+    def drive_state(self) -> tuple[float, ...]:
+        return (0.0,) * (3 * len(self.spec.robot.drive_joints))
 
     def touched(self) -> Sequence[int]:
         return self.touching

@@ -1,0 +1,108 @@
+"""Pictures of a scene for people: from behind the rover, or from anywhere."""
+
+from functools import cached_property
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from dune_rl.actors.shapes import figures
+from dune_rl.env.batch import Batch
+from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.rendering.body import Body, Solid
+from dune_rl.rendering.light import LightConf, linear
+from dune_rl.rendering.picture import Painter, Viewpoint
+from dune_rl.rendering.scenery import Segment, Shape, joined
+from dune_rl.robots.visual import RobotVisual
+from dune_rl.worlds.appearance import baked
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+_BEHIND_M, _ABOVE_M, _LOOK_AHEAD_M = 2.6, 1.35, 0.9
+_CLEAR_OF_GROUND_M = 0.35
+_GOAL_COLOUR = (0.10, 0.75, 0.35)
+
+
+class Pictures:
+    """A painter for the scenes of a batch; made at the first picture, since the light takes a moment."""
+
+    def __init__(self, batch: Batch) -> None:
+        self._batch = batch
+
+    @cached_property
+    def _painter(self) -> Painter:
+        return Painter(baked(self._batch.world, LightConf()))
+
+    @cached_property
+    def _robot(self) -> RobotVisual:
+        return RobotVisual(self._batch.robot.body.urdf)
+
+    @cached_property
+    def _flag(self) -> Solid:
+        return Solid(_goal_flag())
+
+    def bodies(self, scene: int) -> list[Body]:
+        """The rover, the actors and a flag at the goal."""
+        batch = self._batch
+        motion = batch.motion
+        found = self._robot.bodies(motion.position_w[scene], motion.rotation[scene])
+        shapes = figures(batch.actor_confs)
+        for figure, (x, y, z, yaw) in zip(shapes, batch.actors.poses[scene], strict=True):
+            turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
+            found.append(Body(figure, np.array([x, y, z]), turn))
+        goal = batch.goals_w[scene]
+        foot = np.array([*goal, float(batch.world.terrain.height(goal))])
+        found.append(Body(self._flag, foot, np.eye(3)))
+        return found
+
+    def from_behind(self, scene: int = 0, width: int = 640, height: int = 480, samples: int = 1) -> Picture:
+        """RGB (height, width, 3) of the rover from behind and above, clear of what stands there."""
+        motion = self._batch.motion
+        position = motion.position_w[scene]
+        yaw = float(motion.roll_pitch_yaw[scene, 2])
+        ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        target = position + _LOOK_AHEAD_M * ahead
+        eye = self._free_eye(position, position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M])
+        return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
+
+    def seen(
+        self, view: Viewpoint, scene: int = 0, width: int = 1280, height: int = 720, samples: int = 1
+    ) -> Picture:
+        """RGB (height, width, 3) of a scene from any viewpoint."""
+        return self._painter.paint(view, width, height, self.bodies(scene), samples)
+
+    def _free_eye(self, position: Array, eye: Array) -> Array:
+        """As far toward `eye` as nothing stands between it and the rover, and not in the ground."""
+        start = position + np.array([0.0, 0.0, 0.45])
+        way = eye - start
+        length = float(np.linalg.norm(way))
+        reach = np.full(1, length, np.float32)
+        self._painter.baked.rays.shorten(
+            start[None].astype(np.float32), (way / length)[None].astype(np.float32), reach
+        )
+        eye = start + way * (max(0.5, float(reach[0]) - 0.15) / length)
+        ground = float(self._batch.world.terrain.height(eye[:2]))
+        eye[2] = max(eye[2], ground + _CLEAR_OF_GROUND_M)
+        return eye
+
+
+def _goal_flag() -> Shape:
+    pole = trimesh.creation.cylinder(0.025, 1.6, sections=12)
+    pole.apply_translation([0.0, 0.0, 0.8])
+    flag = trimesh.creation.box([0.02, 0.55, 0.32])
+    flag.apply_translation([0.0, 0.29, 1.42])
+    disc = trimesh.creation.annulus(0.32, 0.42, 0.04, sections=32)
+    disc.apply_translation([0.0, 0.0, 0.06])
+    shapes = []
+    for mesh, colour in ((pole, (0.9, 0.9, 0.88)), (flag, _GOAL_COLOUR), (disc, _GOAL_COLOUR)):
+        count = len(mesh.faces)
+        shapes.append(
+            Shape(
+                np.asarray(mesh.vertices),
+                np.asarray(mesh.faces, np.int32),
+                np.tile(linear(np.array(colour)), (count, 1)),
+                np.full(count, Segment.SKY, np.uint8),
+            )
+        )
+    return joined(shapes)

@@ -1,0 +1,75 @@
+"""Rigid bodies in pictures: a shape at any pose."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.rays import Hits, RayScene
+from dune_rl.rendering.scenery import Shape
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+
+class Solid:
+    """A `Shape` made ready for rays, in its own frame."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self.rays = RayScene(shape.vertices, shape.faces)
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        self.centre = (low + high) / 2
+        self.radius_m = float(np.linalg.norm(shape.vertices - self.centre, axis=1).max())
+
+
+@dataclass(frozen=True)
+class Body:
+    """A solid at `position` (3,) [m], turned by `rotation` (3, 3) to the world."""
+
+    solid: Solid
+    position: Array
+    rotation: Array
+
+    @property
+    def shape(self) -> Shape:
+        """What it looks like, in its own frame."""
+        return self.solid.shape
+
+    @cached_property
+    def centre(self) -> Array:
+        """Middle of the sphere that holds it, world frame (3,)."""
+        return self.position + self.rotation @ self.solid.centre
+
+    def rays_near(self, eye: Floats, directions: Floats) -> NDArray[np.int64]:
+        """Which of the rays along `directions` (N, 3) from `eye` (3,) come near enough to be looked at."""
+        offset = (self.centre - eye).astype(np.float32)
+        distance = float(np.linalg.norm(offset))
+        if distance <= self.solid.radius_m:
+            return np.arange(len(directions))
+        cosine = np.sqrt(1.0 - (self.solid.radius_m / distance) ** 2)
+        return np.flatnonzero(directions @ (offset / np.float32(distance)) >= cosine)
+
+    def points_in_shadow_of(self, points: Floats, to_sun: Floats) -> NDArray[np.int64]:
+        """Which of the points (N, 3) may lie in its shadow."""
+        offset = self.centre.astype(np.float32) - points
+        along = offset @ to_sun
+        aside = np.einsum("ij,ij->i", offset, offset) - along * along
+        radius = self.solid.radius_m
+        return np.flatnonzero((aside <= radius * radius) & (along >= -radius))
+
+    def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
+        """First hits of world rays (R, 3) within `ranges` (R,), normals in the world frame."""
+        local, carried = self._carried(origins, directions)
+        face, ranges, normal = self.solid.rays.hits(local, carried, ranges.copy(), coherent=True)
+        return Hits(face, ranges, normal @ self.rotation.T.astype(np.float32))
+
+    def blocks(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+        """Whether it lies on each of the world rays (R, 3), (R,)."""
+        local, carried = self._carried(origins, directions)
+        return self.solid.rays.blocked(local, carried, coherent=True)
+
+    def _carried(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
+        turn = self.rotation.astype(np.float32)
+        return (origins - self.position.astype(np.float32)) @ turn, directions @ turn

@@ -1,0 +1,220 @@
+"""Large pictures: every pixel shaded by itself, with shadows, for people to look at."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.rendering.baked import Baked, smooth_normals
+from dune_rl.rendering.body import Body
+from dune_rl.rendering.light import srgb
+from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.sky import Sky
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_RAYS_AT_ONCE = 65_536
+_FAR_M = 2_000.0
+_OFF_SURFACE_M = 0.01
+# Grain of the ground, finer than its texture: a tile repeated over it.
+_GRAIN_TILE_M, _GRAIN_TEXELS, _GRAIN_STRENGTH = 2.56, 512, 0.16
+_GRAIN_FADES_M = 14.0
+# How far one sees through clear air until half of the colour is the sky's.
+_AIR_M = 700.0
+_TONES = 4096
+_BRIGHTEST = 4.0
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A pinhole camera at `eye` (3,) that looks at `target` (3,) [m], level; `fov_rad` is across."""
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fov_rad: float = 1.1
+
+    def directions(self, width: int, height: int) -> Floats:
+        """Unit vectors (height, width, 3), world frame, through the middle of each pixel."""
+        ahead = np.subtract(self.target, self.eye)
+        ahead = ahead / np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([0.0, -1.0, 0.0])
+        up = np.cross(right, ahead)
+        half = np.tan(self.fov_rad / 2)
+        x = (np.arange(width) + 0.5 - width / 2) / (width / 2) * half
+        y = (np.arange(height) + 0.5 - height / 2) / (width / 2) * half
+        rays = ahead + x[None, :, None] * right - y[:, None, None] * up
+        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return rays.astype(np.float32)
+
+
+class Painter:
+    """Paints a world that has been baked, and bodies in it."""
+
+    def __init__(self, baked: Baked) -> None:
+        self.baked = baked
+        self._light = baked.light
+        self._sky = Sky(baked.light)
+        points = baked.ground_texel_positions()
+        shape = points.shape[:2]
+        self._albedo = baked.scenery.ground.albedo
+        self._normals = smooth_normals(baked.terrain, points.reshape(-1, 3)[:, :2]).reshape(*shape, 3)
+        draws = np.random.default_rng(0).standard_normal((_GRAIN_TEXELS, _GRAIN_TEXELS))
+        grain = sum(
+            ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
+            for sigma, weight in ((0.7, 1.0), (2.0, 1.2), (6.0, 1.0))
+        )
+        self._grain = (grain / np.std(grain)).astype(np.float32)
+        tones = np.linspace(0.0, _BRIGHTEST, _TONES, dtype=np.float32)
+        self._tones = (srgb(tones) * 255.0 + 0.5).astype(np.uint8)
+
+    def paint(
+        self,
+        view: Viewpoint,
+        width: int = 1280,
+        height: int = 720,
+        bodies: Sequence[Body] = (),
+        samples: int = 1,
+    ) -> NDArray[np.uint8]:
+        """RGB (height, width, 3). `samples` > 1 smooths edges at the square of the cost."""
+        directions = view.directions(width * samples, height * samples).reshape(-1, 3)
+        eye = np.asarray(view.eye, np.float32)
+        colours = np.empty((len(directions), 3), np.float32)
+        for start in range(0, len(directions), _RAYS_AT_ONCE):
+            part = slice(start, start + _RAYS_AT_ONCE)
+            colours[part] = self._colours(eye, directions[part], bodies)
+        if samples > 1:
+            # Tones are averaged as the eye does: after too bright ones have been cut.
+            blocks = np.minimum(colours, _BRIGHTEST).reshape(height, samples, width, samples, 3)
+            colours = blocks.mean(axis=(1, 3)).reshape(-1, 3)
+        index = (colours * ((_TONES - 1) / _BRIGHTEST)).astype(np.int32)
+        return self._tones.take(index, mode="clip").reshape(height, width, 3)
+
+    def _colours(self, eye: Floats, directions: Floats, bodies: Sequence[Body]) -> Floats:
+        """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3)."""
+        baked = self.baked
+        ranges = np.full(len(directions), _FAR_M, np.float32)
+        face, ranges, normal = baked.rays.hits(eye[None], directions, ranges, coherent=True)
+        body_of = np.full(len(directions), -1, np.int32)
+        for number, body in enumerate(bodies):
+            ray = body.rays_near(eye, directions)
+            if not len(ray):
+                continue
+            hit = body.hits(np.broadcast_to(eye, (len(ray), 3)), directions[ray], ranges[ray])
+            met = hit.face >= 0
+            ray = ray[met]
+            ranges[ray], face[ray], normal[ray] = hit.range[met], hit.face[met], hit.normal[met]
+            body_of[ray] = number
+        colours = self._sky.colours(directions)
+        seen = np.flatnonzero(face >= 0)
+        if not len(seen):
+            return colours
+        points = eye + directions[seen] * ranges[seen, None]
+        albedo, normals, sky_share, gloss = self._surfaces(
+            points, face[seen], normal[seen], body_of[seen], ranges[seen], bodies
+        )
+        towards_eye = np.einsum("ij,ij->i", normals, directions[seen]) > 0.0
+        normals[towards_eye] *= -1.0
+        lit = self._light.on(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
+        if gloss.any():
+            lit = self._with_reflections(lit, gloss, normals, directions[seen])
+        # Air between: distant things fade toward the horizon's colour.
+        clear = np.exp(-ranges[seen] * np.float32(np.log(2.0) / _AIR_M))[:, None]
+        colours[seen] = lit * clear + self._light.horizon * (1.0 - clear)
+        return colours
+
+    def _surfaces(
+        self,
+        points: Floats,
+        face: NDArray[np.int32],
+        normal: Floats,
+        body_of: NDArray[np.int32],
+        ranges: Floats,
+        bodies: Sequence[Body],
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Albedo (N, 3), unit normals (N, 3), share of the sky (N,) and gloss (N,) at `points` (N, 3)."""
+        baked = self.baked
+        albedo = np.empty_like(points)
+        normals = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        share, gloss = np.ones(len(points), np.float32), np.zeros(len(points), np.float32)
+        ground = np.flatnonzero((body_of < 0) & (face < baked.ground_faces))
+        if len(ground):
+            at = points[ground]
+            albedo[ground] = self._ground_albedo(at, ranges[ground])
+            normals[ground] = _sampled(self._normals, baked.on_grid(at, self._normals.shape[:2]))
+            share[ground] = _sampled(baked.sky_share, baked.on_grid(at, baked.sky_share.shape))
+        thing = np.flatnonzero((body_of < 0) & (face >= baked.ground_faces))
+        if len(thing):
+            own = face[thing] - baked.ground_faces
+            # A little of the ground's grain keeps large walls from looking like plastic.
+            albedo[thing] = baked.things.albedo[own] * (
+                1.0 + 0.4 * self._grain_at(points[thing], ranges[thing])
+            )
+            share[thing] = baked.things_sky_share[own]
+            gloss[thing] = np.where(baked.things.segments[own] == Segment.WATER, 1.0, 0.0)
+        for number in np.unique(body_of[body_of >= 0]):
+            mine = body_of == number
+            albedo[mine] = bodies[number].shape.albedo[face[mine]]
+        return albedo, normals, share, gloss
+
+    def _ground_albedo(self, points: Floats, ranges: Floats) -> Floats:
+        at = self.baked.on_grid(points, self._albedo.shape[:2])
+        albedo: Floats = _sampled(self._albedo, at) * (1.0 + self._grain_at(points, ranges))
+        return albedo
+
+    def _grain_at(self, points: Floats, ranges: Floats) -> Floats:
+        """Relative brightness less 1, (N, 1), at points (N, 3), gone where it would only flicker."""
+        # Slanted, so that upright walls have grain as well.
+        slanted = points[:, :2] + points[:, 2:] * np.float32(0.71)
+        cell = (slanted * np.float32(_GRAIN_TEXELS / _GRAIN_TILE_M)).astype(np.int32) & (_GRAIN_TEXELS - 1)
+        grain = self._grain.ravel().take(cell[:, 1] * _GRAIN_TEXELS + cell[:, 0])
+        fade = np.float32(_GRAIN_STRENGTH) * np.exp(ranges * np.float32(-1.0 / _GRAIN_FADES_M))
+        return (grain * fade)[:, None]
+
+    def _sunlit(self, points: Floats, normals: Floats, bodies: Sequence[Body]) -> Floats:
+        """1 where the sun reaches `points` (N, 3), else 0."""
+        to_sun = self._light.to_sun
+        facing = np.flatnonzero(normals @ to_sun > 0.0)
+        sunlit = np.zeros(len(points), np.float32)
+        if not self._light.shadows:
+            sunlit[facing] = 1.0
+            return sunlit
+        origins = points[facing] + normals[facing] * np.float32(_OFF_SURFACE_M)
+        directions = np.tile(to_sun, (len(origins), 1))
+        free = ~self.baked.rays.blocked(origins, directions, coherent=True)
+        for body in bodies:
+            near = body.points_in_shadow_of(origins, to_sun)
+            if len(near):
+                free[near] &= ~body.blocks(origins[near], directions[near])
+        sunlit[facing] = free
+        return sunlit
+
+    def _with_reflections(self, lit: Floats, gloss: Floats, normals: Floats, directions: Floats) -> Floats:
+        shiny = np.flatnonzero(gloss)
+        into, normal = directions[shiny], normals[shiny]
+        cosine = -np.einsum("ij,ij->i", into, normal)
+        mirrored = into + 2.0 * cosine[:, None] * normal
+        mirrored[:, 2] = np.abs(mirrored[:, 2])
+        # Schlick's approximation for water.
+        share = (0.02 + 0.98 * (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5)[:, None] * gloss[shiny, None]
+        lit[shiny] += share * (self._sky.colours(mirrored) - lit[shiny])
+        return lit
+
+
+def _sampled(grid: Floats, at: tuple[Floats, Floats]) -> Floats:
+    """Values of a grid (rows, columns, ...) between its points, at rows and columns (N,) each."""
+    rows, columns = grid.shape[:2]
+    y, x = at
+    y0, x0 = y.astype(np.int32), x.astype(np.int32)
+    y0, x0 = np.minimum(y0, rows - 2), np.minimum(x0, columns - 2)
+    v, u = y - y0, x - x0
+    flat = grid.reshape(rows * columns, -1)
+    index = y0 * np.int32(columns) + x0
+    u, v = u[:, None], v[:, None]
+    low = flat.take(index, axis=0) * (1 - u) + flat.take(index + 1, axis=0) * u
+    high = flat.take(index + columns, axis=0) * (1 - u) + flat.take(index + columns + 1, axis=0) * u
+    values: Floats = low * (1 - v) + high * v
+    return values.reshape(-1, *grid.shape[2:])

@@ -1,0 +1,143 @@
+"""What a robot looks like: the visual elements of its URDF."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import trimesh
+from defusedxml.ElementTree import parse
+from numpy.typing import NDArray
+
+from dune_rl.rendering.body import Body, Solid
+from dune_rl.rendering.light import linear
+from dune_rl.rendering.scenery import Segment, Shape, joined
+
+Array = NDArray[np.float64]
+
+_SECTIONS = 28
+_GREY = (0.6, 0.6, 0.6)
+
+
+@dataclass(frozen=True)
+class _Joint:
+    name: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+
+
+class RobotVisual:
+    """The links of a URDF as solids, posed by the base and, where told, by joint angles.
+
+    Boxes, cylinders and spheres are drawn; meshes are the business of whoever imports robots.
+    """
+
+    def __init__(self, urdf: Path) -> None:
+        root = parse(urdf).getroot()
+        colours = {
+            material.get("name", ""): _rgb(material)
+            for material in root.findall("material")
+            if material.find("color") is not None
+        }
+        links = {link.get("name", ""): link for link in root.findall("link")}
+        self._joints = [_joint(element) for element in root.findall("joint")]
+        children = {joint.child for joint in self._joints}
+        self._base = next(name for name in links if name not in children)
+        self._solids: dict[str, Solid] = {}
+        for name, link in links.items():
+            shapes = [_visual(element, colours) for element in link.findall("visual")]
+            if shapes:
+                self._solids[name] = Solid(joined(shapes))
+
+    def bodies(
+        self, position_w: Array, rotation: Array, angles: Mapping[str, float] | None = None
+    ) -> list[Body]:
+        """The robot with its base at `position_w` (3,), turned by `rotation` (3, 3).
+
+        `angles` [rad] are those of joints by name; the others stand at zero.
+        """
+        poses = {self._base: _transform(position_w, rotation)}
+        waiting = list(self._joints)
+        while waiting:
+            joint = next((joint for joint in waiting if joint.parent in poses), None)
+            if joint is None:
+                break
+            waiting.remove(joint)
+            turn = trimesh.transformations.rotation_matrix((angles or {}).get(joint.name, 0.0), joint.axis)
+            poses[joint.child] = poses[joint.parent] @ joint.origin @ turn
+        return [
+            Body(solid, poses[name][:3, 3], poses[name][:3, :3])
+            for name, solid in self._solids.items()
+            if name in poses
+        ]
+
+
+def _transform(position: Array, rotation: Array) -> Array:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation, position
+    return out
+
+
+def _numbers(text: str | None, default: tuple[float, ...]) -> Array:
+    return np.array(default if text is None else [float(word) for word in text.split()])
+
+
+def _origin(element: Element) -> Array:
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    roll, pitch, yaw = _numbers(origin.get("rpy"), (0.0, 0.0, 0.0))
+    turn = trimesh.transformations.euler_matrix(roll, pitch, yaw, axes="sxyz")
+    turn[:3, 3] = _numbers(origin.get("xyz"), (0.0, 0.0, 0.0))
+    return np.asarray(turn)
+
+
+def _joint(element: Element) -> _Joint:
+    parent, child, axis = (element.find(tag) for tag in ("parent", "child", "axis"))
+    assert parent is not None and child is not None
+    return _Joint(
+        element.get("name", ""),
+        parent.get("link", ""),
+        child.get("link", ""),
+        _origin(element),
+        _numbers(None if axis is None else axis.get("xyz"), (1.0, 0.0, 0.0)),
+    )
+
+
+def _rgb(material: Element | None) -> tuple[float, float, float]:
+    colour = None if material is None else material.find("color")
+    if colour is None:
+        return _GREY
+    red, green, blue = _numbers(colour.get("rgba"), (*_GREY, 1.0))[:3]
+    return float(red), float(green), float(blue)
+
+
+def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]]) -> Shape:
+    geometry = element.find("geometry")
+    assert geometry is not None and len(geometry), "a visual element has a geometry"
+    mesh = _mesh(geometry[0])
+    mesh.apply_transform(_origin(element))
+    material = element.find("material")
+    named = None if material is None else colours.get(material.get("name", ""))
+    colour = named if named is not None else _rgb(material)
+    count = len(mesh.faces)
+    return Shape(
+        np.asarray(mesh.vertices),
+        np.asarray(mesh.faces, np.int32),
+        np.tile(linear(np.array(colour)), (count, 1)),
+        np.full(count, Segment.ROBOT, np.uint8),
+    )
+
+
+def _mesh(element: Element) -> trimesh.Trimesh:
+    if element.tag == "box":
+        return trimesh.creation.box(_numbers(element.get("size"), (1.0, 1.0, 1.0)))
+    if element.tag == "cylinder":
+        radius, length = float(element.get("radius", 0.5)), float(element.get("length", 1.0))
+        return trimesh.creation.cylinder(radius, length, sections=_SECTIONS)
+    if element.tag == "sphere":
+        return trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0.5)))
+    raise ValueError(f"a visual <{element.tag}> cannot be drawn; use box, cylinder or sphere")

@@ -1,0 +1,66 @@
+"""Motor currents: what the drives' torques cost, wheel by wheel."""
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.geometry.frames import within
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, wheels_of
+from dune_rl.settings import Settings
+
+
+class CurrentsConf(Settings):
+    """Motor and gear of a wheel. The defaults stand for the Rover Zero's and are estimates.
+
+    The gear's 96 is that of its maker's driver (RoverRobotics/librover,
+    protocol_zero_2.hpp: 96 * 2 electrical turns for one of the wheel, two a turn
+    of the motor). The torque constant follows from the 17,000 electrical turns
+    a minute that the driver allows: 8,500 rpm at some 15 V are 570 rpm/V, and
+    9.55 / 570 = 0.017 N m/A. Efficiency and limit are usual for such gears and
+    motor controllers.
+    """
+
+    torque_constant_nm_per_a: float = Field(0.017, gt=0.0, le=10.0)
+    gear_ratio: float = Field(96.0, gt=0.0, le=1_000.0)
+    efficiency: float = Field(0.7, gt=0.0, le=1.0)
+    limit_a: float = Field(10.0, gt=0.0, le=1_000.0)
+
+
+class Currents:
+    """The reading "currents", (M, W) [A], clipped to ± `limit_a`: positive where the torque is forward.
+
+    Losses in the gears take torque from a motor that drives its wheel, and hold
+    a wheel that would drive its motor. The torque is that of the last physics
+    step; the motor's own inertia and its current without load are left out.
+    """
+
+    needs_wheels: ClassVar[bool] = True
+
+    def __init__(self, conf: CurrentsConf, num_scenes: int, num_wheels: int) -> None:
+        self._driving_a_per_nm = 1.0 / (conf.torque_constant_nm_per_a * conf.gear_ratio * conf.efficiency)
+        self._driven_a_per_nm = self._driving_a_per_nm * conf.efficiency**2
+        # Rounded, so that what is clipped stays within bounds that are float32.
+        self._limit_a = float(np.float32(conf.limit_a))
+        self._num_wheels = num_wheels
+        self._reading = np.zeros((num_scenes, num_wheels), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Both ways alike."""
+        high = np.full(self._num_wheels, self._limit_a, np.float32)
+        return {"currents": (-high, high)}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """As `measure`: nothing is remembered."""
+        self.measure(now)
+
+    def measure(self, now: Moment) -> None:
+        """Take the present torques."""
+        wheels = wheels_of(now)
+        driving = wheels.torque * wheels.speed > 0.0
+        current = wheels.torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
+        self._reading = within(current, -self._limit_a, self._limit_a).astype(np.float32)
+
+    def read(self) -> dict[str, Reading]:
+        """The present currents."""
+        return {"currents": self._reading.copy()}

@@ -1,0 +1,90 @@
+"""Incremental encoders on the wheels: how far each has turned, in whole counts."""
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import within
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, wheels_of
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+
+class EncodersConf(Settings):
+    """Counts in a turn of the wheel, and the fastest that is counted; 0 counts is an encoder without steps.
+
+    The default is what a six-step Hall sensor gives through the gears of the
+    Rover Zero: its maker's driver (RoverRobotics/librover, protocol_zero_2.hpp)
+    takes 96 * 2 electrical turns of the motor for one of the wheel.
+    """
+
+    counts_per_turn: int = Field(1152, ge=0, le=10_000_000)
+    max_speed_radps: float = Field(100.0, gt=0.0, le=10_000.0)
+
+
+class WheelCounter:
+    """How far the W wheels of M rovers turn from one control step to the next, as encoders tell it.
+
+    Counts are whole since the start of the episode, so that what one step
+    rounds away the next one brings.
+    """
+
+    def __init__(self, conf: EncodersConf, num_scenes: int, num_wheels: int, step_s: float) -> None:
+        # An encoder without steps counts radians.
+        self._count_rad = 2 * np.pi / conf.counts_per_turn if conf.counts_per_turn else 1.0
+        self._whole = conf.counts_per_turn > 0
+        self.most_rad = conf.max_speed_radps * step_s
+        self._start = np.zeros((num_scenes, num_wheels))
+        self._counts = np.zeros((num_scenes, num_wheels))
+
+    def begin(self, mask: Flags, angle: Array) -> None:
+        """Count from `angle` (M, W) [rad] in the scenes in `mask` (M,)."""
+        self._start[mask] = angle[mask]
+        self._counts[mask] = 0.0
+
+    def turned(self, angle: Array) -> Array:
+        """Turn of each wheel to `angle` (M, W) since the last call [rad], (M, W); at most `most_rad`."""
+        counts = (angle - self._start) / self._count_rad
+        if self._whole:
+            counts = np.rint(counts)
+        turned = (counts - self._counts) * self._count_rad
+        self._counts = counts
+        return within(turned, -self.most_rad, self.most_rad)
+
+
+class Encoders:
+    """The reading "encoders", (M, 2 * W): how far each wheel has turned in the last control step, and speeds.
+
+    Turns [rad] come first; the speeds [rad/s] after them are those turns by the
+    length of a step. Wheels are in the order of the robot's drive joints.
+    """
+
+    needs_wheels: ClassVar[bool] = True
+
+    def __init__(self, conf: EncodersConf, num_scenes: int, num_wheels: int, step_s: float) -> None:
+        self._counter = WheelCounter(conf, num_scenes, num_wheels, step_s)
+        self._step_s = step_s
+        most = self._counter.most_rad
+        self._highest = np.repeat([most, most / step_s], num_wheels).astype(np.float32)
+        self._reading = np.zeros((num_scenes, 2 * num_wheels), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Both ways alike: the fastest that is counted."""
+        return {"encoders": (-self._highest, self._highest.copy())}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Nothing has turned in the scenes in `mask` (M,)."""
+        self._counter.begin(mask, wheels_of(now).angle)
+        self._reading[mask] = 0.0
+
+    def measure(self, now: Moment) -> None:
+        """Count the control step that has just ended."""
+        turned = self._counter.turned(wheels_of(now).angle)
+        self._reading = np.concatenate([turned, turned / self._step_s], axis=1).astype(np.float32)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest counts."""
+        return {"encoders": self._reading.copy()}

@@ -1,0 +1,116 @@
+"""Odometry: where the wheels' turns say that a rover is; slip makes it drift, as on the real one."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.sensors.encoders import EncodersConf, WheelCounter
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Reading, wheels_of
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+
+class OdometryConf(Settings):
+    """How far the position is told: x and y are clipped to ± `range_m`."""
+
+    range_m: float = Field(100.0, gt=0.0, le=1_000_000.0)
+
+
+@dataclass(frozen=True)
+class DriveGeometry:
+    """Radius of the wheels, the track that tells their difference as a turn, and which wheels are where.
+
+    A skid-steer's wheels scrub sideways when it turns, so that `track_m` is
+    wider than the distance between them. `left` and `right` are indices of
+    drive joints.
+    """
+
+    wheel_radius_m: float
+    track_m: float
+    left: tuple[int, ...]
+    right: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("wheel_radius_m", "track_m"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name} is {value}; a length above 0 m is needed")
+        if not self.left or not self.right:
+            raise ValueError("left and right need a wheel each, by the index of its drive joint")
+        wheels = self.left + self.right
+        if len(set(wheels)) < len(wheels) or min(wheels) < 0:
+            raise ValueError(
+                f"left {self.left} and right {self.right} must name different wheels, counted from 0"
+            )
+
+
+class Odometry:
+    """The reading "odometry", (M, 5): x, y [m], yaw [rad], forward speed [m/s] and yaw rate [rad/s].
+
+    The pose is in the frame of the episode's start, x forward; the twist is the
+    mean of the last control step. All come from the wheels' turns, counted as
+    `EncodersConf` says: of sideways slip, spin and slopes they know nothing.
+    """
+
+    needs_wheels: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        conf: OdometryConf,
+        encoders: EncodersConf,
+        geometry: DriveGeometry,
+        num_scenes: int,
+        num_wheels: int,
+        step_s: float,
+    ) -> None:
+        wheels = geometry.left + geometry.right
+        if max(wheels) >= num_wheels:
+            raise ValueError(
+                f"left and right name wheel {max(wheels)}; the last of {num_wheels} is {num_wheels - 1}"
+            )
+        self._counter = WheelCounter(encoders, num_scenes, num_wheels, step_s)
+        self._step_s = step_s
+        # A row gives the way ahead, the other the turn, from the wheels' turns.
+        self._means = np.zeros((num_wheels, 2))
+        radius = geometry.wheel_radius_m
+        for side, sign in ((geometry.left, -1.0), (geometry.right, 1.0)):
+            self._means[list(side)] = np.array([radius / 2, sign * radius / geometry.track_m]) / len(side)
+        fastest = encoders.max_speed_radps * radius
+        limits = [conf.range_m, conf.range_m, PI32, fastest, 2 * fastest / geometry.track_m]
+        # In float64 for clipping, yet rounded: what is clipped stays within bounds that are float32.
+        self._highest = np.array(limits, np.float32).astype(np.float64)
+        self._pose = np.zeros((num_scenes, 3))
+        self._reading = np.zeros((num_scenes, 5), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """The range, whole turns, and what wheels do at the fastest that is counted."""
+        high = self._highest.astype(np.float32)
+        return {"odometry": (-high, high)}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Put the origin where the rovers in `mask` (M,) stand."""
+        self._counter.begin(mask, wheels_of(now).angle)
+        self._pose[mask] = 0.0
+        self._reading[mask] = 0.0
+
+    def measure(self, now: Moment) -> None:
+        """Go on by the wheels' turns over the control step that has just ended."""
+        motion = self._counter.turned(wheels_of(now).angle) @ self._means
+        ahead, turn = motion[:, 0], motion[:, 1]
+        # The chord of an arc: shorter than it, along the mean of its headings.
+        chord = ahead * np.sinc(turn / (2 * np.pi))
+        heading = self._pose[:, 2] + turn / 2
+        self._pose[:, 0] += chord * np.cos(heading)
+        self._pose[:, 1] += chord * np.sin(heading)
+        self._pose[:, 2] = wrap_angle(self._pose[:, 2] + turn)
+        reading = np.concatenate([self._pose, motion / self._step_s], axis=1)
+        self._reading = within(reading, -self._highest, self._highest).astype(np.float32)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest pose and twist."""
+        return {"odometry": self._reading.copy()}

@@ -1,0 +1,93 @@
+"""Position and heading in the world, as a satellite receiver and a compass tell them."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import within
+from dune_rl.sensors.draws import normal
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Reading
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+# An error beyond this many standard deviations, one reading in 16,000, is clipped at the world's edge.
+_FARTHEST_DRIFT = 4.0
+
+
+class PositionConf(Settings):
+    """A slow error of the position, as satellites' orbits and the air make it; without one it is the true.
+
+    The drifts are standard deviations, of x and y each and of z. An error fades
+    to a share of 1/e of itself in `drift_time_s`, and new ones take its place
+    (a Gauss-Markov process of first order).
+    """
+
+    drift_horizontal_m: float = Field(0.0, ge=0.0, le=1_000.0)
+    drift_vertical_m: float = Field(0.0, ge=0.0, le=1_000.0)
+    drift_time_s: float = Field(60.0, gt=0.0, le=100_000.0)
+
+
+class Position:
+    """The reading "position", (M, 4): x, y, z of the chassis centre [m] and yaw [rad] in the world frame.
+
+    `extent` (xmin, xmax, ymin, ymax) and `heights` (zmin, zmax) [m] are where a
+    rover can be; readings are clipped to them, and to what the drift adds.
+    """
+
+    def __init__(
+        self,
+        conf: PositionConf,
+        extent: tuple[float, float, float, float],
+        heights: tuple[float, float],
+        num_scenes: int,
+        step_s: float,
+    ) -> None:
+        xmin, xmax, ymin, ymax = extent
+        low, high = np.array([xmin, ymin, heights[0]]), np.array([xmax, ymax, heights[1]])
+        # Written so that NaN, which compares false, is refused.
+        if not ((low <= high).all() and np.isfinite(low).all() and np.isfinite(high).all()):
+            raise ValueError(
+                f"extent {extent} and heights {heights} need a finite lowest value, then the highest: "
+                "(xmin, xmax, ymin, ymax) and (zmin, zmax)"
+            )
+        self._spread = np.array([conf.drift_horizontal_m, conf.drift_horizontal_m, conf.drift_vertical_m])
+        self._drifts = bool(self._spread.any())
+        self._kept = float(np.exp(-step_s / conf.drift_time_s))
+        # What is new each step keeps the spread as it is.
+        self._renewed = float(np.sqrt(-np.expm1(-2 * step_s / conf.drift_time_s)))
+        self._drift = np.zeros((num_scenes, 3))
+        reach = _FARTHEST_DRIFT * self._spread
+        # In float64 for clipping, yet rounded: what is clipped stays within bounds that are float32.
+        self._low = np.append(low - reach, -PI32).astype(np.float32).astype(np.float64)
+        self._high = np.append(high + reach, PI32).astype(np.float32).astype(np.float64)
+        self._reading = np.zeros((num_scenes, 4), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """The world's, widened by the drift's reach, and whole turns."""
+        return {"position": (self._low.astype(np.float32), self._high.astype(np.float32))}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Start the episodes in `mask` (M,) with an error of their own."""
+        if self._drifts:
+            self._drift = np.where(mask[:, None], self._spread * _draws(now), self._drift)
+        self._take(now)
+
+    def measure(self, now: Moment) -> None:
+        """Take the present pose, with an error that has moved on."""
+        if self._drifts:
+            self._drift = self._kept * self._drift + self._renewed * self._spread * _draws(now)
+        self._take(now)
+
+    def _take(self, now: Moment) -> None:
+        reading = np.concatenate([now.position_w + self._drift, now.roll_pitch_yaw[:, 2:]], axis=1)
+        self._reading = within(reading, self._low, self._high).astype(np.float32)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest pose."""
+        return {"position": self._reading.copy()}
+
+
+def _draws(now: Moment) -> NDArray[np.float32]:
+    """Standard normal numbers (M, 3) of the present steps of the episodes."""
+    return normal(now.seed, "position_drift", now.episodes, now.steps, 3)

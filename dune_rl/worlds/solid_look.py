@@ -1,0 +1,45 @@
+"""A world as the beams of a LiDAR see it: all that is solid, without water."""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.surface import Surface
+from dune_rl.worlds.appearance import scenery
+from dune_rl.worlds.world import World
+
+
+@lru_cache(maxsize=4)
+def solid_look(world: World) -> Surface:
+    """Segments and luminances of the faces of `world.solid_mesh()`, in their order."""
+    look = scenery(world)
+    albedo = _ground_albedo(world.terrain, look.ground.albedo)
+    solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])
+    if len(solid) != len(look.things.faces):
+        raise ValueError(
+            f"the props of {world.name} have {len(solid)} faces, and the scenery {len(look.things.faces)}: "
+            "they must be the same, in the same order"
+        )
+    ground = np.full(len(albedo), Segment.GROUND, np.uint8)
+    solid = solid.astype(bool)
+    return Surface.of(
+        np.concatenate([ground, look.things.segments[solid]]),
+        np.concatenate([albedo, look.things.albedo[solid]]),
+    )
+
+
+def _ground_albedo(terrain: HeightField, texture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Linear RGB (F, 3) of the terrain's faces: the texture's mean over a square as wide as a cell."""
+    rows, columns = texture.shape[:2]
+    xmin, xmax, ymin, ymax = terrain.extent
+    per_m = np.array([columns / (xmax - xmin), rows / (ymax - ymin)])
+    width, height = np.maximum(1, np.round(terrain.spacing_m * per_m).astype(int))
+    mean = ndimage.uniform_filter(texture, (height, width, 1), mode="nearest")
+    vertices, faces = terrain.mesh()
+    centres = vertices[faces, :2].mean(axis=1)
+    column, row = ((centres - [xmin, ymin]) * per_m).astype(np.intp).T
+    return mean[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
