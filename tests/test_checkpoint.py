@@ -8,7 +8,8 @@ import torch
 from point_mass import PointMass, make_point_mass
 
 from dune_rl.errors import CheckpointError
-from dune_rl.learning.checkpoint import find, read, replaced, write
+from dune_rl.files import replaced
+from dune_rl.learning.checkpoint import find, read, write
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import load_policy, policy_content

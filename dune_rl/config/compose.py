@@ -24,7 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 from dune_rl import paths
 from dune_rl.config import overrides as command_line
 from dune_rl.config.checks import one_of, unique, validated
-from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf
+from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
 from dune_rl.errors import ConfigError
 
 Model = TypeVar("Model", bound=EnvConf)
@@ -44,6 +44,13 @@ def compose_evaluation(
 ) -> EvaluateConf:
     """The settings of an evaluation; where `saved` settings of a run are given, overrides change those."""
     return _compose(EvaluateConf, "evaluate", overrides, config_dirs, saved)
+
+
+def compose_view(
+    overrides: Sequence[str] = (), config_dirs: Sequence[str] = (), saved: Mapping[str, Any] | None = None
+) -> ViewConf:
+    """The settings of a look; where `saved` settings of a run are given, overrides change those."""
+    return _compose(ViewConf, "view", overrides, config_dirs, saved)
 
 
 def compose_benchmark(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> BenchmarkConf:
@@ -86,6 +93,9 @@ def compose_environment(
         if isinstance(value, Mapping) and "name" in value:
             words.append(f"{name}={value['name']}")
             changes[name] = value
+        elif name == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
+            # As on the command line: a list is of sensors.
+            changes[name] = {"enabled": list(value)}
         elif isinstance(value, str):
             words.append(f"{name}={value}")
         else:

@@ -85,6 +85,28 @@ class BenchmarkConf(SingleAgentConf):
     seed: int = Field(0, ge=0)
 
 
+class ViewConf(SingleAgentConf):
+    """A look at an environment: pictures and a video."""
+
+    view: Literal["sheet", "video", "both", "orbit"] = "both"
+    checkpoint: str | None = None
+    policy: Literal["go_to_goal", "random"] | None = None
+    seed: int = Field(0, ge=0)
+    after_s: float = Field(3.0, ge=0.0)
+    longest_s: float = Field(30.0, gt=0.0)
+    frames_per_s: float = Field(10.0, gt=0.0, le=1_000.0)
+    width: int = Field(960, ge=64, le=8192, multiple_of=2)
+    height: int = Field(540, ge=64, le=8192, multiple_of=2)
+    samples: int = Field(2, ge=1, le=4)
+    out: str = Field("views", min_length=1)
+
+    @model_validator(mode="after")
+    def _one_driver(self) -> Self:
+        if self.checkpoint is not None and self.policy is not None:
+            raise ValueError("choose one driver: checkpoint=PATH or policy=NAME")
+        return self
+
+
 class EvaluateConf(SingleAgentConf):
     """An evaluation of a checkpoint or of a built-in policy."""
 

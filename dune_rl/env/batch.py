@@ -78,7 +78,7 @@ class Batch:
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self.actor_confs = actors
         self.actors = self._new_actors(seed)
-        self.senses = Senses(sensors, world, self.actors, physics, num_scenes)
+        self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes)
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]

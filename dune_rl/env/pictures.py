@@ -72,6 +72,24 @@ class Pictures:
         """RGB (height, width, 3) of a scene from any viewpoint."""
         return self._painter.paint(view, width, height, self.bodies(scene), samples)
 
+    def of_the_place(
+        self,
+        scene: int = 0,
+        width: int = 1280,
+        height: int = 720,
+        samples: int = 2,
+        bearing_rad: float = -2.3,
+    ) -> Picture:
+        """RGB (height, width, 3) of the whole world, seen from above at `bearing_rad` from its middle."""
+        xmin, xmax, ymin, ymax = self._batch.world.extent
+        middle = np.array([(xmin + xmax) / 2, (ymin + ymax) / 2])
+        reach = min(60.0, max(xmax - xmin, ymax - ymin))
+        level = float(self._batch.world.terrain.height(middle))
+        away = 0.95 * reach * np.array([np.cos(bearing_rad), np.sin(bearing_rad)])
+        eye = (*(middle + away).tolist(), level + 0.42 * reach)
+        target = (*(middle + 0.06 * away).tolist(), level)
+        return self.seen(Viewpoint(eye, target, 0.95), scene, width, height, samples)
+
     def _free_eye(self, position: Array, eye: Array) -> Array:
         """As far toward `eye` as nothing stands between it and the rover, and not in the ground."""
         start = position + np.array([0.0, 0.0, 0.45])

@@ -10,15 +10,20 @@ from dune_rl.actors.shapes import figures
 from dune_rl.geometry.rays import RayScene
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
+from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.sensors.imu import Imu
+from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
 from dune_rl.sensors.suite import SensorsConf, Surroundings, make_sensors
 from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.solid_look import solid_look
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
 _GOAL = "goal"
+# Over the highest and under the lowest thing, where a rover can still be.
+_ROOM_M = 1.0
 
 
 class Senses:
@@ -28,13 +33,26 @@ class Senses:
     """
 
     def __init__(
-        self, conf: SensorsConf, world: World, actors: Actors, physics: PhysicsConf, num_scenes: int
+        self,
+        conf: SensorsConf,
+        world: World,
+        robot: RoverZero,
+        actors: Actors,
+        physics: PhysicsConf,
+        num_scenes: int,
     ) -> None:
         solid = world.solid_mesh()
+        low, high = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
         around = Surroundings(
-            RayScene(solid.vertices, solid.faces),
-            figures(actors.confs),
-            partial(baked, world, LightConf()),
+            solid=RayScene(solid.vertices, solid.faces),
+            figures=figures(actors.confs),
+            terrain=world.terrain,
+            extent=world.extent,
+            heights=(low - _ROOM_M, high + _ROOM_M),
+            num_wheels=len(robot.body.drive_joints),
+            wheels=_drive_geometry(robot),
+            appearance=partial(baked, world, LightConf()),
+            surface=partial(solid_look, world),
         )
         self._imu = Imu(conf.imu, num_scenes)
         self._sensors = make_sensors(conf, around, self._imu, num_scenes, physics.control_step_s)
@@ -77,3 +95,14 @@ class Senses:
         for sensor in self._sensors:
             readings |= sensor.read()
         return {name: readings[name] for name in self._order}
+
+
+def _drive_geometry(robot: RoverZero) -> DriveGeometry:
+    left = robot.wheel_positions_b[:, 1] > 0.0
+    drive = robot.conf.drive
+    return DriveGeometry(
+        drive.wheel_radius_m,
+        drive.effective_track_m,
+        tuple(np.flatnonzero(left).tolist()),
+        tuple(np.flatnonzero(~left).tolist()),
+    )

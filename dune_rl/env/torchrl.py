@@ -84,6 +84,11 @@ class DuneEnv(EnvBase):
         self.reward_spec = Composite(reward, shape=(scenes,))
         self.done_spec = Composite({**ends, **root_ends}, shape=(scenes,))
 
+    @property
+    def batch(self) -> Batch:
+        """The batch core inside."""
+        return self._core
+
     # -- TorchRL's three -----------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:

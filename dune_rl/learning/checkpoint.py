@@ -1,11 +1,8 @@
 """Checkpoints: written atomically, read without executing anything in them."""
 
-import os
 import pickle
-import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +10,7 @@ import torch
 from pydantic import Field
 
 from dune_rl.errors import CheckpointError
+from dune_rl.files import replaced
 from dune_rl.settings import Settings
 
 FORMAT = "dune_rl"
@@ -27,34 +25,6 @@ class CheckpointConf(Settings):
 
     every_frames: int = Field(200_000, ge=1)
     replay: bool = Field(True, description="keep the replay buffer too; an interrupted run always does")
-
-
-@contextmanager
-def replaced(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place, whole and on disk, unless the block fails."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        # mkstemp's 0600 would hide results from the group.
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from dune_rl.learning.checkpoint import replaced
+from dune_rl.files import replaced
 
 _EVALUATION, _TRAINING = "#1f5fa8", "#d9822b"
 

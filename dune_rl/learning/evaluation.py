@@ -10,7 +10,7 @@ from pydantic import Field
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
-from dune_rl.learning.checkpoint import replaced
+from dune_rl.files import replaced
 from dune_rl.learning.policies import Policy
 from dune_rl.learning.random_state import undisturbed
 from dune_rl.learning.statistics import Estimate, PairedTest, mcnemar, mean, proportion

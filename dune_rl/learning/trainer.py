@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
+from dune_rl.files import replaced
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
@@ -20,7 +21,6 @@ from dune_rl.learning.checkpoint import (
     CheckpointConf,
     find,
     read,
-    replaced,
     write,
 )
 from dune_rl.learning.collect import Collection, CollectorConf, MakeEnv, learner_threads

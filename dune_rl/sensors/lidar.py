@@ -35,13 +35,113 @@ class LidarConf(Settings):
 
 
 def beam_angles(conf: LidarConf) -> Array:
-    """Bearing of every beam in the sensor frame [rad], shape (n_beams,).
+    """Bearing of every beam in the sensor frame [rad], shape (n_beams,): `bearings` of its field of view."""
+    return bearings(conf.fov_rad, conf.n_beams)
 
-    Beams run counter-clockwise from -fov/2. A full circle leaves out its last
-    beam, which would repeat the first.
+
+def bearings(fov_rad: float, count: int) -> Array:
+    """Bearings (count,) [rad] in the sensor frame, counter-clockwise from -fov/2.
+
+    A full circle leaves out its last beam, which would repeat the first.
     """
-    full_circle = np.isclose(conf.fov_rad, 2 * np.pi)
-    return np.linspace(-conf.fov_rad / 2, conf.fov_rad / 2, conf.n_beams, endpoint=not full_circle)
+    full_circle = np.isclose(fov_rad, 2 * np.pi)
+    return np.linspace(-fov_rad / 2, fov_rad / 2, count, endpoint=not full_circle)
+
+
+def fan(bearing: Array, elevation: Array) -> Array:
+    """Unit vectors (E, B, 3) at bearings (B,) and elevations (E,) [rad].
+
+    Sensor frame: x forward, y left, z up.
+    """
+    level, up = np.cos(elevation)[:, None], np.sin(elevation)[:, None]
+    axes = [level * np.cos(bearing), level * np.sin(bearing), np.broadcast_to(up, (len(up), len(bearing)))]
+    return np.stack(axes, axis=-1)
+
+
+def check_elevations(lowest_rad: float, highest_rad: float, name: str, count: int) -> None:
+    """Raise ValueError unless both can bound a fan of `count` elevations, which the setting `name` tells."""
+    sound = lowest_rad < highest_rad if count > 1 else lowest_rad == highest_rad
+    if not sound:
+        rule = "must be less than" if count > 1 else "must equal"
+        raise ValueError(
+            f"lowest_elevation_rad ({lowest_rad:g}) {rule} highest_elevation_rad ({highest_rad:g}) "
+            f"where {name}={count}"
+        )
+
+
+class Beams:
+    """Rays from a mount on M robots, cast at the static world and past the moving actors of each scene.
+
+    `directions_b` (N, 3) are unit vectors and `mount_b` (3,) [m] is where they
+    start, both in the body frame. `actor_shapes` are ray scenes in the actors'
+    own frames, one per actor; equal objects are asked together.
+    """
+
+    def __init__(
+        self,
+        directions_b: Array,
+        mount_b: tuple[float, float, float],
+        range_m: float,
+        static: RayScene,
+        actor_shapes: list[RayScene],
+    ) -> None:
+        self.directions_b = directions_b
+        self._mount_b = np.asarray(mount_b)
+        self._range_m = range_m
+        self._static = static
+        self._groups = [
+            (shape, np.flatnonzero([shape is other for other in actor_shapes]))
+            for shape in dict.fromkeys(actor_shapes)
+        ]
+
+    def origin(self, position_w: Array, rotation: Array) -> Array:
+        """Where the rays start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
+        return position_w + rotation @ self._mount_b
+
+    def ranges(self, position_w: Array, rotation: Array, actor_poses: Array) -> NDArray[np.float32]:
+        """Range along every ray [m], (M, N): `range_m` where nothing returns.
+
+        `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
+        `actor_poses` (M, K, 4) the actors' x, y, z and yaw.
+        """
+        scenes, count = len(position_w), len(self.directions_b)
+        origin = self.origin(position_w, rotation)
+        directions = self.directions_b @ rotation.transpose(0, 2, 1)
+        ranges = np.full(scenes * count, self._range_m, np.float32)
+        directions32 = directions.reshape(-1, 3).astype(np.float32)
+        self._static.shorten(origin.astype(np.float32), directions32, ranges)
+        for shape, columns in self._groups:
+            ranges = self._past_actors(shape, actor_poses[:, columns], origin, directions, ranges)
+        return ranges.reshape(scenes, count)
+
+    def _past_actors(
+        self,
+        shape: RayScene,
+        poses: Array,
+        origin: Array,
+        directions: Array,
+        ranges: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """`ranges` (M * N,), shortened by the actors of one shape at `poses` (M, K, 4)."""
+        scenes, actors = poses.shape[:2]
+        count = len(self.directions_b)
+        # Rays are carried into each actor's frame, so that one small ray scene serves them all.
+        cos, sin = np.cos(poses[..., 3]), np.sin(poses[..., 3])
+        offset = origin[:, None, :] - poses[..., :3]
+        origins = np.empty((scenes, actors, 3), np.float32)
+        origins[..., 0] = cos * offset[..., 0] + sin * offset[..., 1]
+        origins[..., 1] = cos * offset[..., 1] - sin * offset[..., 0]
+        origins[..., 2] = offset[..., 2]
+        x, y = directions[:, None, :, 0], directions[:, None, :, 1]
+        cos, sin = cos[..., None], sin[..., None]
+        carried = np.empty((scenes, actors, count, 3), np.float32)
+        carried[..., 0] = cos * x + sin * y
+        carried[..., 1] = cos * y - sin * x
+        carried[..., 2] = directions[:, None, :, 2]
+        shortened = np.repeat(ranges.reshape(scenes, 1, count), actors, axis=1).ravel()
+        shape.shorten(origins.reshape(-1, 3), carried.reshape(-1, 3), shortened)
+        nearest: NDArray[np.float32] = shortened.reshape(scenes, actors, count).min(axis=1)
+        return nearest.ravel()
 
 
 class Lidar:
@@ -53,21 +153,17 @@ class Lidar:
 
     def __init__(self, conf: LidarConf, static: RayScene, actor_shapes: list[RayScene]) -> None:
         self.conf = conf
-        self._static = static
-        angles = beam_angles(conf)
-        self._beams_b = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
-        self._groups = [
-            (shape, np.flatnonzero([shape is other for other in actor_shapes]))
-            for shape in dict.fromkeys(actor_shapes)
-        ]
+        directions_b = fan(beam_angles(conf), np.zeros(1))[0]
+        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, static, actor_shapes)
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
-        return position_w + rotation @ np.asarray(self.conf.mount_b)
+        return self._beams.origin(position_w, rotation)
 
     def ends(self, origin: Array, rotation: Array, ranges: NDArray[np.float32]) -> Array:
         """Where beams of `ranges` (M, n_beams) end in the world [m], (M, n_beams, 3)."""
-        return origin[:, None] + (self._beams_b * ranges[..., None]) @ rotation.transpose(0, 2, 1)
+        along = self._beams.directions_b * ranges[..., None]
+        return origin[:, None] + along @ rotation.transpose(0, 2, 1)
 
     def ranges(self, position_w: Array, rotation: Array, actor_poses: Array) -> NDArray[np.float32]:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
@@ -75,46 +171,8 @@ class Lidar:
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
         `actor_poses` (M, K, 4) the actors' x, y, z and yaw.
         """
-        conf = self.conf
-        scenes, n_beams = len(position_w), conf.n_beams
-        origin = self.origin(position_w, rotation)
-        directions = self._beams_b @ rotation.transpose(0, 2, 1)
-        ranges = np.full(scenes * n_beams, conf.range_m, np.float32)
-        origins32 = np.repeat(origin.astype(np.float32), n_beams, axis=0)
-        directions32 = directions.reshape(-1, 3).astype(np.float32)
-        self._static.shorten(origins32, directions32, ranges)
-        for shape, columns in self._groups:
-            ranges = self._past_actors(shape, actor_poses[:, columns], origin, directions, ranges)
-        return np.maximum(ranges, np.float32(conf.min_range_m)).reshape(scenes, n_beams)
-
-    def _past_actors(
-        self,
-        shape: RayScene,
-        poses: Array,
-        origin: Array,
-        directions: Array,
-        ranges: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        """`ranges` (M * n_beams,), shortened by the actors of one shape at `poses` (M, K, 4)."""
-        scenes, actors = poses.shape[:2]
-        n_beams = self.conf.n_beams
-        # Beams are carried into each actor's frame, so that one small ray scene serves them all.
-        cos, sin = np.cos(poses[..., 3]), np.sin(poses[..., 3])
-        offset = origin[:, None, :] - poses[..., :3]
-        origins = np.empty((scenes, actors, n_beams, 3), np.float32)
-        origins[..., 0] = (cos * offset[..., 0] + sin * offset[..., 1])[..., None]
-        origins[..., 1] = (cos * offset[..., 1] - sin * offset[..., 0])[..., None]
-        origins[..., 2] = offset[..., 2, None]
-        x, y = directions[:, None, :, 0], directions[:, None, :, 1]
-        cos, sin = cos[..., None], sin[..., None]
-        carried = np.empty_like(origins)
-        carried[..., 0] = cos * x + sin * y
-        carried[..., 1] = cos * y - sin * x
-        carried[..., 2] = directions[:, None, :, 2]
-        shortened = np.repeat(ranges.reshape(scenes, 1, n_beams), actors, axis=1).ravel()
-        shape.shorten(origins.reshape(-1, 3), carried.reshape(-1, 3), shortened)
-        nearest: NDArray[np.float32] = shortened.reshape(scenes, actors, n_beams).min(axis=1)
-        return nearest.ravel()
+        ranges = self._beams.ranges(position_w, rotation, actor_poses)
+        return np.maximum(ranges, np.float32(self.conf.min_range_m))
 
     def segments(self, ranges: NDArray[np.float32]) -> NDArray[np.float32]:
         """Nearest return of each segment of neighbouring beams [m], (M, n_segments)."""

@@ -6,18 +6,41 @@ from typing import Literal
 
 from pydantic import Field
 
+from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.moving import Figure
+from dune_rl.rendering.surface import Surface
 from dune_rl.sensors.camera import Camera, CameraConf, CameraSensor
+from dune_rl.sensors.currents import Currents, CurrentsConf
+from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
+from dune_rl.sensors.encoders import Encoders, EncodersConf
+from dune_rl.sensors.height_scan import HeightScan, HeightScanConf
 from dune_rl.sensors.imu import Imu, ImuConf, ImuSensor
 from dune_rl.sensors.lidar import Lidar, LidarConf
+from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
+from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
+from dune_rl.sensors.position import Position, PositionConf
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.speed import Speed
 from dune_rl.settings import Settings
 
-SensorName = Literal["lidar", "lidar_past", "imu", "goal", "velocity", "camera"]
+SensorName = Literal[
+    "lidar",
+    "lidar_past",
+    "lidar_3d",
+    "depth_strip",
+    "height_scan",
+    "camera",
+    "imu",
+    "goal",
+    "velocity",
+    "encoders",
+    "odometry",
+    "currents",
+    "position",
+]
 
 
 class SensorsConf(Settings):
@@ -30,27 +53,44 @@ class SensorsConf(Settings):
     enabled: tuple[SensorName, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
     lidar: LidarConf = LidarConf()
     past_s: float = Field(0.5, gt=0.0, le=5.0)
-    imu: ImuConf = ImuConf()
+    lidar_3d: Lidar3dConf = Lidar3dConf()
+    depth_strip: DepthStripConf = DepthStripConf()
+    height_scan: HeightScanConf = HeightScanConf()
     camera: CameraConf = CameraConf()
+    imu: ImuConf = ImuConf()
+    encoders: EncodersConf = EncodersConf()
+    odometry: OdometryConf = OdometryConf()
+    currents: CurrentsConf = CurrentsConf()
+    position: PositionConf = PositionConf()
 
     def readings(self) -> list[str]:
-        """Names of the readings, in order: a camera has one for each output."""
+        """Names of the readings, in order: a camera and a 3D LiDAR have one for each output."""
+        several = {"camera": self.camera.outputs, "lidar_3d": self.lidar_3d.outputs}
         names: list[str] = []
         for name in self.enabled:
-            names += [f"camera_{output}" for output in self.camera.outputs] if name == "camera" else [name]
+            names += [f"{name}_{output}" for output in several[name]] if name in several else [name]
         return names
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What sensors look at: all that is solid and still, a figure for each actor, all that is seen.
+    """What sensors look at, and the body that they sit on.
 
-    `appearance` is called only where a camera asks for it, since it takes a moment to work out.
+    `solid` is all that is solid and still, `figures` are the actors',
+    `extent` (xmin, xmax, ymin, ymax) and `heights` (zmin, zmax) [m] where a
+    rover can be, `wheels` its drive. `appearance` and `surface` are called only
+    where a sensor asks for them: they take a moment to work out.
     """
 
     solid: RayScene
     figures: Sequence[Figure]
+    terrain: HeightField
+    extent: tuple[float, float, float, float]
+    heights: tuple[float, float]
+    num_wheels: int
+    wheels: DriveGeometry
     appearance: Callable[[], Baked]
+    surface: Callable[[], Surface]
 
 
 def make_sensors(
@@ -58,16 +98,30 @@ def make_sensors(
 ) -> list[Sensor]:
     """The sensors that `conf` enables, each once, for M scenes with control steps of `step_s`.
 
-    `imu` is made by the caller, who measures by it too.
+    `imu` is made by the caller, who measures by it too: it is always among them.
     """
-    enabled = conf.enabled
-    sensors: list[Sensor] = [ImuSensor(imu, num_scenes, step_s)]
-    scans = [name for name in enabled if name in ("lidar", "lidar_past")]
-    if scans:
+
+    def scanner() -> Sensor:
         lidar = Lidar(conf.lidar, around.solid, [figure.rays for figure in around.figures])
-        sensors.append(Scanner(lidar, scans, num_scenes, max(1, round(conf.past_s / step_s))))
-    if "velocity" in enabled:
-        sensors.append(Speed(num_scenes))
-    if "camera" in enabled:
-        sensors.append(CameraSensor(Camera(conf.camera, around.appearance(), around.figures), num_scenes))
-    return sensors
+        wanted = [name for name in conf.enabled if name in ("lidar", "lidar_past")]
+        return Scanner(lidar, wanted, num_scenes, max(1, round(conf.past_s / step_s)))
+
+    makers: dict[str, Callable[[], Sensor]] = {
+        "lidar": scanner,
+        "lidar_3d": lambda: Lidar3d(
+            conf.lidar_3d, around.solid, around.surface(), around.figures, num_scenes
+        ),
+        "depth_strip": lambda: DepthStrip(conf.depth_strip, around.solid, around.figures, num_scenes),
+        "height_scan": lambda: HeightScan(conf.height_scan, around.solid, around.terrain, num_scenes),
+        "camera": lambda: CameraSensor(Camera(conf.camera, around.appearance(), around.figures), num_scenes),
+        "velocity": lambda: Speed(num_scenes),
+        "encoders": lambda: Encoders(conf.encoders, num_scenes, around.num_wheels, step_s),
+        "odometry": lambda: Odometry(
+            conf.odometry, conf.encoders, around.wheels, num_scenes, around.num_wheels, step_s
+        ),
+        "currents": lambda: Currents(conf.currents, num_scenes, around.num_wheels),
+        "position": lambda: Position(conf.position, around.extent, around.heights, num_scenes, step_s),
+    }
+    instruments = dict.fromkeys("lidar" if name == "lidar_past" else name for name in conf.enabled)
+    sensors: list[Sensor] = [ImuSensor(imu, num_scenes, step_s)]
+    return sensors + [makers[name]() for name in instruments if name in makers]

@@ -1,0 +1,89 @@
+"""A strip of depths: how far the nearest thing lies in each of a few bearings."""
+
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.moving import Figure
+from dune_rl.sensors.lidar import Beams, check_elevations, fan
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+
+class DepthStripConf(Settings):
+    """Columns side by side over `fov_rad`, each a fan of `rows` rays between two elevations; range and mount.
+
+    On level ground a ray below the horizon ends on the ground, which limits
+    what its column can tell: the defaults keep that just out of range.
+    """
+
+    columns: int = Field(32, ge=1, le=4096)
+    rows: int = Field(4, ge=1, le=256)
+    fov_rad: float = Field(1.5, gt=0.0, le=2 * np.pi)
+    lowest_elevation_rad: float = Field(-0.06, ge=-np.pi / 2, le=np.pi / 2)
+    highest_elevation_rad: float = Field(0.24, ge=-np.pi / 2, le=np.pi / 2)
+    range_m: float = Field(5.0, gt=0.0, le=1_000.0)
+    mount_b: tuple[float, float, float] = (0.174, 0.0, 0.196)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        check_elevations(self.lowest_elevation_rad, self.highest_elevation_rad, "rows", self.rows)
+        return self
+
+
+class DepthStrip:
+    """The reading "depth_strip", (M, columns) [m], of M rovers, moving actors seen.
+
+    Columns run counter-clockwise over the field of view, each bearing in the
+    middle of its share. A depth is measured along the bearing, in the plane of
+    the rover's forward and left axes: the nearest over the column's rays, and
+    `range_m` where none of them meets anything that near.
+    """
+
+    def __init__(
+        self, conf: DepthStripConf, solid: RayScene, figures: Sequence[Figure], num_scenes: int
+    ) -> None:
+        self.conf = conf
+        bearing = conf.fov_rad * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
+        elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.rows)
+        self._level = np.cos(elevation)[:, None].astype(np.float32)
+        shapes = [figure.rays for figure in figures]
+        directions_b = fan(bearing, elevation).reshape(-1, 3)
+        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, solid, shapes)
+        self._reading: Floats = np.zeros((num_scenes, conf.columns), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Depths up to the range."""
+        count = self.conf.columns
+        return {"depth_strip": (np.zeros(count, np.float32), np.full(count, self.conf.range_m, np.float32))}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """As `measure`: nothing is remembered."""
+        self.measure(now)
+
+    def measure(self, now: Moment) -> None:
+        """Look from where the rovers are."""
+        self._reading = self.depths(now.position_w, now.rotation, now.actor_poses)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest depths."""
+        return {"depth_strip": self._reading.copy()}
+
+    def depths(self, position_w: Array, rotation: Array, actor_poses: Array) -> Floats:
+        """The reading of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
+
+        `actor_poses` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
+        """
+        conf = self.conf
+        ranges = self._beams.ranges(position_w, rotation, actor_poses)
+        ranges = ranges.reshape(len(ranges), conf.rows, conf.columns)
+        farthest = np.float32(conf.range_m)
+        depths: Floats = np.where(ranges < farthest, ranges * self._level, farthest).min(axis=1)
+        return depths

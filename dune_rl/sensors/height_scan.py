@@ -1,0 +1,124 @@
+"""A grid of ground heights ahead of the rover."""
+
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.geometry.frames import within
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+# No hill or wall rises farther than this over a rover.
+_HIGHEST_M = 1_000.0
+
+
+class HeightScanConf(Settings):
+    """Size and place of the grid, and what it shows.
+
+    `ahead_m` is the distance of the first row ahead of the chassis centre.
+    Heights are clipped to `limit_m` both ways. `source=solid` looks down from
+    `above_m` over the ground on which the rover stands and sees decks, walls
+    and everything else that is solid and still; `source=terrain` tells the
+    bare ground. `standing_height_m` is the chassis centre's over level ground.
+    """
+
+    rows: int = Field(11, ge=1, le=256)
+    columns: int = Field(11, ge=1, le=256)
+    spacing_m: float = Field(0.2, gt=0.0, le=10.0)
+    ahead_m: float = Field(0.4, ge=-100.0, le=100.0)
+    limit_m: float = Field(1.0, gt=0.0, le=100.0)
+    source: Literal["terrain", "solid"] = "solid"
+    above_m: float = Field(1.0, gt=0.0, le=100.0)
+    standing_height_m: float = Field(0.125, ge=0.0, le=10.0)
+
+    @model_validator(mode="after")
+    def _sees_its_limit(self) -> Self:
+        if self.source == "solid" and self.above_m < self.limit_m:
+            raise ValueError(
+                f"above_m ({self.above_m}) must be at least limit_m ({self.limit_m}): "
+                "what is higher than above_m is not seen"
+            )
+        return self
+
+
+class HeightScan:
+    """The reading "height_scan", (M, rows * columns) [m], of M rovers.
+
+    Frame: the rover's position and yaw alone; however it rolls or pitches, the
+    grid stays level. Row by row from the nearest, each from right to left.
+    Heights are over the plane `standing_height_m` below the chassis centre, so
+    that level ground reads 0. With `source=solid`, what hangs wholly higher
+    than `above_m` is overhead and not seen; walls and hills that reach higher
+    read the upper limit, and where there is no ground at all, the lower.
+    Moving actors are not seen.
+    """
+
+    def __init__(self, conf: HeightScanConf, solid: RayScene, terrain: HeightField, num_scenes: int) -> None:
+        self.conf = conf
+        self._solid, self._terrain = solid, terrain
+        ahead = conf.ahead_m + conf.spacing_m * np.arange(conf.rows)
+        left = conf.spacing_m * (np.arange(conf.columns) - (conf.columns - 1) / 2)
+        self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._reading: Floats = np.zeros((num_scenes, len(self._grid)), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """The limit both ways."""
+        high = np.full(len(self._grid), self.conf.limit_m, np.float32)
+        return {"height_scan": (-high, high)}
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """As `measure`: nothing is remembered."""
+        self.measure(now)
+
+    def measure(self, now: Moment) -> None:
+        """Scan from where the rovers are."""
+        self._reading = self.heights(now.position_w, now.roll_pitch_yaw[:, 2])
+
+    def read(self) -> dict[str, Reading]:
+        """The latest scan."""
+        return {"height_scan": self._reading.copy()}
+
+    def points(self, position_w: Array, yaw: Array) -> Array:
+        """Where heights are asked for, (M, rows * columns, 2) [m] in the world.
+
+        The rovers are at `position_w` (M, 3) and head `yaw` (M,) [rad].
+        """
+        cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+        x, y = self._grid.T
+        return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + position_w[:, None, :2]
+
+    def heights(self, position_w: Array, yaw: Array) -> Floats:
+        """The reading of rovers at `position_w` (M, 3) [m] that head `yaw` (M,) [rad]."""
+        conf = self.conf
+        xy = self.points(position_w, yaw)
+        base = position_w[:, 2, None] - conf.standing_height_m
+        if conf.source == "terrain":
+            heights = self._terrain.height(xy) - base
+        else:
+            heights = self._solid_heights(xy, base)
+        return within(heights, -conf.limit_m, conf.limit_m).astype(np.float32)
+
+    def _solid_heights(self, xy: Array, base: Array) -> Array:
+        """Heights (M, P) [m] of what is solid at `xy` (M, P, 2), over `base` (M, 1)."""
+        above_m, limit_m = self.conf.above_m, self.conf.limit_m
+        scenes, count = xy.shape[:2]
+        start = np.empty((scenes, count, 3), np.float32)
+        start[..., :2] = xy
+        start[..., 2] = base + above_m
+        origins = start.reshape(-1, 3)
+        upward = np.zeros_like(origins)
+        upward[:, 2] = 1.0
+        depth = np.full(len(origins), above_m + limit_m, np.float32)
+        self._solid.shorten(origins, -upward, depth)
+        # A ray that starts inside a wall or under a hill would miss its top: from there, the first
+        # surface upward is met from behind.
+        over = self._solid.hits(origins, upward, np.full(len(origins), _HIGHEST_M, np.float32))
+        inside = (over.face >= 0) & (over.normal[:, 2] > 0.0)
+        return np.where(inside, limit_m, above_m - depth).reshape(scenes, count)

@@ -1,0 +1,177 @@
+"""A LiDAR of rings: range, intensity and segment of every beam."""
+
+from collections.abc import Sequence
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.moving import Figure
+from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.surface import Surface, luminance
+from dune_rl.sensors.camera import groups
+from dune_rl.sensors.lidar import bearings, check_elevations, fan
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+Lidar3dOutput = Literal["range", "intensity", "segmentation"]
+
+
+class Lidar3dConf(Settings):
+    """Rings, beams, range and mount. The defaults are like a common sensor of 16 rings over 30 degrees.
+
+    At `half_intensity_m` a return is half as bright as close by.
+    """
+
+    n_rings: int = Field(16, ge=1, le=256)
+    n_beams: int = Field(512, ge=1, le=16_384)
+    lowest_elevation_rad: float = Field(-0.262, ge=-np.pi / 2, le=np.pi / 2)
+    highest_elevation_rad: float = Field(0.262, ge=-np.pi / 2, le=np.pi / 2)
+    range_m: float = Field(30.0, gt=0.0, le=1_000.0)
+    min_range_m: float = Field(0.1, ge=0.0)
+    fov_rad: float = Field(2 * np.pi, gt=0.0, le=2 * np.pi)
+    half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0)
+    mount_b: tuple[float, float, float] = (0.174, 0.0, 0.196)
+    outputs: tuple[Lidar3dOutput, ...] = Field(("range",), min_length=1)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        check_elevations(self.lowest_elevation_rad, self.highest_elevation_rad, "n_rings", self.n_rings)
+        if self.min_range_m >= self.range_m:
+            raise ValueError(f"min_range_m ({self.min_range_m}) must be less than range_m ({self.range_m})")
+        if len(set(self.outputs)) < len(self.outputs):
+            raise ValueError(f"outputs must differ from each other (got {list(self.outputs)})")
+        return self
+
+
+class Lidar3d:
+    """The readings "lidar_3d_<output>", (M, n_rings, n_beams, 1), of M rovers.
+
+    The first ring is the highest; beams run counter-clockwise from -fov/2, as
+    those of the planar LiDAR. `range` [m] is `range_m` where nothing returns;
+    `segmentation` holds bytes of `Segment`, SKY where nothing returns;
+    `intensity`, in [0, 1], is that of matt surfaces: the albedo's luminance,
+    times the cosine of the angle of incidence, over 1 + (range /
+    half_intensity_m)². That is the LiDAR equation's inverse square far away,
+    and even close by, where receivers see only part of their beam.
+
+    `solid` is the ray scene of the static world and `surface` that of its
+    faces; `figures` has one entry per actor. The rover itself is in neither.
+    """
+
+    def __init__(
+        self, conf: Lidar3dConf, solid: RayScene, surface: Surface, figures: Sequence[Figure], num_scenes: int
+    ) -> None:
+        self.conf = conf
+        self._solid, self._surface = solid, surface
+        self._groups = groups(figures)
+        self._brightness = [luminance(figure.shape.albedo) for figure, _ in self._groups]
+        elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.n_rings)
+        directions = fan(bearings(conf.fov_rad, conf.n_beams), elevation).reshape(-1, 3)
+        self._directions_b = directions.astype(np.float32)
+        self._components_b = np.ascontiguousarray(self._directions_b.T)
+        self._range_only = conf.outputs == ("range",)
+        self._readings: dict[str, Reading] = {
+            name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
+        }
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Metres between both ranges, shares of 1, and bytes."""
+        conf = self.conf
+        limits: dict[str, tuple[float, float, type]] = {
+            "range": (conf.min_range_m, conf.range_m, np.float32),
+            "intensity": (0.0, 1.0, np.float32),
+            "segmentation": (0, max(Segment), np.uint8),
+        }
+        shape = (conf.n_rings, conf.n_beams, 1)
+        return {
+            f"lidar_3d_{name}": (np.full(shape, low, kind), np.full(shape, high, kind))
+            for name, (low, high, kind) in ((name, limits[name]) for name in conf.outputs)
+        }
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Scan in the scenes in `mask` (M,); the others keep their scans."""
+        rows = np.flatnonzero(mask)
+        found = self.scan(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
+        for name, values in found.items():
+            self._readings[name][rows] = values
+
+    def measure(self, now: Moment) -> None:
+        """Scan again."""
+        self._readings = self.scan(now.position_w, now.rotation, now.actor_poses)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest scans."""
+        return {name: values.copy() for name, values in self._readings.items()}
+
+    def scan(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, Reading]:
+        """The readings of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
+
+        `actor_poses` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
+        """
+        conf = self.conf
+        scenes, count = len(position_w), len(self._directions_b)
+        origin = position_w + rotation @ np.asarray(conf.mount_b)
+        origins32 = origin.astype(np.float32)
+        directions = (self._directions_b @ rotation.transpose(0, 2, 1).astype(np.float32)).reshape(-1, 3)
+        ranges = np.full(scenes * count, conf.range_m, np.float32)
+        brightness = np.zeros(0 if self._range_only else len(ranges), np.float32)
+        segments = np.zeros(len(brightness), np.uint8)
+        if self._range_only:
+            self._solid.shorten(origins32, directions, ranges, coherent=True)
+        else:
+            face, ranges, normal = self._solid.hits(origins32, directions, ranges, coherent=True)
+            segments = self._surface.segments.take(face, mode="wrap")
+            brightness = self._surface.luminance.take(face, mode="wrap") * _incidence(normal, directions)
+        for (figure, columns), albedo in zip(self._groups, self._brightness, strict=True):
+            poses = actor_poses[:, columns]
+            ray, actor = self._rays_near(figure, origin, rotation, poses)
+            hit = figure.hits(origin[ray // count], directions[ray], poses.reshape(-1, 4)[actor], ranges[ray])
+            # Rays of different actors of one group can meet: the nearest counts, so go from far to near.
+            order = np.flatnonzero(hit.face >= 0)
+            order = order[np.argsort(-hit.range[order], kind="stable")]
+            ray = ray[order]
+            ranges[ray] = hit.range[order]
+            if not self._range_only:
+                segments[ray] = figure.segment
+                brightness[ray] = albedo[hit.face[order]] * _incidence(hit.normal[order], directions[ray])
+        found: dict[str, Reading] = {}
+        for name in conf.outputs:
+            if name == "range":
+                values: Reading = np.maximum(ranges, np.float32(conf.min_range_m))
+            elif name == "intensity":
+                values = brightness / (1.0 + np.square(ranges / np.float32(conf.half_intensity_m)))
+            else:
+                values = segments
+            found[f"lidar_3d_{name}"] = values.reshape(scenes, conf.n_rings, conf.n_beams, 1)
+        return found
+
+    def _rays_near(
+        self, figure: Figure, origin: Array, rotation: Array, poses: Array
+    ) -> tuple[Indices, Indices]:
+        """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
+        offset = poses[..., :3] + figure.centre - origin[:, None]
+        distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
+        limit = np.sqrt(1.0 - np.minimum(figure.radius_m / distance, 1.0) ** 2)
+        limit = np.where(distance <= figure.radius_m, -2.0, limit).ravel()
+        actor = np.flatnonzero(distance < self.conf.range_m + figure.radius_m)
+        towards = ((offset / distance[..., None]) @ rotation).reshape(-1, 3)[actor]
+        # A product of matrices this thin would cost less only until its threads wait for a busy core.
+        cosine = np.einsum("ai,in->an", towards.astype(np.float32), self._components_b)
+        count = len(self._directions_b)
+        near = np.flatnonzero(cosine >= limit[actor, None].astype(np.float32))
+        actor = actor[near // count]
+        return actor // poses.shape[1] * count + near % count, actor
+
+
+def _incidence(normal: Floats, directions: Floats) -> Floats:
+    """Cosine (R,) of the angle between rays `directions` (R, 3) and normals (R, 3), either way round."""
+    length = np.sqrt(np.einsum("ri,ri->r", normal, normal))
+    cosine: Floats = np.abs(np.einsum("ri,ri->r", normal, directions)) / np.maximum(length, np.float32(1e-12))
+    return np.minimum(cosine, np.float32(1.0))

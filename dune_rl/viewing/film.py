@@ -1,0 +1,39 @@
+"""Films: frames into an MP4 file."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.files import replaced
+
+AddFrame = Callable[[NDArray[np.uint8]], None]
+
+
+@contextmanager
+def film(path: Path, frames_per_s: float, width: int, height: int) -> Iterator[AddFrame]:
+    """Gives a function that adds a frame (height, width, 3) to an MP4 file (H.264).
+
+    The file takes its name when the block is left, and only if nothing failed.
+    `width` and `height` [px] must be even: the codec halves the resolution of colours.
+    """
+    if width % 2 or height % 2:
+        raise ValueError(f"a film's width and height must be even (got {width} by {height})")
+    with replaced(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=Fraction(frames_per_s).limit_denominator(1000))
+        stream.width, stream.height = width, height
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "20", "preset": "medium"}
+
+        def add(frame: NDArray[np.uint8]) -> None:
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+            for packet in stream.encode(picture):
+                container.mux(packet)
+
+        yield add
+        for packet in stream.encode():
+            container.mux(packet)
