@@ -5,7 +5,7 @@ batched TorchRL one. Each takes every setting that the command lines take.
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dune_rl.env.registration import register_envs
 from dune_rl.errors import CheckpointError, ConfigError, DuneError, PhysicsError, WorldError
@@ -35,30 +35,42 @@ register_envs()
 
 
 def parallel_env(
-    world: str = "inspection", seed: int = 0, *, overrides: Iterable[str] = (), **settings: Any
+    world: str = "inspection",
+    seed: int = 0,
+    *,
+    render_mode: Literal["rgb_array"] | None = None,
+    overrides: Iterable[str] = (),
+    **settings: Any,
 ) -> "ParallelDuneEnv":
     """A PettingZoo `ParallelEnv`: the agent `rover_0`, and one for each actor whose controller is external.
 
     `settings` are sections of the configuration: a name chooses an option
     (`actors="external_walkers"`), a mapping changes values
     (`task={"max_steps": 100}`). `overrides` are command-line words
-    (`["task.max_steps=100"]`). Raises `ConfigError` naming every fault.
+    (`["task.max_steps=100"]`). With `render_mode="rgb_array"`, `render()` gives
+    a picture of the rover. Raises `ConfigError` naming every fault.
     """
     from dune_rl.config.build import make_parallel_env
     from dune_rl.config.compose import compose_environment
 
-    return make_parallel_env(compose_environment(world, overrides, settings), seed)
+    return make_parallel_env(compose_environment(world, overrides, settings), seed, render_mode)
 
 
 def gym_env(
-    world: str = "inspection", seed: int = 0, *, overrides: Iterable[str] = (), **settings: Any
+    world: str = "inspection",
+    seed: int = 0,
+    *,
+    render_mode: Literal["rgb_array"] | None = None,
+    overrides: Iterable[str] = (),
+    **settings: Any,
 ) -> "GymnasiumEnv":
     """A Gymnasium `Env` of the rover alone; arguments as for `parallel_env`."""
     from dune_rl.config.build import make_gymnasium_env
     from dune_rl.config.compose import compose_environment
     from dune_rl.config.schema import SingleAgentConf
 
-    return make_gymnasium_env(compose_environment(world, overrides, settings, SingleAgentConf), seed)
+    conf = compose_environment(world, overrides, settings, SingleAgentConf)
+    return make_gymnasium_env(conf, seed, render_mode)
 
 
 def make(

@@ -5,7 +5,7 @@ from functools import lru_cache
 from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
 from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
-from dune_rl.env.pettingzoo import ParallelDuneEnv
+from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.rover_zero import RoverZero
@@ -41,11 +41,11 @@ def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
     return DuneEnv(make_batch(conf, num_scenes, seed))
 
 
-def make_parallel_env(conf: EnvConf, seed: int) -> ParallelDuneEnv:
+def make_parallel_env(conf: EnvConf, seed: int, render_mode: RenderMode = None) -> ParallelDuneEnv:
     """A PettingZoo environment of one scene."""
-    return ParallelDuneEnv(make_batch(conf, 1, seed))
+    return ParallelDuneEnv(make_batch(conf, 1, seed), render_mode)
 
 
-def make_gymnasium_env(conf: SingleAgentConf, seed: int) -> GymnasiumEnv:
+def make_gymnasium_env(conf: SingleAgentConf, seed: int, render_mode: RenderMode = None) -> GymnasiumEnv:
     """A Gymnasium environment of one scene's rover."""
-    return GymnasiumEnv(make_batch(conf, 1, seed))
+    return GymnasiumEnv(make_batch(conf, 1, seed), render_mode)

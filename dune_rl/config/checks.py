@@ -61,9 +61,9 @@ def faults(error: ValidationError, model: type[BaseModel], data: Mapping[str, An
     ]
 
 
-def closest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that was probably meant."""
-    found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+def closest(word: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
+    """The known word that was probably meant: at least so alike, of 1."""
+    found = difflib.get_close_matches(word, list(known), n=1, cutoff=likeness)
     return found[0] if found else None
 
 
@@ -82,7 +82,8 @@ def unknown_setting(path: Sequence[str | int], model: type[BaseModel], data: Map
     if match:
         return f"{name} is not a setting; did you mean {_dotted((*path[:-1], match))}?"
     elsewhere = {other.rpartition(".")[2]: other for other in reversed(_all_paths(model, data))}
-    match = closest(str(path[-1]), elsewhere)
+    # There are many of them, so that some are always a little alike.
+    match = closest(str(path[-1]), elsewhere, 0.8)
     if match:
         return f"{name} is not a setting; did you mean {elsewhere[match]}?"
     place = _dotted(path[:-1]) or "the top level"

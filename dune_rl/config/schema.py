@@ -33,6 +33,11 @@ class EnvConf(Settings):
     task: PointGoalConf = PointGoalConf()
     metrics: MetricsConf = MetricsConf()
 
+    @model_validator(mode="after")
+    def _rates_fit(self) -> Self:
+        self.sensors.realism.check(self.physics.control_step_s)
+        return self
+
 
 class SingleAgentConf(EnvConf):
     """An environment whose only agent is the rover."""

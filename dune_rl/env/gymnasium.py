@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.env.batch import Batch
-from dune_rl.env.pettingzoo import ROVER, Observation, ParallelDuneEnv
+from dune_rl.env.pettingzoo import ROVER, Observation, ParallelDuneEnv, RenderMode
 
 
 class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
@@ -16,10 +16,10 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
     Actors must all be scripted; `info` holds the episode's running metrics.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
 
-    def __init__(self, batch: Batch) -> None:
-        parallel = ParallelDuneEnv(batch)
+    def __init__(self, batch: Batch, render_mode: RenderMode = None) -> None:
+        parallel = ParallelDuneEnv(batch, render_mode)
         if parallel.possible_agents != [ROVER]:
             raise ValueError(
                 f"{', '.join(parallel.possible_agents[1:])} would act for nobody here: "
@@ -28,7 +28,8 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         self._parallel = parallel
         self.observation_space = parallel.observation_space(ROVER)
         self.action_space = parallel.action_space(ROVER)
-        self.render_mode = None
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": parallel.metadata["render_fps"]}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -44,6 +45,10 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         if not observations:
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset() before step()")
         return observations[ROVER], rewards[ROVER], terminations[ROVER], truncations[ROVER], infos[ROVER]
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """RGB (480, 640, 3) of the rover from behind, where `render_mode` is "rgb_array"."""
+        return self._parallel.render()
 
     def close(self) -> None:
         """Free the physics engine's memory."""

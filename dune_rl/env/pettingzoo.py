@@ -1,6 +1,6 @@
 """The PettingZoo environment: a batch of one, whose rover and learnable actors are agents."""
 
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -14,9 +14,12 @@ from dune_rl.env.bounds import (
     walker_action_bounds,
     walker_observation_bounds,
 )
+from dune_rl.env.pictures import Pictures
+from dune_rl.errors import ConfigError
 from dune_rl.sensors.sensor import Bounds, Reading
 
 Observation = dict[str, Reading]
+RenderMode = Literal["rgb_array"] | None
 
 ROVER = "rover_0"
 
@@ -34,15 +37,24 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
     the rover, under the same keys at every step, -1 where a value is not defined yet.
     """
 
-    metadata = {"name": "dune_rl_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
-    render_mode = None
+    metadata = {  # noqa: RUF012
+        "name": "dune_rl_v0",
+        "render_modes": ["rgb_array"],
+        "render_fps": 20,
+        "is_parallelizable": True,
+    }
 
-    def __init__(self, batch: Batch) -> None:
+    def __init__(self, batch: Batch, render_mode: RenderMode = None) -> None:
         if batch.num_scenes != 1:
             raise ValueError(
                 f"the PettingZoo environment wraps a batch of one scene, not of {batch.num_scenes}"
             )
+        if render_mode not in (None, "rgb_array"):
+            raise ConfigError(f"render_mode must be 'rgb_array' or None (got {render_mode!r})")
         self._batch = batch
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": batch.physics.control_hz}
+        self._pictures = Pictures(batch)
         self.possible_agents = [ROVER, *batch.actors.names]
         self.agents: list[str] = []
         rover = gymnasium.spaces.Dict({k: _box(v) for k, v in rover_observation_bounds(batch).items()})
@@ -117,6 +129,10 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         values = np.nan_to_num(self._batch.metrics()[0], nan=-1.0)
         infos[ROVER] = dict(zip(self._batch.metric_names, values.tolist(), strict=True))
         return infos
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """RGB (480, 640, 3) of the rover from behind, where `render_mode` is "rgb_array"."""
+        return self._pictures.from_behind() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Free the physics engine's memory."""

@@ -24,6 +24,7 @@ _NORMAL, _FACE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
 _NONE = np.uint32(0xFFFFFFFF)
 _ALL_FEATURES = 0xFFFFFFFF
 _COHERENT = 1 << 16
+_ROBUST = 1 << 2
 _TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003
 
 _extension = embreex.rtcore_scene.__file__
@@ -41,6 +42,7 @@ def _function(name: str, result: Any, *arguments: Any) -> Any:
 _pointer = ctypes.c_void_p
 _new_device = _function("rtcNewDevice", _pointer, ctypes.c_char_p)
 _new_scene = _function("rtcNewScene", _pointer, _pointer)
+_set_scene_flags = _function("rtcSetSceneFlags", None, _pointer, ctypes.c_int)
 _release_scene = _function("rtcReleaseScene", None, _pointer)
 _commit_scene = _function("rtcCommitScene", None, _pointer)
 _new_geometry = _function("rtcNewGeometry", _pointer, _pointer, ctypes.c_int)
@@ -67,7 +69,7 @@ class _Arguments(ctypes.Structure):
     )
 
 
-_arguments = {coherent: _Arguments(_COHERENT if coherent else 0, _ALL_FEATURES) for coherent in (False, True)}
+_arguments = _Arguments(_COHERENT, _ALL_FEATURES)
 _device: int | None = None
 
 
@@ -87,6 +89,8 @@ class TriangleScene:
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         device = _shared_device()
         self._handle = _new_scene(device)
+        # Or rays that run exactly along an edge slip through between two triangles.
+        _set_scene_flags(self._handle, _ROBUST)
         weakref.finalize(self, _release_scene, self._handle)
         geometry = _new_geometry(device, _TRIANGLES)
         for slot, layout, values in ((_VERTICES, _FLOAT3, vertices), (_INDICES, _UINT3, faces)):
@@ -106,18 +110,15 @@ class TriangleScene:
         ranges: NDArray[np.float32],
         faces: NDArray[np.int32],
         normals: NDArray[np.float32],
-        coherent: bool,
     ) -> None:
         """Shorten `ranges` (N,) in place to first hits; fill `faces` (N,), `normals` (N, 3), unless empty."""
-        arguments = ctypes.addressof(_arguments[coherent])
+        arguments = ctypes.addressof(_arguments)
         _intersect(self._handle, arguments, _plain(origins), _plain(directions), ranges, faces, normals)
 
-    def occluded(
-        self, origins: NDArray[np.float32], directions: NDArray[np.float32], coherent: bool
-    ) -> NDArray[np.bool_]:
+    def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether anything lies on each ray, (N,)."""
         blocked = np.empty(len(directions), np.bool_)
-        arguments = ctypes.addressof(_arguments[coherent])
+        arguments = ctypes.addressof(_arguments)
         _occluded(self._handle, arguments, _plain(origins), _plain(directions), blocked)
         return blocked
 

@@ -192,7 +192,8 @@ class Replay:
         if rows.shape != (numbers["size"], self._width) or rows.dtype.str != self._descr:
             raise CheckpointError(
                 f"{path} holds rows of shape {rows.shape} of {rows.dtype.str}, not "
-                f"{(numbers['size'], self._width)} of {self._descr}: it belongs to another checkpoint.\nPut the right file in its place, or train anew."
+                f"{(numbers['size'], self._width)} of {self._descr}: it belongs to another checkpoint.\n"
+                "Put the right file in its place, or train anew."
             )
         if len(rows) > self._capacity:
             raise CheckpointError(

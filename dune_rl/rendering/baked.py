@@ -122,7 +122,7 @@ def sunlit(rays: RayScene, light: Light, points: Array, normals: Floats) -> Floa
     if light.shadows and facing.any():
         origins = (points[facing] + normals[facing] * _OFF_SURFACE_M).astype(np.float32)
         directions = np.ascontiguousarray(np.broadcast_to(light.to_sun, origins.shape))
-        share[facing] = ~rays.blocked(origins, directions, coherent=True)
+        share[facing] = ~rays.blocked(origins, directions)
     return share
 
 
@@ -142,7 +142,7 @@ def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
         if not faced.any():
             continue
         towards = np.ascontiguousarray(np.broadcast_to(direction, (int(faced.sum()), 3)))
-        open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards, coherent=True)
+        open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards)
         weight += cosine
     return (open_weight / np.maximum(weight, 1e-6)).astype(np.float32)
 

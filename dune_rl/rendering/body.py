@@ -62,13 +62,13 @@ class Body:
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
         """First hits of world rays (R, 3) within `ranges` (R,), normals in the world frame."""
         local, carried = self._carried(origins, directions)
-        face, ranges, normal = self.solid.rays.hits(local, carried, ranges.copy(), coherent=True)
+        face, ranges, normal = self.solid.rays.hits(local, carried, ranges.copy())
         return Hits(face, ranges, normal @ self.rotation.T.astype(np.float32))
 
     def blocks(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
         """Whether it lies on each of the world rays (R, 3), (R,)."""
         local, carried = self._carried(origins, directions)
-        return self.solid.rays.blocked(local, carried, coherent=True)
+        return self.solid.rays.blocked(local, carried)
 
     def _carried(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         turn = self.rotation.astype(np.float32)

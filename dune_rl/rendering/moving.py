@@ -40,7 +40,7 @@ class Figure(Solid):
         x, y = directions[:, 0], directions[:, 1]
         carried = np.stack([cos * x + sin * y, cos * y - sin * x, directions[:, 2]], axis=1)
         face, ranges, normal = self.rays.hits(
-            local.astype(np.float32), carried.astype(np.float32), ranges.copy(), coherent=True
+            local.astype(np.float32), carried.astype(np.float32), ranges.copy()
         )
         normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         world = np.stack(

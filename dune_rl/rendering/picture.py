@@ -97,7 +97,7 @@ class Painter:
         """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3)."""
         baked = self.baked
         ranges = np.full(len(directions), _FAR_M, np.float32)
-        face, ranges, normal = baked.rays.hits(eye[None], directions, ranges, coherent=True)
+        face, ranges, normal = baked.rays.hits(eye[None], directions, ranges)
         body_of = np.full(len(directions), -1, np.int32)
         for number, body in enumerate(bodies):
             ray = body.rays_near(eye, directions)
@@ -184,7 +184,7 @@ class Painter:
             return sunlit
         origins = points[facing] + normals[facing] * np.float32(_OFF_SURFACE_M)
         directions = np.tile(to_sun, (len(origins), 1))
-        free = ~self.baked.rays.blocked(origins, directions, coherent=True)
+        free = ~self.baked.rays.blocked(origins, directions)
         for body in bodies:
             near = body.points_in_shadow_of(origins, to_sun)
             if len(near):

@@ -88,7 +88,7 @@ class Camera:
         directions32 = directions.reshape(-1, 3)
         ranges = np.full(scenes * pixels, self.conf.range_m, np.float32)
         baked = self._baked
-        face, ranges, normal = baked.rays.hits(origin.astype(np.float32), directions32, ranges, coherent=True)
+        face, ranges, normal = baked.rays.hits(origin.astype(np.float32), directions32, ranges)
         outputs = self.conf.outputs
         colour = self._colours(origin, directions, ranges, face) if self._coloured else None
         segments = baked.segments.take(face, mode="wrap") if "segmentation" in outputs else None
@@ -107,7 +107,9 @@ class Camera:
                 assert segments is not None
                 found[name] = segments.reshape(*size, 1)
             elif name == "depth":
-                found[name] = (ranges.reshape(scenes, pixels) * self._axial).reshape(*size, 1)
+                axial = ranges.reshape(scenes, pixels) * self._axial
+                nothing = ranges.reshape(scenes, pixels) >= self.conf.range_m
+                found[name] = np.where(nothing, np.float32(self.conf.range_m), axial).reshape(*size, 1)
             else:
                 found[name] = self._seen_normals(normal, directions, rotation).reshape(*size, 3)
         return found

@@ -124,9 +124,9 @@ class Lidar3d:
         brightness = np.zeros(0 if self._range_only else len(ranges), np.float32)
         segments = np.zeros(len(brightness), np.uint8)
         if self._range_only:
-            self._solid.shorten(origins32, directions, ranges, coherent=True)
+            self._solid.shorten(origins32, directions, ranges)
         else:
-            face, ranges, normal = self._solid.hits(origins32, directions, ranges, coherent=True)
+            face, ranges, normal = self._solid.hits(origins32, directions, ranges)
             segments = self._surface.segments.take(face, mode="wrap")
             brightness = self._surface.luminance.take(face, mode="wrap") * _incidence(normal, directions)
         for (figure, columns), albedo in zip(self._groups, self._brightness, strict=True):
@@ -162,7 +162,7 @@ class Lidar3d:
         limit = np.where(distance <= figure.radius_m, -2.0, limit).ravel()
         actor = np.flatnonzero(distance < self.conf.range_m + figure.radius_m)
         towards = ((offset / distance[..., None]) @ rotation).reshape(-1, 3)[actor]
-        # A product of matrices this thin would cost less only until its threads wait for a busy core.
+        # Not by `@`, whose threads would wait for each other wherever a core is busy.
         cosine = np.einsum("ai,in->an", towards.astype(np.float32), self._components_b)
         count = len(self._directions_b)
         near = np.flatnonzero(cosine >= limit[actor, None].astype(np.float32))

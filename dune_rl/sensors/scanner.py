@@ -6,6 +6,7 @@ import numpy as np
 
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.past_scan import PastScan
+from dune_rl.sensors.realism_lidar import BeamFaults
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
 
 
@@ -13,10 +14,19 @@ class Scanner:
     """Those of the readings "lidar" and "lidar_past", (M, n_segments) [m], that are `wanted`.
 
     The past scan is `delay_steps` control steps old, seen from the present pose.
+    Both see the `faults` of the beams, where there are any.
     """
 
-    def __init__(self, lidar: Lidar, wanted: Collection[str], num_scenes: int, delay_steps: int) -> None:
+    def __init__(
+        self,
+        lidar: Lidar,
+        wanted: Collection[str],
+        num_scenes: int,
+        delay_steps: int,
+        faults: BeamFaults | None = None,
+    ) -> None:
         self._lidar = lidar
+        self._faults = faults
         self._wanted = wanted
         self._past = PastScan(lidar.conf, num_scenes, delay_steps) if "lidar_past" in wanted else None
         self._scan: Reading = np.zeros((num_scenes, lidar.conf.n_segments), np.float32)
@@ -39,6 +49,8 @@ class Scanner:
 
     def _look(self, now: Moment, begun: Flags | None) -> None:
         ranges = self._lidar.ranges(now.position_w, now.rotation, now.actor_poses)
+        if self._faults is not None:
+            ranges = self._faults.applied(ranges, now)
         self._scan = self._lidar.segments(ranges)
         if self._past is None:
             return

@@ -21,6 +21,9 @@ from dune_rl.sensors.lidar import Lidar, LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
 from dune_rl.sensors.position import Position, PositionConf
+from dune_rl.sensors.realism import ImuRealismConf, SpeedRealismConf, realistic
+from dune_rl.sensors.realism_camera import CameraRealismConf, realistic_camera
+from dune_rl.sensors.realism_lidar import BeamFaults, LidarRealismConf
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.speed import Speed
@@ -43,6 +46,28 @@ SensorName = Literal[
 ]
 
 
+class SensorRealismConf(Settings):
+    """The faults of real parts, for the sensors that have any; null is a perfect one.
+
+    A name alone (`imu: bno055`) is a part that is known, with all its figures.
+    """
+
+    imu: ImuRealismConf | None = None
+    lidar: LidarRealismConf | None = None
+    velocity: SpeedRealismConf | None = None
+    camera: CameraRealismConf | None = None
+
+    def check(self, step_s: float) -> None:
+        """Raise ValueError where a rate or a latency does not fit control steps of `step_s`."""
+        for name in ("imu", "lidar", "velocity", "camera"):
+            conf = getattr(self, name)
+            if conf is not None:
+                try:
+                    conf.steps(step_s)
+                except ValueError as error:
+                    raise ValueError(f"sensors.realism.{name}: {error}") from None
+
+
 class SensorsConf(Settings):
     """The sensors whose readings make the observation, in this order, and their settings.
 
@@ -62,6 +87,7 @@ class SensorsConf(Settings):
     odometry: OdometryConf = OdometryConf()
     currents: CurrentsConf = CurrentsConf()
     position: PositionConf = PositionConf()
+    realism: SensorRealismConf = SensorRealismConf()
 
     def readings(self) -> list[str]:
         """Names of the readings, in order: a camera and a 3D LiDAR have one for each output."""
@@ -98,13 +124,22 @@ def make_sensors(
 ) -> list[Sensor]:
     """The sensors that `conf` enables, each once, for M scenes with control steps of `step_s`.
 
+    Those that `conf.realism` names are wrapped in the faults of a real part.
+
     `imu` is made by the caller, who measures by it too: it is always among them.
     """
+    real = conf.realism
 
     def scanner() -> Sensor:
         lidar = Lidar(conf.lidar, around.solid, [figure.rays for figure in around.figures])
         wanted = [name for name in conf.enabled if name in ("lidar", "lidar_past")]
-        return Scanner(lidar, wanted, num_scenes, max(1, round(conf.past_s / step_s)))
+        faults = None if real.lidar is None else BeamFaults(real.lidar, conf.lidar)
+        scans = Scanner(lidar, wanted, num_scenes, max(1, round(conf.past_s / step_s)), faults)
+        return realistic(scans, real.lidar, num_scenes, step_s)
+
+    def camera() -> Sensor:
+        pictures = CameraSensor(Camera(conf.camera, around.appearance(), around.figures), num_scenes)
+        return realistic_camera(pictures, real.camera, num_scenes, step_s)
 
     makers: dict[str, Callable[[], Sensor]] = {
         "lidar": scanner,
@@ -113,8 +148,8 @@ def make_sensors(
         ),
         "depth_strip": lambda: DepthStrip(conf.depth_strip, around.solid, around.figures, num_scenes),
         "height_scan": lambda: HeightScan(conf.height_scan, around.solid, around.terrain, num_scenes),
-        "camera": lambda: CameraSensor(Camera(conf.camera, around.appearance(), around.figures), num_scenes),
-        "velocity": lambda: Speed(num_scenes),
+        "camera": camera,
+        "velocity": lambda: realistic(Speed(num_scenes), real.velocity, num_scenes, step_s),
         "encoders": lambda: Encoders(conf.encoders, num_scenes, around.num_wheels, step_s),
         "odometry": lambda: Odometry(
             conf.odometry, conf.encoders, around.wheels, num_scenes, around.num_wheels, step_s
@@ -123,5 +158,5 @@ def make_sensors(
         "position": lambda: Position(conf.position, around.extent, around.heights, num_scenes, step_s),
     }
     instruments = dict.fromkeys("lidar" if name == "lidar_past" else name for name in conf.enabled)
-    sensors: list[Sensor] = [ImuSensor(imu, num_scenes, step_s)]
+    sensors: list[Sensor] = [realistic(ImuSensor(imu, num_scenes, step_s), real.imu, num_scenes, step_s)]
     return sensors + [makers[name]() for name in instruments if name in makers]

@@ -33,7 +33,9 @@ class Ground:
     contrast: float = 1.0
 
 
-MEADOW = Ground(low=(0.34, 0.38, 0.21), high=(0.50, 0.48, 0.29), bare=(0.46, 0.385, 0.305), bare_from_rad=0.30)
+MEADOW = Ground(
+    low=(0.34, 0.38, 0.21), high=(0.50, 0.48, 0.29), bare=(0.46, 0.385, 0.305), bare_from_rad=0.30
+)
 GRAVEL = Ground(
     low=(0.55, 0.53, 0.49), high=(0.64, 0.61, 0.56), bare=(0.50, 0.46, 0.42), bare_from_rad=0.6, contrast=0.8
 )
