@@ -85,7 +85,7 @@ def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.Capt
     assert [(row["policy"], row["episode"]) for row in rows] == [("run", "0"), ("run", "1"), ("run", "2")]
 
     assert call(evaluate.main, "checkpoint=run", "sensors.lidar.n_segments=16", "episodes=1") == 2
-    assert "lidar has 32 values there, 16 here" in capsys.readouterr().err
+    assert "lidar has 32 values there, 16 values here" in capsys.readouterr().err
 
     (folder / "short.pt").write_bytes((run / "policy.pt").read_bytes()[:3000])
     assert call(evaluate.main, "checkpoint=short.pt") == 2
@@ -206,9 +206,14 @@ def test_shown_settings_are_the_used_ones(
 def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
     assert call(benchmark.main, *words) == 0
-    alone, together = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    alone, cameras, sensors, together = lines
+    assert [line["benchmark"] for line in lines] == ["environment", "cameras", "sensors", "processes"]
     for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
+    assert cameras["overhead_ratio_camera"] > 1 and cameras["overhead_ratio_depth"] > 1
+    for name in ("lidar_speedup", "camera_speedup", "camera_speedup_heightfield", "picture_1280x720_s"):
+        assert sensors[name] > 0
     assert together["processes"] == 1
     assert together["core_steps_per_s"] > 0
 

@@ -83,6 +83,12 @@ class Conf(SingleAgentConf):
 class BenchmarkConf(SingleAgentConf):
     """A measurement of what a step costs."""
 
+    parts: tuple[Literal["environment", "cameras", "sensors", "processes"], ...] = (
+        "environment",
+        "cameras",
+        "sensors",
+        "processes",
+    )
     scenes: int = Field(16, ge=1)
     rounds: int = Field(9, ge=1)
     steps: int = Field(60, ge=1)

@@ -1,15 +1,9 @@
-"""What a step costs: `python -m dune_rl.benchmark` prints JSON lines.
+"""What a step of an environment costs, in comparison with its bare physics."""
 
-All ratios come from one run on one core, in rounds that alternate between the
-things compared, so that a noisy machine disturbs them alike.
-"""
-
-import json
 import multiprocessing
 import resource
 import sys
 import time
-from argparse import Namespace
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -18,34 +12,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from dune_rl import command
-from dune_rl.command import Page
 from dune_rl.config.build import make_batch, make_parallel_env, make_torchrl_env
-from dune_rl.config.compose import compose_benchmark
 from dune_rl.config.schema import BenchmarkConf
 from dune_rl.env.batch import Batch
 
 _WARM_UP = 50
 
-USAGE = (
-    ("python -m dune_rl.benchmark", "inspection, two walkers"),
-    ("python -m dune_rl.benchmark world=flat actors=none", "another one"),
-)
-SETTINGS = (
-    ("scenes=N", "stepped as one batch"),
-    ("rounds=N", "in each, everything that is compared takes its turn"),
-    ("steps=N", "of every scene in a turn"),
-    ("processes=[1,2]", "how many batch cores to run at once, one after the other"),
-)
-CLOSING = "Ratios compare things within one run, so that they hold on a busy machine too."
 
-
-def _emit(**values: Any) -> None:
-    sys.stdout.write(json.dumps(values) + "\n")
-    sys.stdout.flush()
-
-
-def _seconds(action: Callable[[], None], count: int) -> float:
+def seconds(action: Callable[[], object], count: int) -> float:
+    """Time that `action` takes, called `count` times [s]."""
     start = time.perf_counter()
     for _ in range(count):
         action()
@@ -100,8 +75,29 @@ def _pettingzoo_stepper(conf: BenchmarkConf) -> Callable[[], None]:
     return step
 
 
-def _median_ratio(numerators: list[float], denominators: list[float]) -> float:
+def median_ratio(numerators: list[float], denominators: list[float]) -> float:
+    """Middle one of the ratios of times taken in turn."""
     return float(np.median(np.array(numerators) / np.array(denominators)))
+
+
+def measure_overhead(conf: BenchmarkConf, outputs: tuple[str, ...]) -> dict[str, float]:
+    """What a step costs with a camera of `outputs` beside LiDAR, IMU and goal, as a ratio to bare physics."""
+    sensors = {"enabled": ["camera", "lidar", "imu", "goal"], "camera": {"outputs": outputs}}
+    seeing = BenchmarkConf.model_validate({**conf.model_dump(), "sensors": sensors})
+    batch = make_batch(seeing, conf.scenes, conf.seed)
+    batch.reset()
+    core = partial(_core_step, batch, _Driver(conf.scenes))
+    seconds(core, _WARM_UP)
+    seconds(batch.coast, _WARM_UP)
+    taken: dict[str, list[float]] = {"core": [], "raw": []}
+    for _ in range(conf.rounds):
+        taken["core"].append(seconds(core, conf.steps))
+        taken["raw"].append(seconds(batch.coast, conf.steps))
+    batch.close()
+    return {
+        "overhead_ratio": median_ratio(taken["core"], taken["raw"]),
+        "core_steps_per_s": conf.steps * conf.scenes / float(np.median(taken["core"])),
+    }
 
 
 def _peak_memory_mib() -> float:
@@ -130,20 +126,20 @@ def measure(conf: BenchmarkConf) -> dict[str, Any]:
         "pettingzoo": (pettingzoo, 1),
     }
     for step, scenes in steppers.values():
-        _seconds(step, _WARM_UP * conf.scenes // scenes)
+        seconds(step, _WARM_UP * conf.scenes // scenes)
     per_scene: dict[str, list[float]] = {name: [] for name in steppers}
     for _ in range(conf.rounds):
         for name, (step, scenes) in steppers.items():
             count = max(1, conf.steps * conf.scenes // scenes)
-            per_scene[name].append(_seconds(step, count) / count / scenes)
+            per_scene[name].append(seconds(step, count) / count / scenes)
     mask = np.ones(conf.scenes, bool)
-    resets = [_seconds(partial(batch.reset, mask), 1) / conf.scenes for _ in range(conf.rounds)]
+    resets = [seconds(partial(batch.reset, mask), 1) / conf.scenes for _ in range(conf.rounds)]
     median = {name: float(np.median(values)) for name, values in per_scene.items()}
     return {
         "scenes": conf.scenes,
-        "overhead_ratio": _median_ratio(per_scene["core"], per_scene["raw"]),
-        "torchrl_ratio": _median_ratio(per_scene["core"], per_scene["torchrl"]),
-        "pettingzoo_ratio": _median_ratio(per_scene["core"], per_scene["pettingzoo"]),
+        "overhead_ratio": median_ratio(per_scene["core"], per_scene["raw"]),
+        "torchrl_ratio": median_ratio(per_scene["core"], per_scene["torchrl"]),
+        "pettingzoo_ratio": median_ratio(per_scene["core"], per_scene["pettingzoo"]),
         "raw_physics_step_us": median["raw"] / conf.physics.substeps * 1e6,
         "raw_steps_per_s": 1.0 / median["raw"],
         "core_steps_per_s": 1.0 / median["core"],
@@ -160,10 +156,10 @@ def _worker(conf: BenchmarkConf, seed: int, barrier: Any, results: Any) -> None:
     batch = make_batch(conf, conf.scenes, seed)
     batch.reset()
     step = partial(_core_step, batch, _Driver(conf.scenes))
-    _seconds(step, _WARM_UP)
+    seconds(step, _WARM_UP)
     barrier.wait()
     count = conf.steps * conf.rounds
-    results.put((count * conf.scenes / _seconds(step, count), _peak_memory_mib()))
+    results.put((count * conf.scenes / seconds(step, count), _peak_memory_mib()))
 
 
 def measure_processes(conf: BenchmarkConf, processes: int) -> dict[str, Any]:
@@ -185,19 +181,3 @@ def measure_processes(conf: BenchmarkConf, processes: int) -> dict[str, Any]:
         "core_steps_per_s": sum(speed for speed, _ in found),
         "peak_memory_mib_each": max(memory for _, memory in found),
     }
-
-
-def main() -> None:
-    """Run the command line; ends the process."""
-    command.run(Page("Measure what a step costs; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
-
-
-def _main(parsed: Namespace) -> None:
-    conf = compose_benchmark(parsed.overrides, command.config_dirs(parsed))
-    _emit(benchmark="environment", world=conf.world.name, actors=len(conf.actors), **measure(conf))
-    for processes in conf.processes:
-        _emit(benchmark="processes", world=conf.world.name, **measure_processes(conf, processes))
-
-
-if __name__ == "__main__":
-    main()

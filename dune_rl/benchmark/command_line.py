@@ -1,0 +1,57 @@
+"""The benchmark's command line."""
+
+import json
+import sys
+from argparse import Namespace
+from typing import Any
+
+from dune_rl import command
+from dune_rl.benchmark.environment import measure, measure_overhead, measure_processes
+from dune_rl.benchmark.sensors import measure_sensors
+from dune_rl.command import Page
+from dune_rl.config.compose import compose_benchmark
+
+USAGE = (
+    ("python -m dune_rl.benchmark", "inspection, two walkers"),
+    ("python -m dune_rl.benchmark world=flat actors=none", "another one"),
+)
+SETTINGS = (
+    ("scenes=N", "stepped as one batch"),
+    ("rounds=N", "in each, everything that is compared takes its turn"),
+    ("steps=N", "of every scene in a turn"),
+    ("parts=[environment]", "what to measure: environment, cameras, sensors, processes"),
+    ("processes=[1,2]", "how many batch cores to run at once, one after the other"),
+)
+CLOSING = "Ratios compare things within one run, so that they hold on a busy machine too."
+
+
+def main() -> None:
+    """Run the command line; ends the process."""
+    command.run(Page("Measure what a step costs; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
+
+
+def _main(parsed: Namespace) -> None:
+    conf = compose_benchmark(parsed.overrides, command.config_dirs(parsed))
+    place = {"world": conf.world.name, "actors": len(conf.actors)}
+    if "environment" in conf.parts:
+        _emit(benchmark="environment", **place, **measure(conf))
+    if "cameras" in conf.parts:
+        colour, depth = (measure_overhead(conf, (output,)) for output in ("rgb", "depth"))
+        _emit(
+            benchmark="cameras",
+            **place,
+            overhead_ratio_camera=colour["overhead_ratio"],
+            overhead_ratio_depth=depth["overhead_ratio"],
+            camera_steps_per_s=colour["core_steps_per_s"],
+            depth_steps_per_s=depth["core_steps_per_s"],
+        )
+    if "sensors" in conf.parts:
+        _emit(benchmark="sensors", **place, **measure_sensors(conf))
+    if "processes" in conf.parts:
+        for processes in conf.processes:
+            _emit(benchmark="processes", world=conf.world.name, **measure_processes(conf, processes))
+
+
+def _emit(**values: Any) -> None:
+    sys.stdout.write(json.dumps(values) + "\n")
+    sys.stdout.flush()
