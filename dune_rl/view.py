@@ -1,9 +1,9 @@
 """Look at a world, its rover and its sensors: `python -m dune_rl.view +world=inspection`."""
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import yaml
@@ -19,6 +19,9 @@ from dune_rl.config.compose import compose_view, given
 from dune_rl.config.schema import ViewConf
 from dune_rl.files import replaced
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
+from dune_rl.sensors.camera import Output
+from dune_rl.sensors.lidar_3d import Lidar3dOutput
+from dune_rl.sensors.suite import SensorName
 
 USAGE = (
     ("python -m dune_rl.view +world=inspection", "a contact sheet and a video"),
@@ -49,12 +52,23 @@ def _main(parsed: Namespace) -> None:
     saved = None
     if checkpoint is not None:
         file = find(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
-        saved = read(file, "policy", "checkpoint")["config"]
+        saved = _with_all_sensors(read(file, "policy", "checkpoint")["config"])
     conf = compose_view(parsed.overrides, command.config_dirs(parsed), saved)
     if parsed.cfg:
         print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
         return
     _view(conf)
+
+
+def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """A run's settings, and beside its own sensors all others, which its policy does not look at."""
+    own = saved["sensors"]
+    names = get_args(SensorName)
+    sensors = {**own, "enabled": [*own["enabled"], *(name for name in names if name not in own["enabled"])]}
+    for name, outputs in (("camera", get_args(Output)), ("lidar_3d", get_args(Lidar3dOutput))):
+        if name not in own["enabled"]:
+            sensors[name] = {**own.get(name, {}), "outputs": list(outputs)}
+    return {**saved, "sensors": sensors}
 
 
 def _view(conf: ViewConf) -> None:
@@ -89,7 +103,7 @@ class _Stage:
         self.pictures = Pictures(self.batch)
         layout = Layout.of(self._env)
         if conf.checkpoint is not None:
-            self._policy: Any = load_policy(Path(conf.checkpoint), layout)[0]
+            self._policy: Any = load_policy(Path(conf.checkpoint), layout, more=True)[0]
         else:
             self._policy = UniformRandom(layout, conf.seed) if conf.policy == "random" else GoToGoal(layout)
 

@@ -10,12 +10,12 @@ from test_learning import SMALL, assert_halves_make_a_whole, trainer
 
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose
-from dune_rl.errors import CheckpointError
+from dune_rl.errors import CheckpointError, ConfigError
 from dune_rl.learning.image_encoder import ImageEncoder
 from dune_rl.learning.layout import Image, Layout
 from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import load_policy
-from dune_rl.learning.replay import Transitions
+from dune_rl.learning.replay import ReplayConf, Transitions, check_memory
 
 RGB = Image((16, 20, 3), True, 0.0, 255.0)
 CLASSES = Image((16, 20, 1), True, 0.0, 7.0)
@@ -149,3 +149,14 @@ def test_a_policy_for_another_picture_is_named(tmp_path: Path):
     other = compose(["+world=flat", *SENSORS, "sensors.camera.height=16"])
     with pytest.raises(CheckpointError, match="camera_rgb has 12 by 16 pixels of 3 there, 16 by 16 pixels"):
         load_policy(tmp_path / "run", Layout.of(make_torchrl_env(other, 1, 0)))
+
+
+def test_a_replay_buffer_that_no_memory_holds_is_refused_with_one_that_fits():
+    transitions = Transitions(LAYOUT)
+    many = 10**12
+    with pytest.raises(ConfigError, match=r"Set learning\.replay\.capacity=\d+ or less") as caught:
+        check_memory(ReplayConf(capacity=many), transitions, many)
+    fits = int(str(caught.value).rpartition("capacity=")[2].split()[0])
+    check_memory(ReplayConf(capacity=fits), transitions, many)
+    check_memory(ReplayConf(capacity=many), transitions, 1000)
+    check_memory(ReplayConf(capacity=many, storage="disk"), transitions, many)

@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from dune_rl import paths
-from dune_rl.config.compose import check_sweep, compose, compose_evaluation, compose_resumed, given
+from dune_rl.config.compose import (
+    check_sweep,
+    compose,
+    compose_evaluation,
+    compose_resumed,
+    compose_view,
+    given,
+)
 from dune_rl.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,6 +41,8 @@ def compose_command(words: list[str]) -> None:
         check_sweep(overrides) if "-m" in rest else compose(overrides)
     elif program == "dune_rl.evaluate":
         compose_evaluation(overrides, (), saved if given(overrides, "checkpoint") else None)
+    elif program == "dune_rl.view":
+        compose_view(overrides, (), saved if given(overrides, "checkpoint") else None)
     else:
         assert program == "dune_rl.benchmark"
 

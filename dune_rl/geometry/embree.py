@@ -129,7 +129,15 @@ def _plain(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return values if values.flags.writeable else values.copy()
 
 
-@njit(cache=True, nogil=True)
+def _compiled(function: Any) -> Any:
+    """`function`, compiled when first called, and kept for later processes where a folder can be written."""
+    try:
+        return njit(cache=True, nogil=True)(function)
+    except RuntimeError:
+        return njit(nogil=True)(function)
+
+
+@_compiled
 def _packet() -> Any:
     # Embree wants packets, and the mask of rays in use, at multiples of 64 bytes.
     room = np.empty((_ROWS + 2) * _WIDTH, np.uint32)
@@ -147,7 +155,7 @@ def _packet() -> Any:
     return words, numbers
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: int, first: int) -> int:
     # Rays from `first` on into a packet; how many there are.
     count = min(_WIDTH, len(directions) - first)
@@ -162,7 +170,7 @@ def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: i
     return count
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _intersect(
     scene: int, arguments: int, origins: Any, directions: Any, ranges: Any, faces: Any, normals: Any
 ) -> None:
@@ -185,7 +193,7 @@ def _intersect(
                     normals[first + k, axis] = numbers[_NORMAL + axis, k] if hit else np.float32(0.0)
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _occluded(scene: int, arguments: int, origins: Any, directions: Any, blocked: Any) -> None:
     words, numbers = _packet()
     per_origin = len(directions) // max(1, len(origins))

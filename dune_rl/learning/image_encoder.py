@@ -59,4 +59,10 @@ class ImageEncoder(nn.Module):
         if not self._image.whole_bytes and low >= 0.0:
             # Of a distance it is the ratio that matters, close by more than far away.
             return torch.log1p(images) * (4.0 / torch.tensor(high).log1p().item()) - 2.0
-        return (images.float() - low) * (4.0 / (high - low)) - 2.0
+        # Large copies take as long as the convolutions: one in the type that these will want, then in place.
+        device = images.device.type
+        reduced = torch.is_autocast_enabled(device)
+        pixels = images.to(torch.get_autocast_dtype(device) if reduced else torch.float32)
+        if pixels is images:
+            pixels = images.clone()
+        return pixels.mul_(4.0 / (high - low)).sub_(2.0 + low * 4.0 / (high - low))

@@ -1,8 +1,8 @@
 """What a policy reads and commands: the observation's parts, in order, and the action's bounds."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -166,6 +166,15 @@ class Layout:
         }
         low, high = tuple(data["low"]), tuple(data["high"])
         return cls(dict(data["sizes"]), low, high, tuple(data["ranges"]), images)
+
+    def only(self, keys: Collection[str]) -> "Layout":
+        """The same without the parts that are not among `keys`."""
+        return replace(
+            self,
+            sizes={key: size for key, size in self.sizes.items() if key in keys},
+            ranges=tuple(key for key in self.ranges if key in keys),
+            images={key: image for key, image in self.images.items() if key in keys},
+        )
 
     def require(self, here: "Layout", source: str) -> None:
         """Raise unless a policy of this layout, read from `source`, fits the environment `here`."""

@@ -105,16 +105,17 @@ def policy_content(
     }
 
 
-def load_policy(path: Path, here: Layout) -> tuple[Deterministic, dict[str, Any]]:
+def load_policy(path: Path, here: Layout, *, more: bool = False) -> tuple[Deterministic, dict[str, Any]]:
     """The policy of a file or run folder, on the CPU, and the resolved settings that made it.
 
     A folder gives its best policy. Raises CheckpointError if the file is
-    unreadable, or was made for another layout than that of the environment `here`.
+    unreadable, or was made for another layout than that of the environment `here`,
+    which with `more` may observe other things beside.
     """
     file = find(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
     content = read(file, "policy", "checkpoint")
     layout = Layout.from_plain(content["layout"])
-    layout.require(here, str(file))
+    layout.require(here.only(layout.keys) if more else here, str(file))
     module = make_policy(layout, Architecture.from_plain(content["architecture"]))
     weights = content["policy"] if content["kind"] == "policy" else content["learner"]["policy"]
     module.load_state_dict(weights)

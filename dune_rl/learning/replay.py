@@ -13,13 +13,14 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
-from dune_rl.errors import CheckpointError
+from dune_rl.errors import CheckpointError, ConfigError
 from dune_rl.learning.layout import Layout, Packed
 from dune_rl.learning.networks import FEATURES
 from dune_rl.learning.returns import multi_step
 from dune_rl.settings import Settings
 
 _ROWS_PER_COPY = 65_536
+_MOST_OF_MEMORY = 0.75
 
 
 class ReplayConf(Settings):
@@ -27,6 +28,22 @@ class ReplayConf(Settings):
 
     capacity: int = Field(1_000_000, ge=1)
     storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
+
+
+def check_memory(conf: ReplayConf, transitions: "Transitions", frames: int) -> None:
+    """Raise ConfigError where the rows of a run of `frames` would not fit into this machine's memory."""
+    if conf.storage == "disk" or not hasattr(os, "sysconf"):
+        return
+    row = transitions.width * transitions.dtype.itemsize
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    needed = row * min(conf.capacity, frames)
+    if needed > _MOST_OF_MEMORY * memory:
+        fits = int(_MOST_OF_MEMORY * memory / row)
+        raise ConfigError(
+            f"a replay buffer of {min(conf.capacity, frames):,} transitions takes {needed / 2**30:.0f} GiB, "
+            f"and this machine has {memory / 2**30:.0f}.\n"
+            f"Set learning.replay.capacity={fits} or less, or learning.replay.storage=disk."
+        )
 
 
 class Transitions:

@@ -31,7 +31,7 @@ from dune_rl.learning.networks import make_policy
 from dune_rl.learning.policies import Deterministic, Guide, policy_content
 from dune_rl.learning.progress import Reporter, Silent, Status
 from dune_rl.learning.random_state import random_state, set_random_state
-from dune_rl.learning.replay import Replay, ReplayConf
+from dune_rl.learning.replay import Replay, ReplayConf, check_memory
 from dune_rl.learning.run_log import RunLog, Speed
 from dune_rl.learning.sac import Sac, SacConf
 
@@ -104,6 +104,7 @@ class Trainer:
         # Workers and evaluations act on the CPU, whatever device learns.
         self._acting = make_policy(self._layout, sac.architecture)
         transitions = self._sac.transitions
+        check_memory(replay, transitions, total_frames)
         self._replay = Replay(replay, transitions.width, run_dir / "replay", device, transitions.dtype)
 
         self.frames = 0
