@@ -1,0 +1,116 @@
+"""Noise, biases and steps of single quantities."""
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.sensors.draws import normal
+from dune_rl.sensors.sensor import Bounds, Counts, Moment, Reading
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+# Which scenes: their numbers, or all of them.
+Rows = NDArray[np.int64] | slice
+
+# Highest Allan deviation of a first-order Gauss-Markov process over its own deviation, at 1.89
+# correlation times: IEEE Std 952-1997, annex C.
+_GAUSS_MARKOV_PEAK = 0.6174
+
+
+class NoiseConf(Settings):
+    """Faults of one quantity, in its own unit (called u here); all are deviations, and 0 is none.
+
+    `noise_density` [u/√Hz] is white noise N, whatever the rate; `noise` [u]
+    is white noise of each reading. `bias` [u] is constant over an episode,
+    `bias_instability` [u] is the floor of the Allan deviation that data
+    sheets state, given by a bias that wanders with `bias_correlation_s`, and
+    `bias_walk` [u/s/√Hz] is the random walk K that starts at 0 with an
+    episode. `quantum` [u] is the step between two values.
+    """
+
+    wraps: ClassVar[bool] = False
+
+    noise_density: float = Field(0.0, ge=0.0)
+    noise: float = Field(0.0, ge=0.0)
+    bias: float = Field(0.0, ge=0.0)
+    bias_instability: float = Field(0.0, ge=0.0)
+    bias_correlation_s: float = Field(100.0, gt=0.0)
+    bias_walk: float = Field(0.0, ge=0.0)
+    quantum: float = Field(0.0, ge=0.0)
+
+
+class AngleNoiseConf(NoiseConf):
+    """Faults of an angle [rad], which goes on at -pi where it passes pi."""
+
+    wraps: ClassVar[bool] = True
+
+
+class Faults:
+    """Noise, biases and steps of the reading `name` within `bounds`, read every `period_s` in M scenes.
+
+    White noise of density N has the deviation N/√period; a random walk K
+    grows by a normal number of K√period; a Gauss-Markov bias keeps
+    exp(-period/correlation) of itself (IEEE Std 952-1997, annex C).
+    """
+
+    def __init__(
+        self, name: str, bounds: Bounds, channels: tuple[NoiseConf, ...], num_scenes: int, period_s: float
+    ) -> None:
+        low, high = bounds
+        if len(channels) != low.size:
+            raise ValueError(f"{name} has {low.size} entries, and {len(channels)} have faults")
+        self._name, self._entries = name, low.size
+        self._low, self._high = low.reshape(-1).astype(np.float64), high.reshape(-1).astype(np.float64)
+        self._type = low.dtype
+
+        def each(field: str) -> Array:
+            return np.array([getattr(conf, field) for conf in channels])
+
+        self._noise = np.hypot(each("noise_density") / np.sqrt(period_s), each("noise"))
+        self._bias_size = each("bias")
+        self._walk = each("bias_walk") * np.sqrt(period_s)
+        self._kept = np.exp(-period_s / each("bias_correlation_s"))
+        self._wander_size = each("bias_instability") / _GAUSS_MARKOV_PEAK
+        self._stirred = self._wander_size * np.sqrt(1.0 - self._kept**2)
+        quantum = each("quantum")
+        self._stepped = np.flatnonzero(quantum)
+        self._quantum = quantum[self._stepped]
+        faulty = self._noise + self._bias_size + self._walk + self._wander_size + quantum > 0.0
+        # What has no fault keeps its bytes, which to wrap would round.
+        self._turning = np.flatnonzero(faulty & np.array([conf.wraps for conf in channels]))
+        self._drifts = bool(self._walk.any() or self._wander_size.any())
+        self._bias = np.zeros((num_scenes, self._entries))
+        self._wander = np.zeros((num_scenes, self._entries))
+
+    def begin(self, rows: Rows, now: Moment) -> None:
+        """Draw the biases of the episodes in `rows`."""
+        never: Counts = np.zeros_like(now.steps[rows])
+        drawn = normal(now.seed, f"{self._name} bias", now.episodes[rows], never, 2 * self._entries)
+        self._bias[rows] = drawn[:, : self._entries] * self._bias_size
+        self._wander[rows] = drawn[:, self._entries :] * self._wander_size
+
+    def advance(self, rows: Rows, now: Moment) -> None:
+        """Let the biases drift for a period."""
+        if not self._drifts:
+            return
+        entries = self._entries
+        drawn = normal(now.seed, f"{self._name} drift", now.episodes[rows], now.steps[rows], 2 * entries)
+        self._bias[rows] += drawn[:, :entries] * self._walk
+        self._wander[rows] = self._wander[rows] * self._kept + drawn[:, entries:] * self._stirred
+
+    def applied(self, reading: Reading, rows: Rows, now: Moment) -> Reading:
+        """What the instruments in `rows` make of their true `reading` (len(rows), ...)."""
+        value = reading.reshape(len(reading), -1) + (self._bias[rows] + self._wander[rows])
+        if self._noise.any():
+            place = now.episodes[rows], now.steps[rows], self._entries
+            value += normal(now.seed, f"{self._name} noise", *place) * self._noise
+        if len(self._stepped):
+            value[:, self._stepped] = np.rint(value[:, self._stepped] / self._quantum) * self._quantum
+        if len(self._turning):
+            value[:, self._turning] = wrap_angle(value[:, self._turning])
+        if np.issubdtype(self._type, np.integer):
+            np.rint(value, out=value)
+        return within(value, self._low, self._high).astype(self._type).reshape(reading.shape)
