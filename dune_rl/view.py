@@ -103,17 +103,22 @@ class _Stage:
         self.pictures = Pictures(self.batch)
         layout = Layout.of(self._env)
         if conf.checkpoint is not None:
-            self._policy: Any = load_policy(Path(conf.checkpoint), layout, more=True)[0]
+            trained: Any = load_policy(Path(conf.checkpoint), layout, more=True)[0]
+            self._make_policy = lambda: trained
+        elif conf.policy == "random":
+            # Anew for each drive, or one would depend on those before it.
+            self._make_policy = lambda: UniformRandom(layout, conf.seed)
         else:
-            self._policy = UniformRandom(layout, conf.seed) if conf.policy == "random" else GoToGoal(layout)
+            self._make_policy = lambda: GoToGoal(layout)
 
     def drive(self) -> Iterator[TensorDictBase]:
         """What is observed at the start of an episode and after each step, to its end."""
         self._env.batch.reseed(self.conf.seed)
+        policy = self._make_policy()
         now = self._env.reset()
         yield now
         while True:
-            now = self._env.step(self._policy(now))["next"]
+            now = self._env.step(policy(now))["next"]
             yield now
             if bool(now["done"]):
                 return
@@ -176,7 +181,7 @@ def _video(stage: _Stage, path: Path, console: Console) -> Path:
             lines = _status(stage, steps)
             frame = stage.behind(conf.width, conf.height)
             headline = _ending(stage) if done else ""
-            picture = with_overlays(frame, readings, conf.sensors.lidar.range_m, lines, headline)
+            picture = with_overlays(frame, readings, conf.sensors.lidar, lines, headline)
             add(picture)
             bar.update(task, completed=steps, state=lines[0])
             if done or steps >= longest:

@@ -22,6 +22,8 @@ from dune_rl.config.schema import Conf, EnvConf, EvaluateConf, LearningConf
 from dune_rl.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
@@ -78,6 +80,10 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
         ),
     ),
     ("task", "paper"): PointGoalConf(reward=RewardConf(contact=0.0)),
+    ("weather", "clear"): WeatherConf(),
+    ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_rad=3.4, sun_elevation_rad=0.1)),
+    ("weather", "dust"): WeatherConf(dust_visibility_m=30.0),
+    ("weather", "fog"): WeatherConf(fog_visibility_m=50.0),
     ("world", "flat"): FlatConf(),
     ("world", "inspection"): InspectionConf(),
 }
@@ -196,7 +202,7 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
          "there is no group 'wrold/x'; "
-         "choose from actors, experiment, learning, metrics, physics, robot, sensors, task, world"),
+         "choose from actors, experiment, learning, metrics, physics, robot, sensors, task, weather, world"),
         (["world=flat", "seed=${nowhere}"],
          "cannot resolve the settings: Interpolation key 'nowhere' not found"),
     ],
@@ -246,7 +252,8 @@ def test_environment_settings_share_the_messages() -> None:
     with pytest.raises(ConfigError) as caught:
         compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
     assert sorted(str(caught.value).splitlines()) == [
-        "colour is not a setting; the top level has world, robot, actors, sensors, physics, task, metrics",
+        "colour is not a setting; "
+        "the top level has world, weather, robot, actors, sensors, physics, task, metrics",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
         "there is no world 'moon'; choose flat or inspection",
     ]

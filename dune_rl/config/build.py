@@ -25,6 +25,7 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
         physics=conf.physics,
         task=conf.task,
         metrics=conf.metrics,
+        weather=conf.weather,
         num_scenes=num_scenes,
         seed=seed,
     )

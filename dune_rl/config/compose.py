@@ -243,7 +243,7 @@ def _overlaid(
     if any(override.key_or_group == "experiment" for override in request.groups):
         raise ConfigError("a saved run brings its own settings; leave +experiment out")
     fresh = _plain(config)
-    kept = EnvConf.model_fields if model is EvaluateConf else model.model_fields
+    kept = model.model_fields if model is Conf else EnvConf.model_fields
     chosen = {override.key_or_group for override in request.groups}
     stays = {name: saved[name] for name in kept if name in saved and name not in chosen}
     merged = OmegaConf.create({**fresh, **stays})

@@ -12,7 +12,8 @@ from dune_rl.learning.replay import ReplayConf
 from dune_rl.learning.sac import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.robots.rover_zero import RoverZeroConf
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
@@ -26,6 +27,7 @@ class EnvConf(Settings):
     """What an environment is made of; the world has no default."""
 
     world: WorldConf
+    weather: WeatherConf = WeatherConf()
     robot: RoverZeroConf = RoverZeroConf()
     actors: tuple[ActorConf, ...] = ()
     sensors: SensorsConf = SensorsConf()
@@ -36,6 +38,18 @@ class EnvConf(Settings):
     @model_validator(mode="after")
     def _rates_fit(self) -> Self:
         self.sensors.realism.check(self.physics.control_step_s)
+        return self
+
+    @model_validator(mode="after")
+    def _mounts_stand_over_the_ground(self) -> Self:
+        lowest = -RoverZero.standing_height_m
+        for name in ("lidar", "lidar_3d", "depth_strip", "camera"):
+            up = getattr(self.sensors, name).mount_b[2]
+            if up <= lowest:
+                raise ValueError(
+                    f"sensors.{name}.mount_b lies in the ground: its third value, up of the chassis "
+                    f"centre, must be above {lowest:g} (got {up:g})"
+                )
         return self
 
 

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.env.action_log import ActionLog
+from dune_rl.env.drag import grass_force
 from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import Motion
 from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.env.senses import Senses
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
+from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
 from dune_rl.sensors.sensor import Moment, Reading
@@ -37,6 +39,7 @@ _SETTLE_S = 0.1
 _ENCOUNTER_GAP_S = 1.0
 _EDGE_M = 0.3
 _GOAL_TRIES = 16
+_CLEAR = WeatherConf()
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,15 @@ class Batch:
         num_scenes: int,
         seed: int = 0,
         first_episode: int = 0,
+        weather: WeatherConf = _CLEAR,
     ) -> None:
         self.world, self.task, self.sensors, self.physics = world, task, sensors, physics
-        self.num_scenes = num_scenes
+        self.weather, self.num_scenes = weather, num_scenes
         self.robot = make_robot(num_scenes)
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self.actor_confs = actors
         self.actors = self._new_actors(seed)
-        self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes)
+        self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes, weather)
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -192,6 +196,10 @@ class Batch:
         self._touches = []
         needs_wheels = self.senses.needs_wheels
         states, drives = [], []
+        if self.world.grass is not None:
+            force = grass_force(self.world.grass, self.motion, self.robot)
+            for scene, pushed in zip(self._scenes, force.tolist(), strict=True):
+                scene.push(pushed)
         for index, scene in enumerate(self._scenes):
             scene.step(substeps, commands[index], poses[index])
             states.append(scene.body_state())

@@ -8,19 +8,21 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.shapes import figures
 from dune_rl.env.batch import Batch
+from dune_rl.env.senses import air_of
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.rendering.body import Body, Solid
-from dune_rl.rendering.light import LightConf, linear
+from dune_rl.rendering.light import linear
 from dune_rl.rendering.picture import Painter, Viewpoint
 from dune_rl.rendering.scenery import Segment, Shape, joined
 from dune_rl.robots.visual import RobotVisual
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import in_weather
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 _BEHIND_M, _ABOVE_M, _LOOK_AHEAD_M = 2.6, 1.35, 0.9
-_CLEAR_OF_GROUND_M = 0.35
+_CLEAR_OF_GROUND_M, _CLEAR_OF_WALLS_M = 0.35, 0.15
+_NEAREST_EYE_M, _FARTHEST_EYE_M = 0.9, 3.0
 _GOAL_COLOUR = (0.10, 0.75, 0.35)
 
 
@@ -32,7 +34,8 @@ class Pictures:
 
     @cached_property
     def _painter(self) -> Painter:
-        return Painter(baked(self._batch.world, LightConf()))
+        world, weather = self._batch.world, self._batch.weather
+        return Painter(in_weather(world, weather), air_of(world, weather))
 
     @cached_property
     def _robot(self) -> RobotVisual:
@@ -93,13 +96,17 @@ class Pictures:
     def _free_eye(self, position: Array, eye: Array) -> Array:
         """As far toward `eye` as nothing stands between it and the rover, and not in the ground."""
         start = position + np.array([0.0, 0.0, 0.45])
-        way = eye - start
-        length = float(np.linalg.norm(way))
-        reach = np.full(1, length, np.float32)
-        self._painter.baked.rays.shorten(
-            start[None].astype(np.float32), (way / length)[None].astype(np.float32), reach
-        )
-        eye = start + way * (max(0.5, float(reach[0]) - 0.15) / length)
+        # From behind; where a wall leaves no room there, from ever higher up.
+        ways = eye - start + np.outer([0.0, 1.0, 2.5, 40.0], [0.0, 0.0, _ABOVE_M])
+        lengths = np.linalg.norm(ways, axis=1).astype(np.float32)
+        lengths = np.minimum(lengths, np.float32(_FARTHEST_EYE_M))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        reach = lengths.copy()
+        self._painter.baked.rays.shorten(start[None].astype(np.float32), ways.astype(np.float32), reach)
+        free = np.maximum(reach - np.float32(_CLEAR_OF_WALLS_M), 0.0)
+        roomy = np.flatnonzero(free >= _NEAREST_EYE_M)
+        chosen = int(roomy[0]) if len(roomy) else int(free.argmax())
+        eye = start + ways[chosen] * float(free[chosen])
         ground = float(self._batch.world.terrain.height(eye[:2]))
         eye[2] = max(eye[2], ground + _CLEAR_OF_GROUND_M)
         return eye

@@ -9,13 +9,14 @@ from dune_rl.actors.actor import Actors
 from dune_rl.actors.shapes import figures
 from dune_rl.geometry.rays import RayScene
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.air import Air
+from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
 from dune_rl.sensors.suite import SensorsConf, Surroundings, make_sensors
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import in_weather
 from dune_rl.worlds.solid_look import solid_look
 from dune_rl.worlds.world import World
 
@@ -40,6 +41,7 @@ class Senses:
         actors: Actors,
         physics: PhysicsConf,
         num_scenes: int,
+        weather: WeatherConf,
     ) -> None:
         solid = world.solid_mesh()
         low, high = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
@@ -51,8 +53,9 @@ class Senses:
             heights=(low - _ROOM_M, high + _ROOM_M),
             num_wheels=len(robot.body.drive_joints),
             wheels=_drive_geometry(robot),
-            appearance=partial(baked, world, LightConf()),
+            appearance=partial(in_weather, world, weather),
             surface=partial(solid_look, world),
+            air=air_of(world, weather),
         )
         self._imu = Imu(conf.imu, num_scenes)
         self._sensors = make_sensors(conf, around, self._imu, num_scenes, physics.control_step_s)
@@ -95,6 +98,11 @@ class Senses:
         for sensor in self._sensors:
             readings |= sensor.read()
         return {name: readings[name] for name in self._order}
+
+
+def air_of(world: World, weather: WeatherConf) -> Air:
+    """What lies between sensors or pictures and what they show."""
+    return Air(Haze.of(weather), None if world.grass is None else world.grass.foliage)
 
 
 def _drive_geometry(robot: RoverZero) -> DriveGeometry:

@@ -87,6 +87,10 @@ class TriangleScene:
     """Triangles that rays are cast against: `vertices` (V, 3), `faces` (F, 3), copied."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+        if not len(vertices) or not len(faces):
+            raise ValueError("a scene for rays needs at least one triangle")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise ValueError(f"faces name vertices from 0 to {len(vertices) - 1} alone")
         device = _shared_device()
         self._handle = _new_scene(device)
         # Or rays that run exactly along an edge slip through between two triangles.
@@ -112,15 +116,23 @@ class TriangleScene:
         normals: NDArray[np.float32],
     ) -> None:
         """Shorten `ranges` (N,) in place to first hits; fill `faces` (N,), `normals` (N, 3), unless empty."""
+        _check(origins, directions)
         arguments = ctypes.addressof(_arguments)
         _intersect(self._handle, arguments, _plain(origins), _plain(directions), ranges, faces, normals)
 
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether anything lies on each ray, (N,)."""
         blocked = np.empty(len(directions), np.bool_)
+        _check(origins, directions)
         arguments = ctypes.addressof(_arguments)
         _occluded(self._handle, arguments, _plain(origins), _plain(directions), blocked)
         return blocked
+
+
+def _check(origins: NDArray[np.float32], directions: NDArray[np.float32]) -> None:
+    # Compiled code would read beyond the end.
+    if len(directions) and (not len(origins) or len(directions) % len(origins)):
+        raise ValueError(f"{len(directions)} rays cannot be shared out evenly among {len(origins)} origins")
 
 
 def _plain(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -57,6 +57,7 @@ class BulletScene:
             self._numbers[handle] = number
         self._poses = np.zeros((len(self._kinematics), 4))
         self._robot: int | None = None
+        self._push: Sequence[float] | None = None
         self._drive_joints: list[int] = []
         self._torques = [spec.robot.max_torque_nm] * len(spec.robot.drive_joints)
 
@@ -102,6 +103,7 @@ class BulletScene:
         for index in range(len(self._kinematics)):
             self._move(index, kinematic_poses[index].tolist())
         self._poses[:] = kinematic_poses
+        self._push = None
 
     def _load_robot(self, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
         client, spec = self._client, self._spec.robot
@@ -166,6 +168,7 @@ class BulletScene:
         self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
         client, advance = self._client, pybullet.stepSimulation
+        push, self._push = self._push, None
         pybullet.setJointMotorControlArray(
             self._robot,
             self._drive_joints,
@@ -185,7 +188,7 @@ class BulletScene:
                 else:
                     self._move(index, new)
             self._poses[:] = kinematic_poses
-        if not near:
+        if not near and push is None:
             self.coast(count)
             return
         for part in range(1, count + 1):
@@ -193,7 +196,19 @@ class BulletScene:
             for index, old, new in near:
                 pose = [a + (b - a) * share for a, b in zip(old[:3], new[:3], strict=True)]
                 self._move(index, [*pose, new[3]])
+            if push is not None:
+                self._apply(push)
             advance(physicsClientId=client)
+
+    def push(self, force_w: Sequence[float]) -> None:
+        self._push = force_w if any(force_w) else None
+
+    def _apply(self, force_w: Sequence[float]) -> None:
+        # The engine forgets forces after each physics step.
+        centre, _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)
+        pybullet.applyExternalForce(
+            self._robot, -1, force_w, centre, pybullet.WORLD_FRAME, physicsClientId=self._client
+        )
 
     def coast(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation

@@ -114,6 +114,13 @@ class PhysicsScene(Protocol):
         """
         ...
 
+    def push(self, force_w: Sequence[float]) -> None:
+        """Set the force (3) [N], world frame, that acts on the base link's centre throughout the next `step`.
+
+        Without a call before it, a step has none.
+        """
+        ...
+
     def coast(self, count: int) -> None:
         """Advance `count` physics steps with the last commands and nothing moved: bare physics."""
         ...

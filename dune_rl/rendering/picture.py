@@ -7,8 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.rendering.air import Air
 from dune_rl.rendering.baked import Baked, smooth_normals
 from dune_rl.rendering.body import Body
+from dune_rl.rendering.foliage import Foliage, Veil
+from dune_rl.rendering.grass_colour import grass_colours
 from dune_rl.rendering.light import srgb
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.sky import Sky
@@ -24,6 +27,7 @@ _GRAIN_TILE_M, _GRAIN_TEXELS, _GRAIN_STRENGTH = 2.56, 512, 0.16
 _GRAIN_FADES_M = 14.0
 # How far one sees through clear air until half of the colour is the sky's.
 _AIR_M = 700.0
+_CLEAR = Air()
 _TONES = 4096
 _BRIGHTEST = 4.0
 
@@ -52,12 +56,13 @@ class Viewpoint:
 
 
 class Painter:
-    """Paints a world that has been baked, and bodies in it."""
+    """Paints a world that has been baked, bodies in it, and what is in the `air` before them."""
 
-    def __init__(self, baked: Baked) -> None:
+    def __init__(self, baked: Baked, air: Air = _CLEAR) -> None:
         self.baked = baked
+        self._air = air
         self._light = baked.light
-        self._sky = Sky(baked.light)
+        self._sky = Sky(baked.light, air.haze)
         points = baked.ground_texel_positions()
         shape = points.shape[:2]
         self._albedo = baked.scenery.ground.albedo
@@ -110,8 +115,33 @@ class Painter:
             body_of[ray] = number
         colours = self._sky.colours(directions)
         seen = np.flatnonzero(face >= 0)
-        if not len(seen):
-            return colours
+        if len(seen):
+            self._put_things(colours, eye, directions, seen, face, ranges, normal, body_of, bodies)
+            colours[seen] = self._far(colours[seen], ranges[seen])
+        if self._air.foliage is not None:
+            self._put_grass(self._air.foliage, colours, eye, directions, ranges, bodies)
+        return colours
+
+    def _far(self, colours: Floats, ranges: Floats) -> Floats:
+        """Linear RGB (N, 3) of things of `colours` (N, 3) seen through `ranges` (N,) [m] of air."""
+        # Distant things fade toward the horizon's colour, and in haze toward its own.
+        clear = np.exp(-ranges * np.float32(np.log(2.0) / _AIR_M))[:, None]
+        faded: Floats = colours * clear + self._light.horizon * (1.0 - clear)
+        return faded if self._air.haze is None else self._air.haze.over(faded, ranges)
+
+    def _put_things(
+        self,
+        colours: Floats,
+        eye: Floats,
+        directions: Floats,
+        seen: NDArray[np.int64],
+        face: NDArray[np.int32],
+        ranges: Floats,
+        normal: Floats,
+        body_of: NDArray[np.int32],
+        bodies: Sequence[Body],
+    ) -> None:
+        """Put what rays `seen` have met into `colours` (N, 3), which change in place."""
         points = eye + directions[seen] * ranges[seen, None]
         albedo, normals, sky_share, gloss = self._surfaces(
             points, face[seen], normal[seen], body_of[seen], ranges[seen], bodies
@@ -121,10 +151,28 @@ class Painter:
         lit = self._light.on(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
         if gloss.any():
             lit = self._with_reflections(lit, gloss, normals, directions[seen])
-        # Air between: distant things fade toward the horizon's colour.
-        clear = np.exp(-ranges[seen] * np.float32(np.log(2.0) / _AIR_M))[:, None]
-        colours[seen] = lit * clear + self._light.horizon * (1.0 - clear)
-        return colours
+        colours[seen] = lit
+
+    def _put_grass(
+        self,
+        foliage: Foliage,
+        colours: Floats,
+        eye: Floats,
+        directions: Floats,
+        ranges: Floats,
+        bodies: Sequence[Body],
+    ) -> None:
+        """Put grass before `colours` (N, 3), which change in place, of things at `ranges` (N,)."""
+        veil = foliage.veil(eye[None], directions, ranges, tufts=True)
+        grown = np.flatnonzero(veil.passed < 0.998)
+        if not len(grown):
+            return
+        veil = Veil(*(part[grown] for part in veil))
+        upward = np.zeros((len(grown), 3), np.float32)
+        upward[:, 2] = 1.0
+        sunlit = self._sunlit(eye + directions[grown] * veil.distance[:, None], upward, bodies)
+        grass = self._far(grass_colours(self._light, veil.height, veil.tint, sunlit), veil.distance)
+        colours[grown] = grass + (colours[grown] - grass) * veil.passed[:, None]
 
     def _surfaces(
         self,

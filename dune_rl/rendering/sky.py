@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.rendering.light import Light
+from dune_rl.rendering.weather import Haze
 
 Floats = NDArray[np.float32]
 
@@ -14,10 +15,14 @@ _TILE = 6.0
 
 
 class Sky:
-    """The sky of a `Light`, with clouds that are the same in every picture."""
+    """The sky of a `Light`, with clouds that are the same in every picture, as far as `haze` shows them.
 
-    def __init__(self, light: Light) -> None:
+    The light has the haze in it already.
+    """
+
+    def __init__(self, light: Light, haze: Haze | None = None) -> None:
         self._light = light
+        self._haze = haze
         draws = np.random.default_rng(7).standard_normal((_TEXELS, _TEXELS))
         heaps = sum(
             ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
@@ -41,6 +46,8 @@ class Sky:
             cover = self._cover.take(cell[:, 1] * _TEXELS + cell[:, 0])
             # Clouds thin out toward the horizon, where the air hides them.
             cover *= np.clip((up[high] - 0.02) * 5.0, 0.0, 1.0) * 0.75
+            if self._haze is not None:
+                cover *= self._haze.above(up[high])
             white = 0.42 * light.sun + 0.2 * light.horizon
             colours[high] += cover[:, None] * (white - colours[high])
         return colours.astype(np.float32)

@@ -1,12 +1,13 @@
 """A camera on every rover: colours, depth, segments and normals of all scenes' pictures in one go."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from dune_rl.rendering.air import Air
 from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.moving import Figure
 from dune_rl.rendering.scenery import Segment
@@ -15,6 +16,8 @@ from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+
+_CLEAR = Air()
 
 Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
 
@@ -32,6 +35,12 @@ class CameraConf(LensConf):
     pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
     range_m: float = Field(100.0, gt=0.0, le=10_000.0)
 
+    @model_validator(mode="after")
+    def _outputs_differ(self) -> Self:
+        if len(set(self.outputs)) < len(self.outputs):
+            raise ValueError(f"outputs must differ from each other (got {list(self.outputs)})")
+        return self
+
 
 class Camera:
     """Pictures of M scenes, which share the static world and differ in their moving actors.
@@ -41,10 +50,15 @@ class Camera:
     [m] is measured along the optical axis of a pinhole, along the ray of a
     fisheye; `normals` are unit vectors in the camera frame (x forward, y left,
     z up), zero where nothing is seen.
+
+    Of the `air`, haze fades colours alone. Tall grass hides what is behind it
+    from colours, depth and segmentation: where it takes half the light, depth
+    is the range of that and the segment VEGETATION. Normals are of what is solid.
     """
 
-    def __init__(self, conf: CameraConf, baked: Baked, figures: Sequence[Figure]) -> None:
+    def __init__(self, conf: CameraConf, baked: Baked, figures: Sequence[Figure], air: Air = _CLEAR) -> None:
         self.conf = conf
+        self._air = air
         self._baked = baked
         self._figures = figures
         lens = Lens(conf)
@@ -94,6 +108,8 @@ class Camera:
         segments = baked.segments.take(face, mode="wrap") if "segmentation" in outputs else None
         looks = (colour, segments, normal)
         self._draw_figures(origin, rotation, directions32, actor_poses, ranges, looks)
+        if not self._air.clear:
+            self._look_through_air(origin, directions32, ranges, colour, segments)
         found: dict[str, NDArray[Any]] = {}
         size = (scenes, self.conf.height, self.conf.width)
         for name in outputs:
@@ -168,6 +184,27 @@ class Camera:
             if segments is not None:
                 segments[ray] = figure.segment
 
+    def _look_through_air(
+        self,
+        origin: Array,
+        directions: Floats,
+        ranges: Floats,
+        colour: NDArray[np.uint32] | None,
+        segments: NDArray[np.uint8] | None,
+    ) -> None:
+        """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
+        foliage = self._air.foliage
+        veil = None if foliage is None else foliage.veil(origin.astype(np.float32), directions, ranges)
+        if colour is not None:
+            nothing = ranges >= self.conf.range_m
+            bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])
+            colour[:] = _packed(self._air.through(bare, ranges, nothing, veil, self._baked.light))
+        if veil is not None:
+            hidden = veil.range < ranges
+            ranges[hidden] = veil.range[hidden]
+            if segments is not None:
+                segments[hidden] = Segment.VEGETATION
+
     def _pixels_near(
         self, figure: Figure, origin: Array, rotation: Array, poses: Array
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -230,6 +267,8 @@ class CameraSensor:
     def begin(self, mask: Flags, now: Moment) -> None:
         """Look in the scenes in `mask` (M,); the others keep their pictures."""
         rows = np.flatnonzero(mask)
+        if not len(rows):
+            return
         frames = self._camera.frames(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
         for name, frame in frames.items():
             self._frames[f"camera_{name}"][rows] = frame

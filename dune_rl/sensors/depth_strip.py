@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.air import Air
 from dune_rl.rendering.moving import Figure
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
@@ -15,6 +16,8 @@ from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+
+_CLEAR = Air()
 
 
 class DepthStripConf(Settings):
@@ -44,13 +47,21 @@ class DepthStrip:
     Columns run counter-clockwise over the field of view, each bearing in the
     middle of its share. A depth is measured along the bearing, in the plane of
     the rover's forward and left axes: the nearest over the column's rays, and
-    `range_m` where none of them meets anything that near.
+    `range_m` where none of them meets anything that near. Of the `air`, tall
+    grass ends a ray where half its light is lost, as for a camera's depth; haze
+    does nothing to it.
     """
 
     def __init__(
-        self, conf: DepthStripConf, solid: RayScene, figures: Sequence[Figure], num_scenes: int
+        self,
+        conf: DepthStripConf,
+        solid: RayScene,
+        figures: Sequence[Figure],
+        num_scenes: int,
+        air: Air = _CLEAR,
     ) -> None:
         self.conf = conf
+        self._foliage = air.foliage
         bearing = conf.fov_rad * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
         elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.rows)
         self._level = np.cos(elevation)[:, None].astype(np.float32)
@@ -83,6 +94,11 @@ class DepthStrip:
         """
         conf = self.conf
         ranges = self._beams.ranges(position_w, rotation, actor_poses)
+        if self._foliage is not None:
+            origins = self._beams.origin(position_w, rotation).astype(np.float32)
+            directions = (self._beams.directions_b @ rotation.transpose(0, 2, 1)).astype(np.float32)
+            met = self._foliage.median_ranges(origins, directions.reshape(-1, 3), ranges.ravel())
+            ranges = np.minimum(ranges, met.reshape(ranges.shape))
         ranges = ranges.reshape(len(ranges), conf.rows, conf.columns)
         farthest = np.float32(conf.range_m)
         depths: Floats = np.where(ranges < farthest, ranges * self._level, farthest).min(axis=1)

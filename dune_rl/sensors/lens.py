@@ -6,6 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.optimize import brentq
 
 from dune_rl.settings import Settings
 
@@ -69,7 +70,32 @@ class Lens:
             raise ValueError(self._fold())
         # The centre is half a pixel from the grid's middle lines, and the edge half a width from it.
         self.focal_px = conf.width / 2 / float(np.interp(conf.fov_rad / 2, self._angle, self._seen))
+        self._fit_decentred()
         self.look(np.array([[0.0, 0.0], [conf.width, 0.0], [0.0, conf.height], [conf.width, conf.height]]))
+
+    def _fit_decentred(self) -> None:
+        """Find the focal length at which a lens with p1 or p2 spans its field of view, edge to edge."""
+        if self.conf.projection == "fisheye" or not self._k[2:4].any():
+            return
+        plain, middle = self.focal_px, self.conf.height / 2
+        edges = np.array([[0.0, middle], [float(self.conf.width), middle]])
+
+        def excess(focal_px: float) -> float:
+            self.focal_px = focal_px
+            left, right = self.look(edges)
+            return float(np.arccos(np.clip(left @ right, -1.0, 1.0))) - self.conf.fov_rad
+
+        # A longer focal length sees less; one that is too short may fold.
+        low = high = plain
+        for _ in range(40):
+            if excess(high) <= 0.0:
+                break
+            high *= 1.02
+        for _ in range(40):
+            if excess(low) >= 0.0:
+                break
+            low /= 1.02
+        self.focal_px = plain if low == high else float(brentq(excess, low, high, xtol=1e-10))
 
     @cached_property
     def directions(self) -> Array:
@@ -84,7 +110,8 @@ class Lens:
         for _ in range(_ROUNDS):
             radial = seen - self._tangential(plain)
             radius = np.linalg.norm(radial, axis=-1, keepdims=True)
-            if radius.max() > self._seen[-1]:
+            # Written so that NaN, which compares false, is refused.
+            if not radius.max() <= self._seen[-1]:
                 raise ValueError(self._fold())
             plain = radial * (np.interp(radius, self._seen, self._plain) / np.maximum(radius, 1e-12))
         if self.conf.projection == "pinhole":
@@ -128,6 +155,11 @@ class Lens:
 
     def _fold(self) -> str:
         conf = self.conf
+        if not any(conf.distortion):
+            return (
+                f"a picture of {conf.width} by {conf.height} pixels at fov_rad={conf.fov_rad:g} reaches "
+                f"beyond {np.rad2deg(self._angle[-1]):.0f} degrees from its axis; lessen fov_rad or height"
+            )
         return (
             f"distortion {list(conf.distortion)} folds the picture over "
             f"{np.rad2deg(self._angle[-1]):.0f} degrees from its axis, which "

@@ -148,13 +148,14 @@ class Lidar:
     """Ranges of M scenes, which share the static world and differ in their moving actors.
 
     `actor_shapes` are ray scenes in the actors' own frames, one per actor; equal
-    objects are asked together.
+    objects are asked together. Unit vectors along the beams in the body frame
+    are `directions_b` (n_beams, 3).
     """
 
     def __init__(self, conf: LidarConf, static: RayScene, actor_shapes: list[RayScene]) -> None:
         self.conf = conf
-        directions_b = fan(beam_angles(conf), np.zeros(1))[0]
-        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, static, actor_shapes)
+        self.directions_b = fan(beam_angles(conf), np.zeros(1))[0]
+        self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, actor_shapes)
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
@@ -162,7 +163,7 @@ class Lidar:
 
     def ends(self, origin: Array, rotation: Array, ranges: NDArray[np.float32]) -> Array:
         """Where beams of `ranges` (M, n_beams) end in the world [m], (M, n_beams, 3)."""
-        along = self._beams.directions_b * ranges[..., None]
+        along = self.directions_b * ranges[..., None]
         return origin[:, None] + along @ rotation.transpose(0, 2, 1)
 
     def ranges(self, position_w: Array, rotation: Array, actor_poses: Array) -> NDArray[np.float32]:

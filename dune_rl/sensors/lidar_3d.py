@@ -8,17 +8,21 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.air import Air
 from dune_rl.rendering.moving import Figure
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.surface import Surface, luminance
 from dune_rl.sensors.camera import groups
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
+from dune_rl.sensors.medium import effects_of
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
+
+_CLEAR = Air()
 
 Lidar3dOutput = Literal["range", "intensity", "segmentation"]
 
@@ -63,10 +67,18 @@ class Lidar3d:
 
     `solid` is the ray scene of the static world and `surface` that of its
     faces; `figures` has one entry per actor. The rover itself is in neither.
+    What a beam meets in the `air` counts as VEGETATION where it is grass; a
+    false return of haze is faint and has the segment SKY.
     """
 
     def __init__(
-        self, conf: Lidar3dConf, solid: RayScene, surface: Surface, figures: Sequence[Figure], num_scenes: int
+        self,
+        conf: Lidar3dConf,
+        solid: RayScene,
+        surface: Surface,
+        figures: Sequence[Figure],
+        num_scenes: int,
+        air: Air = _CLEAR,
     ) -> None:
         self.conf = conf
         self._solid, self._surface = solid, surface
@@ -76,6 +88,8 @@ class Lidar3d:
         directions = fan(bearings(conf.fov_rad, conf.n_beams), elevation).reshape(-1, 3)
         self._directions_b = directions.astype(np.float32)
         self._components_b = np.ascontiguousarray(self._directions_b.T)
+        limits_m = (conf.min_range_m, conf.range_m)
+        self._effects = effects_of(air, "lidar 3d", self._directions_b, conf.mount_b, limits_m)
         self._range_only = conf.outputs == ("range",)
         self._readings: dict[str, Reading] = {
             name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
@@ -98,23 +112,47 @@ class Lidar3d:
     def begin(self, mask: Flags, now: Moment) -> None:
         """Scan in the scenes in `mask` (M,); the others keep their scans."""
         rows = np.flatnonzero(mask)
-        found = self.scan(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
+        if not len(rows):
+            return
+        if self._effects:
+            found = {name: values[rows] for name, values in self._scan_at(now).items()}
+        else:
+            found = self.scan(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
         for name, values in found.items():
             self._readings[name][rows] = values
 
     def measure(self, now: Moment) -> None:
         """Scan again."""
-        self._readings = self.scan(now.position_w, now.rotation, now.actor_poses)
+        self._readings = self._scan_at(now)
 
     def read(self) -> dict[str, Reading]:
         """The latest scans."""
         return {name: values.copy() for name, values in self._readings.items()}
 
     def scan(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, Reading]:
-        """The readings of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
+        """The readings in clear air of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
 
         `actor_poses` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
         """
+        return self._outputs(*self._cast(position_w, rotation, actor_poses))
+
+    def _scan_at(self, now: Moment) -> dict[str, Reading]:
+        """The readings, with what beams meet in the air."""
+        ranges, brightness, segments = self._cast(now.position_w, now.rotation, now.actor_poses)
+        for effect in self._effects:
+            seen = effect.applied(ranges, now)
+            if not self._range_only:
+                changed = seen != ranges
+                lost = seen[changed] >= np.float32(self.conf.range_m)
+                segments[changed] = np.where(lost, np.uint8(Segment.SKY), np.uint8(effect.segment))
+                brightness[changed] = np.where(lost, np.float32(0.0), np.float32(effect.luminance))
+            ranges = seen
+        return self._outputs(ranges, brightness, segments)
+
+    def _cast(
+        self, position_w: Array, rotation: Array, actor_poses: Array
+    ) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+        """Ranges, albedo times incidence, and segments of all beams, each (M, N); ranges alone if they do."""
         conf = self.conf
         scenes, count = len(position_w), len(self._directions_b)
         origin = position_w + rotation @ np.asarray(conf.mount_b)
@@ -141,6 +179,11 @@ class Lidar3d:
             if not self._range_only:
                 segments[ray] = figure.segment
                 brightness[ray] = albedo[hit.face[order]] * _incidence(hit.normal[order], directions[ray])
+        rest = (scenes, 0 if self._range_only else count)
+        return ranges.reshape(scenes, count), brightness.reshape(rest), segments.reshape(rest)
+
+    def _outputs(self, ranges: Floats, brightness: Floats, segments: NDArray[np.uint8]) -> dict[str, Reading]:
+        conf = self.conf
         found: dict[str, Reading] = {}
         for name in conf.outputs:
             if name == "range":
@@ -149,7 +192,7 @@ class Lidar3d:
                 values = brightness / (1.0 + np.square(ranges / np.float32(conf.half_intensity_m)))
             else:
                 values = segments
-            found[f"lidar_3d_{name}"] = values.reshape(scenes, conf.n_rings, conf.n_beams, 1)
+            found[f"lidar_3d_{name}"] = values.reshape(len(ranges), conf.n_rings, conf.n_beams, 1)
         return found
 
     def _rays_near(

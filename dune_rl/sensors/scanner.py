@@ -5,16 +5,19 @@ from collections.abc import Collection
 import numpy as np
 
 from dune_rl.sensors.lidar import Lidar
+from dune_rl.sensors.medium import RangeEffect
 from dune_rl.sensors.past_scan import PastScan
-from dune_rl.sensors.realism_lidar import BeamFaults
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+
+# Farther than any LiDAR sees.
+_NOWHERE_M = 1e6
 
 
 class Scanner:
     """Those of the readings "lidar" and "lidar_past", (M, n_segments) [m], that are `wanted`.
 
     The past scan is `delay_steps` control steps old, seen from the present pose.
-    Both see the `faults` of the beams, where there are any.
+    Both see the `faults` of the beams, where there are any, and what they meet in the air.
     """
 
     def __init__(
@@ -23,7 +26,7 @@ class Scanner:
         wanted: Collection[str],
         num_scenes: int,
         delay_steps: int,
-        faults: BeamFaults | None = None,
+        faults: RangeEffect | None = None,
     ) -> None:
         self._lidar = lidar
         self._faults = faults
@@ -55,7 +58,9 @@ class Scanner:
         if self._past is None:
             return
         origin = self._lidar.origin(now.position_w, now.rotation)
-        ends_w = self._lidar.ends(origin, now.rotation, ranges)
+        # A beam that met nothing has no end: it must not come back as a wall at the end of its range.
+        ended = np.where(ranges < self._lidar.conf.range_m, ranges, np.float32(_NOWHERE_M))
+        ends_w = self._lidar.ends(origin, now.rotation, ended)
         if begun is None:
             self._past.push(ends_w)
         else:

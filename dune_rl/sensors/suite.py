@@ -1,13 +1,14 @@
 """Which sensors a rover carries, and what they give."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.air import Air
 from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.moving import Figure
 from dune_rl.rendering.surface import Surface
@@ -19,9 +20,19 @@ from dune_rl.sensors.height_scan import HeightScan, HeightScanConf
 from dune_rl.sensors.imu import Imu, ImuConf, ImuSensor
 from dune_rl.sensors.lidar import Lidar, LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
+from dune_rl.sensors.medium import InTurn, RangeEffect, effects_of
 from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
 from dune_rl.sensors.position import Position, PositionConf
-from dune_rl.sensors.realism import ImuRealismConf, SpeedRealismConf, realistic
+from dune_rl.sensors.realism import (
+    EncoderRealismConf,
+    ImuRealismConf,
+    OdometryRealismConf,
+    PositionRealismConf,
+    ReadingRealismConf,
+    RealismConf,
+    SpeedRealismConf,
+    realistic,
+)
 from dune_rl.sensors.realism_camera import CameraRealismConf, realistic_camera
 from dune_rl.sensors.realism_lidar import BeamFaults, LidarRealismConf
 from dune_rl.sensors.scanner import Scanner
@@ -54,13 +65,20 @@ class SensorRealismConf(Settings):
 
     imu: ImuRealismConf | None = None
     lidar: LidarRealismConf | None = None
-    velocity: SpeedRealismConf | None = None
+    lidar_3d: RealismConf | None = None
+    depth_strip: ReadingRealismConf | None = None
+    height_scan: ReadingRealismConf | None = None
     camera: CameraRealismConf | None = None
+    velocity: SpeedRealismConf | None = None
+    encoders: EncoderRealismConf | None = None
+    odometry: OdometryRealismConf | None = None
+    currents: ReadingRealismConf | None = None
+    position: PositionRealismConf | None = None
 
     def check(self, step_s: float) -> None:
         """Raise ValueError where a rate or a latency does not fit control steps of `step_s`."""
-        for name in ("imu", "lidar", "velocity", "camera"):
-            conf = getattr(self, name)
+        for name in type(self).model_fields:
+            conf: RealismConf | None = getattr(self, name)
             if conf is not None:
                 try:
                     conf.steps(step_s)
@@ -104,8 +122,9 @@ class Surroundings:
 
     `solid` is all that is solid and still, `figures` are the actors',
     `extent` (xmin, xmax, ymin, ymax) and `heights` (zmin, zmax) [m] where a
-    rover can be, `wheels` its drive. `appearance` and `surface` are called only
-    where a sensor asks for them: they take a moment to work out.
+    rover can be, `wheels` its drive, `air` what lies in between. `appearance`
+    and `surface` are called only where a sensor asks for them: they take a
+    moment to work out.
     """
 
     solid: RayScene
@@ -117,6 +136,7 @@ class Surroundings:
     wheels: DriveGeometry
     appearance: Callable[[], Baked]
     surface: Callable[[], Surface]
+    air: Air = field(default_factory=Air)
 
 
 def make_sensors(
@@ -133,29 +153,47 @@ def make_sensors(
     def scanner() -> Sensor:
         lidar = Lidar(conf.lidar, around.solid, [figure.rays for figure in around.figures])
         wanted = [name for name in conf.enabled if name in ("lidar", "lidar_past")]
-        faults = None if real.lidar is None else BeamFaults(real.lidar, conf.lidar)
+        limits_m = (conf.lidar.min_range_m, conf.lidar.range_m)
+        effects: list[RangeEffect] = [
+            *effects_of(around.air, "lidar", lidar.directions_b, conf.lidar.mount_b, limits_m)
+        ]
+        if real.lidar is not None:
+            effects.append(BeamFaults(real.lidar, conf.lidar))
+        faults = InTurn(effects) if effects else None
         scans = Scanner(lidar, wanted, num_scenes, max(1, round(conf.past_s / step_s)), faults)
         return realistic(scans, real.lidar, num_scenes, step_s)
 
     def camera() -> Sensor:
-        pictures = CameraSensor(Camera(conf.camera, around.appearance(), around.figures), num_scenes)
+        pictures = CameraSensor(
+            Camera(conf.camera, around.appearance(), around.figures, around.air), num_scenes
+        )
         return realistic_camera(pictures, real.camera, num_scenes, step_s)
 
+    def plain(sensor: Sensor, faults: RealismConf | None) -> Sensor:
+        return realistic(sensor, faults, num_scenes, step_s)
+
+    solid, figures, wheels = around.solid, around.figures, around.num_wheels
     makers: dict[str, Callable[[], Sensor]] = {
         "lidar": scanner,
-        "lidar_3d": lambda: Lidar3d(
-            conf.lidar_3d, around.solid, around.surface(), around.figures, num_scenes
+        "lidar_3d": lambda: plain(
+            Lidar3d(conf.lidar_3d, solid, around.surface(), figures, num_scenes, around.air), real.lidar_3d
         ),
-        "depth_strip": lambda: DepthStrip(conf.depth_strip, around.solid, around.figures, num_scenes),
-        "height_scan": lambda: HeightScan(conf.height_scan, around.solid, around.terrain, num_scenes),
+        "depth_strip": lambda: plain(
+            DepthStrip(conf.depth_strip, solid, figures, num_scenes, around.air), real.depth_strip
+        ),
+        "height_scan": lambda: plain(
+            HeightScan(conf.height_scan, solid, around.terrain, num_scenes), real.height_scan
+        ),
         "camera": camera,
-        "velocity": lambda: realistic(Speed(num_scenes), real.velocity, num_scenes, step_s),
-        "encoders": lambda: Encoders(conf.encoders, num_scenes, around.num_wheels, step_s),
-        "odometry": lambda: Odometry(
-            conf.odometry, conf.encoders, around.wheels, num_scenes, around.num_wheels, step_s
+        "velocity": lambda: plain(Speed(num_scenes), real.velocity),
+        "encoders": lambda: plain(Encoders(conf.encoders, num_scenes, wheels, step_s), real.encoders),
+        "odometry": lambda: plain(
+            Odometry(conf.odometry, conf.encoders, around.wheels, num_scenes, wheels, step_s), real.odometry
         ),
-        "currents": lambda: Currents(conf.currents, num_scenes, around.num_wheels),
-        "position": lambda: Position(conf.position, around.extent, around.heights, num_scenes, step_s),
+        "currents": lambda: plain(Currents(conf.currents, num_scenes, wheels), real.currents),
+        "position": lambda: plain(
+            Position(conf.position, around.extent, around.heights, num_scenes, step_s), real.position
+        ),
     }
     instruments = dict.fromkeys("lidar" if name == "lidar_past" else name for name in conf.enabled)
     sensors: list[Sensor] = [realistic(ImuSensor(imu, num_scenes, step_s), real.imu, num_scenes, step_s)]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -85,7 +85,9 @@ def _grey(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
 
 def _depth(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
     metres = np.where(reading[..., 0] >= conf.camera.range_m * 0.999, np.nan, reading[..., 0])
-    image = axes.imshow(metres, cmap="magma_r", norm="log", interpolation="nearest")
+    image = axes.imshow(
+        metres, cmap="magma_r", norm=LogNorm(0.1, conf.camera.range_m), interpolation="nearest"
+    )
     _bare(axes, "camera, depth")
     _bar(axes, image, "m")
 
@@ -143,9 +145,10 @@ def _height_scan(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
 
 def _depth_strip(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
     strip = conf.depth_strip
-    bearing = np.rad2deg(np.linspace(strip.fov_rad / 2, -strip.fov_rad / 2, len(reading)))
+    width = np.rad2deg(strip.fov_rad) / len(reading)
+    to_the_right = (len(reading) / 2 - np.arange(len(reading)) - 0.5) * width
     _bare(axes, "depth strip, seen from within")
-    axes.bar(-bearing, reading, width=abs(bearing[1] - bearing[0]) * 0.9, color=_COOL)
+    axes.bar(to_the_right, reading, width=width * 0.9, color=_COOL)
     axes.set_ylim(0.0, strip.range_m)
     axes.set_ylabel("m", color=_INK, fontsize=9)
     axes.set_xlabel("degrees to the right", color=_INK, fontsize=9)

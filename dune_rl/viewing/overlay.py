@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from dune_rl.sensors.lidar import LidarConf
+
 Picture = NDArray[np.uint8]
 
 _PANEL = (14, 18, 24, 170)
@@ -25,7 +27,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 def with_overlays(
     frame: Picture,
     observation: Mapping[str, NDArray[np.generic]],
-    lidar_range_m: float,
+    lidar: LidarConf,
     lines: list[str],
     headline: str = "",
 ) -> Picture:
@@ -43,7 +45,7 @@ def with_overlays(
     if "lidar" in observation:
         corner = (width - side - _MARGIN, height - side - _MARGIN)
         goal = observation.get("goal")
-        _scan(draw, corner, side, np.asarray(observation["lidar"], float), lidar_range_m, goal)
+        _scan(draw, corner, side, np.asarray(observation["lidar"], float), lidar, goal)
     _text(draw, lines, height)
     if headline:
         font = _font(height // 14)
@@ -70,7 +72,7 @@ def _scan(
     corner: tuple[int, int],
     side: int,
     ranges: NDArray[np.floating],
-    range_m: float,
+    lidar: LidarConf,
     goal: NDArray[np.generic] | None,
 ) -> None:
     left, top = corner
@@ -81,17 +83,19 @@ def _scan(
         r = radius * share
         draw.ellipse((centre[0] - r, centre[1] - r, centre[0] + r, centre[1] + r), outline=_RING)
 
+    range_m = lidar.range_m
+
     def at(distance: float, bearing: float) -> tuple[float, float]:
         r = min(distance / range_m, 1.0) * radius
         # Ahead is up, and left is left.
         return float(centre[0] - r * np.sin(bearing)), float(centre[1] - r * np.cos(bearing))
 
-    half = np.pi / len(ranges)
+    half = lidar.fov_rad / len(ranges) / 2
     for index, distance in enumerate(ranges):
         if distance >= range_m * 0.999:
             continue
-        # A segment's beams run counter-clockwise from straight behind.
-        bearing = -np.pi + (2 * index + 1) * half
+        # Segments run counter-clockwise.
+        bearing = -lidar.fov_rad / 2 + (2 * index + 1) * half
         draw.line(
             [at(float(distance), bearing - half * 0.9), at(float(distance), bearing + half * 0.9)],
             fill=_RETURN,

@@ -3,10 +3,13 @@
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.light import Light, LightConf, linear
-from dune_rl.rendering.scenery import Scenery, Segment, Shape, joined
+from dune_rl.rendering.scenery import GroundTexture, Scenery, Shape, joined
+from dune_rl.rendering.weather import Haze, WeatherConf, light_in
+from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import ground_texture
 from dune_rl.worlds.world import Prop, World
 
@@ -14,18 +17,36 @@ from dune_rl.worlds.world import Prop, World
 def scenery(world: World) -> Scenery:
     """Ground and props, those included that only can be seen (water)."""
     ground = ground_texture(world.terrain, world.ground, world.texture_seed)
+    if world.grass is not None:
+        ground = GroundTexture(_in_shade(ground.albedo, world.grass))
     return Scenery(world.terrain, ground, joined([_shape(prop) for prop in world.props]))
 
 
 @lru_cache(maxsize=4)
 def baked(world: World, light: LightConf) -> Baked:
-    """The world in that light; equal worlds and lights share one."""
+    """The world in that light and clear air; equal worlds and lights share one."""
     return Baked(scenery(world), Light.of(light))
+
+
+@lru_cache(maxsize=4)
+def in_weather(world: World, weather: WeatherConf) -> Baked:
+    """The world in the light of a weather; what its haze does on the way to an eye is not in it."""
+    if Haze.of(weather) is None:
+        return baked(world, weather.sunlight)
+    return Baked(scenery(world), light_in(weather))
+
+
+def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
+    """Albedo (rows, columns, 3) of the ground, less by the light that the grass on it keeps."""
+    rows, columns = albedo.shape[:2]
+    xmin, xmax, ymin, ymax = grass.terrain.extent
+    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
+    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
+    share = grass.foliage.shade(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    return albedo * share.reshape(rows, columns, 1)
 
 
 def _shape(prop: Prop) -> Shape:
     count = len(prop.faces)
     albedo = np.broadcast_to(linear(np.array(prop.colour)), (count, 3))
-    standing = Segment.DECK if prop.drivable else Segment.OBSTACLE
-    segment = standing if prop.solid else Segment.WATER
-    return Shape(prop.vertices, prop.faces, albedo, np.full(count, segment, np.uint8))
+    return Shape(prop.vertices, prop.faces, albedo, np.full(count, prop.shown_as, np.uint8))

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.settings import Settings
+from dune_rl.worlds.grass import grow
 from dune_rl.worlds.ground import GRAVEL
 from dune_rl.worlds.world import World
 
@@ -21,6 +22,8 @@ class FlatConf(Settings):
     size_m: float = Field(default=100.0, ge=20.0, le=1000.0, description="length of the plane's side")
     region_size_m: float = Field(default=8.0, gt=0.0, le=1000.0, description="side of the spawn region")
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
+    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
+    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
 
 
 def build_flat(conf: FlatConf) -> World:
@@ -29,5 +32,10 @@ def build_flat(conf: FlatConf) -> World:
     half, reach = conf.size_m / 2, conf.region_size_m / 2
     terrain = HeightField(np.zeros((cells + 1, cells + 1)), conf.size_m / cells, (-half, -half))
     return World(
-        "flat", terrain, region=(-reach, reach, -reach, reach), friction=conf.friction, ground=GRAVEL
+        "flat",
+        terrain,
+        region=(-reach, reach, -reach, reach),
+        friction=conf.friction,
+        ground=GRAVEL,
+        grass=grow(terrain, (), conf.grass_cover, conf.grass_height_m, seed=0),
     )

@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from dune_rl.settings import Settings
+from dune_rl.worlds.grass import grow
 from dune_rl.worlds.inspection_layout import place_props
 from dune_rl.worlds.inspection_terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
 from dune_rl.worlds.world import World
@@ -23,6 +24,8 @@ class InspectionConf(Settings):
         default=4, ge=0, le=20, description="things in and round the 8 by 8 m training square"
     )
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
+    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
+    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
 
 
 def build_inspection(conf: InspectionConf) -> World:
@@ -31,4 +34,13 @@ def build_inspection(conf: InspectionConf) -> World:
     props = place_props(terrain, gully, conf.seed, conf.yard_obstacles)
     x, y = YARD_CENTRE
     region = (x - YARD_HALF_M, x + YARD_HALF_M, y - YARD_HALF_M, y + YARD_HALF_M)
-    return World("inspection", terrain, props, region=region, friction=conf.friction, texture_seed=conf.seed)
+    standing = [(prop.vertices, prop.faces) for prop in props]
+    return World(
+        "inspection",
+        terrain,
+        props,
+        region=region,
+        friction=conf.friction,
+        texture_seed=conf.seed,
+        grass=grow(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed),
+    )

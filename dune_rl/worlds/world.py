@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import MEADOW, Ground
 
 Array = NDArray[np.float64]
@@ -25,6 +27,7 @@ class Prop:
     `drivable=True` (a bridge's deck) counts as ground: touching it is no
     collision. `colour` is red, green, blue in [0, 1]. A solid prop is made of
     closed surfaces whose faces run counter-clockwise seen from outside.
+    `segment` is what it is shown as where that does not follow from the rest.
     """
 
     name: str
@@ -34,6 +37,15 @@ class Prop:
     solid: bool = True
     drivable: bool = False
     colour: Colour = (0.6, 0.6, 0.6)
+    segment: Segment | None = None
+
+    @property
+    def shown_as(self) -> Segment:
+        """What segmentations call it: `segment` where that is given."""
+        if self.segment is not None:
+            return self.segment
+        standing = Segment.DECK if self.drivable else Segment.OBSTACLE
+        return standing if self.solid else Segment.WATER
 
 
 class SolidMesh(NamedTuple):
@@ -50,7 +62,7 @@ class World:
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
     ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like.
+    looks like; `grass` is what grows on it.
     """
 
     def __init__(
@@ -63,6 +75,7 @@ class World:
         friction: float = 1.0,
         ground: Ground = MEADOW,
         texture_seed: int = 0,
+        grass: Grass | None = None,
     ) -> None:
         self.name = name
         self.terrain = terrain
@@ -71,6 +84,7 @@ class World:
         self.friction = friction
         self.ground = ground
         self.texture_seed = texture_seed
+        self.grass = grass
 
     @property
     def extent(self) -> Rectangle:

@@ -14,12 +14,16 @@ from dune_rl.robots.rover_zero import RoverZero
 
 
 class PuppetScene:
-    """A `PhysicsScene` that returns `state` (13,) and `touching`, which a test sets between steps."""
+    """A `PhysicsScene` that returns `state` (13,) and `touching`, which a test sets between steps.
+
+    It keeps the forces that it is pushed by in `pushes`.
+    """
 
     def __init__(self, spec: SceneSpec) -> None:
         self.spec = spec
         self.state = np.zeros(13)
         self.touching: list[int] = []
+        self.pushes: list[list[float]] = []
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -31,6 +35,9 @@ class PuppetScene:
         self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
         pass
+
+    def push(self, force_w: Sequence[float]) -> None:
+        self.pushes.append(list(force_w))
 
     def body_state(self) -> tuple[float, ...]:
         return tuple(self.state.tolist())
@@ -70,6 +77,7 @@ def puppet_batch(
         physics=conf.physics,
         task=conf.task,
         metrics=conf.metrics,
+        weather=conf.weather,
         num_scenes=num_scenes,
         seed=seed,
     )
