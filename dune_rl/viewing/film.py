@@ -27,7 +27,7 @@ def film(path: Path, frames_per_s: float, width: int, height: int) -> Iterator[A
         stream = container.add_stream("libx264", rate=Fraction(frames_per_s).limit_denominator(1000))
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": "20", "preset": "medium"}
+        stream.options = {"crf": "25", "preset": "medium"}
 
         def add(frame: NDArray[np.uint8]) -> None:
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
