@@ -138,8 +138,8 @@ def _show_help(page: Page) -> None:
     console.print(f"[bold]{page.title}[/bold]")
     for lines in (page.usage, [*group_settings(), *page.settings]):
         table = Table(box=None, show_header=False, padding=(0, 2))
-        table.add_column(style="cyan", no_wrap=True)
-        table.add_column(no_wrap=True)
+        table.add_column(style="cyan", no_wrap=True, min_width=max(len(name) for name, _ in lines))
+        table.add_column()
         for name, meaning in lines:
             table.add_row(escape(name), escape(meaning))
         console.print()

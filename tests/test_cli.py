@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from test_config import CHOOSE, NO_MOON
 
 from dune_rl import benchmark, evaluate, train
 from dune_rl.learning.progress import Lines, Status
@@ -118,8 +119,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
 @pytest.mark.parametrize(
     ("program", "words", "message"),
     [
-        (train, [], "choose a world: +world=flat or +world=inspection\n"),
-        (train, ["+world=moon"], "there is no world 'moon'; choose flat or inspection\n"),
+        (train, [], CHOOSE + "\n"),
+        (train, ["+world=moon"], NO_MOON + "\n"),
         (train, ["-m", "+world=flat", "seed=1,-1"], "seed must be at least 0 (got -1)\n"),
         (train, ["+world=flat", "seed=-1", "+sensors.lidar.n_beam=5"],
          "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?\n"
@@ -188,7 +189,7 @@ def test_signals_save_and_end(
 def test_help(program: object, call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(program.main, "--help") == 0
     text = capsys.readouterr().out
-    for words in ("+world=NAME", "flat, inspection", "seed=N", "python -m dune_rl."):
+    for words in ("+world=NAME", "construction, flat, heightmap", "seed=N", "python -m dune_rl."):
         assert words in text
 
 

@@ -32,8 +32,14 @@ from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import RewardConf
 from dune_rl.tasks.terminations import TerminationConf
+from dune_rl.worlds.construction import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
+from dune_rl.worlds.importing.heightmap import HeightmapConf
+from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.sdf import SdfConf
 from dune_rl.worlds.inspection import InspectionConf
+from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.rubicon import RubiconConf
 
 CONF = paths.conf_folder()
 OPTIONS = sorted(
@@ -41,6 +47,11 @@ OPTIONS = sorted(
 )
 EXPERIMENTS = sorted(path.stem for path in CONF.glob("experiment/*.yaml"))
 
+# What a user says, and no option.
+GIVEN = "a/file"
+WORLDS = "construction, flat, heightmap, inspection, island, mesh, rubicon or sdf"
+CHOOSE = f"choose a world: +world=NAME with {WORLDS}"
+NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
 # What each option says, written down a second time as plain objects.
 PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("actors", "none"): (),
@@ -84,7 +95,13 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_rad=3.4, sun_elevation_rad=0.1)),
     ("weather", "dust"): WeatherConf(dust_visibility_m=30.0),
     ("weather", "fog"): WeatherConf(fog_visibility_m=50.0),
+    ("world", "construction"): ConstructionConf(),
     ("world", "flat"): FlatConf(),
+    ("world", "heightmap"): HeightmapConf(path=GIVEN),
+    ("world", "island"): IslandConf(),
+    ("world", "mesh"): MeshConf(path=GIVEN),
+    ("world", "rubicon"): RubiconConf(),
+    ("world", "sdf"): SdfConf(path=GIVEN),
     ("world", "inspection"): InspectionConf(),
 }
 
@@ -98,7 +115,8 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
     if group == "learning":
         composed: EnvConf = compose(words(group, option))
     else:
-        composed = compose_environment(option if group == "world" else "flat", [], {group: option})
+        words_given = [f"world.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
+        composed = compose_environment(option if group == "world" else "flat", words_given, {group: option})
     assert getattr(composed, group) == PLAIN[group, option]
 
 
@@ -115,7 +133,7 @@ def test_yaml_states_every_setting(group: str, option: str) -> None:
             # It changes another option, which states the rest.
             assert leaves({k: v for k, v in part.items() if k != "defaults"}) < leaves(settings.model_dump())
         else:
-            assert leaves(part) == leaves(settings.model_dump())
+            assert leaves(part) | ({"path"} & leaves(settings.model_dump())) == leaves(settings.model_dump())
 
 
 def leaves(data: dict[str, Any], prefix: str = "") -> set[str]:
@@ -156,8 +174,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ([], "choose a world: +world=flat or +world=inspection"),
-        (["+world=inspektion"], "there is no world 'inspektion'; choose flat or inspection"),
+        ([], CHOOSE),
+        (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
         (["world=flat", "actors=crowd"],
          "there is no actors 'crowd'; choose external_walkers, none or walkers"),
@@ -221,7 +239,7 @@ def test_faults_come_together() -> None:
         "cannot read 'blah'; write key=value",
         "seed must be at least 0 (got -1)",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
-        "there is no world 'moon'; choose flat or inspection",
+        NO_MOON,
     ]
 
 
@@ -230,7 +248,7 @@ def test_a_sweep_is_checked_in_every_value() -> None:
     with pytest.raises(ConfigError) as caught:
         check_sweep(["+world=flat,moon", "seed=1,-2", "robot.wheel_friction=0.5,1.0,9"])
     assert str(caught.value).splitlines() == [
-        "there is no world 'moon'; choose flat or inspection",
+        NO_MOON,
         "seed must be at least 0 (got -2)",
         "robot.wheel_friction must be at most 3.0 (got 9)",
     ]
@@ -255,7 +273,7 @@ def test_environment_settings_share_the_messages() -> None:
         "colour is not a setting; "
         "the top level has world, weather, robot, actors, sensors, physics, task, metrics",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
-        "there is no world 'moon'; choose flat or inspection",
+        NO_MOON,
     ]
 
 

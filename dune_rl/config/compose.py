@@ -231,7 +231,7 @@ def _earlier(request: command_line.Request, data: dict[str, Any], loader: Config
     if not isinstance(world, dict) or "name" not in world:
         if "world" not in request.faulty_groups:
             options = command_line.option_names(loader, "world")
-            found.append(f"choose a world: {one_of(f'+world={option}' for option in options)}")
+            found.append(f"choose a world: +world=NAME with {one_of(options)}")
         data["world"] = {"name": "flat"}
     return found
 

@@ -2,12 +2,12 @@
 
 import gymnasium
 
-_WORLDS = {"Flat": "flat", "Inspection": "inspection"}
+_WORLDS = ("flat", "inspection", "construction", "rubicon", "island")
 
 
 def register_envs() -> None:
     """Register one id for each world, such as `dune_rl/Inspection-v0`; twice is harmless."""
-    for title, world in _WORLDS.items():
-        name = f"dune_rl/{title}-v0"
+    for world in _WORLDS:
+        name = f"dune_rl/{world.capitalize()}-v0"
         if name not in gymnasium.registry:
             gymnasium.register(name, entry_point="dune_rl:gym_env", kwargs={"world": world})

@@ -44,8 +44,9 @@ class Prop:
         """What segmentations call it: `segment` where that is given."""
         if self.segment is not None:
             return self.segment
-        standing = Segment.DECK if self.drivable else Segment.OBSTACLE
-        return standing if self.solid else Segment.WATER
+        if self.kind == "water":
+            return Segment.WATER
+        return Segment.DECK if self.drivable else Segment.OBSTACLE
 
 
 class SolidMesh(NamedTuple):

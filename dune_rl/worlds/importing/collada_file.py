@@ -1,0 +1,161 @@
+"""COLLADA (.dae) files as named parts, with the unit and the up axis that they state."""
+
+import io
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import collada
+import numpy as np
+from collada.polygons import Polygons
+from collada.polylist import Polylist
+from collada.scene import GeometryNode
+from collada.triangleset import TriangleSet
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.import_files import (
+    MAX_FACES,
+    Folder,
+    Report,
+    first_line,
+    read_image,
+    read_xml,
+    shown,
+    unreadable,
+)
+from dune_rl.worlds.importing.parts import Part, texture_colours
+
+Array = NDArray[np.float64]
+
+_MOST_NODES = 20_000
+_DEEPEST = 100
+
+
+def collada_parts(
+    data: bytes, name: str, folder: Folder, report: Report
+) -> tuple[list[Part], float, str | None]:
+    """Parts in the file's own unit and axes; that unit [m]; and the axis that is up: "x", "y" or "z".
+
+    Each node's geometry is a part for each of its materials. Textures are looked for in `folder`.
+    """
+    # The reader below would expand entities and unpack archives; what passes here has neither.
+    read_xml(data, name)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            document = collada.Collada(
+                io.BytesIO(data), ignore=[collada.common.DaeError], aux_file_loader=_nothing
+            )
+            unit = document.assetInfo.unitmeter
+            axis = str(document.assetInfo.upaxis)[:1].lower()
+            if document.scene is None:
+                raise WorldError(f"{name} has no scene, so that none of its meshes stands anywhere.")
+            reader = _Reader(name, folder, report)
+            parts = [part for node in document.scene.nodes for part in reader.parts(node, np.eye(4), "", 0)]
+    except WorldError:
+        raise
+    except Exception as error:
+        unreadable(name, ".dae mesh", error)
+    if document.errors:
+        report.warn(
+            f"{len(document.errors)} things in it are not supported, "
+            f"such as: {first_line(document.errors[0])}"
+        )
+    unit = 1.0 if unit is None else float(unit)
+    if not 1e-6 <= unit <= 1e6:
+        raise WorldError(f"{name} states a unit of {unit} m: set world.unit_m to the length of its unit.")
+    return parts, unit, axis if axis in ("x", "y", "z") else "y"
+
+
+def _nothing(name: str) -> bytes:
+    raise FileNotFoundError(name)
+
+
+class _Reader:
+    def __init__(self, name: str, folder: Folder, report: Report) -> None:
+        self._name, self._folder, self._report = name, folder, report
+        self._looks: dict[str, Any] = {}
+        self._nodes = self._faces = 0
+
+    def parts(self, node: Any, matrix: Array, name: str, depth: int) -> Iterator[Part]:
+        """Parts of a node and all under it; instances of instances are counted, as they may be very many."""
+        self._nodes += 1
+        if depth > _DEEPEST or self._nodes > _MOST_NODES:
+            raise WorldError(
+                f"{self._name} has nodes that contain themselves, more than {_DEEPEST} deep, "
+                f"or more than {_MOST_NODES:,}: export it again, without instances."
+            )
+        if isinstance(node, GeometryNode):
+            yield from self._geometry(node, matrix, name)
+        elif hasattr(node, "children"):
+            own = getattr(node, "xmlnode", None)
+            name = (own.get("name") if own is not None else None) or getattr(node, "id", None) or name
+            for child in node.children:
+                yield from self.parts(child, matrix @ np.asarray(node.matrix, np.float64), name, depth + 1)
+        else:
+            self._report.warn(f"{type(node).__name__.removesuffix('Node').lower()}s in it are left out")
+
+    def _geometry(self, node: Any, matrix: Array, name: str) -> Iterator[Part]:
+        materials = {bound.symbol: bound.target for bound in node.materials}
+        for primitive in node.geometry.primitives:
+            if isinstance(primitive, Polygons | Polylist):
+                self._count(int(np.maximum(np.asarray(primitive.vcounts, np.int64) - 2, 0).sum()))
+                primitive = primitive.triangleset()
+            elif isinstance(primitive, TriangleSet):
+                self._count(len(primitive))
+            else:
+                self._report.warn(f"{type(primitive).__name__} in it is not supported and left out")
+                continue
+            if primitive.vertex is None or primitive.vertex_index is None or not len(primitive.vertex_index):
+                continue
+            material = materials.get(primitive.material)
+            about = shown(str(getattr(material, "name", None) or primitive.material or ""))
+            colours = self._colours(primitive, material)
+            yield Part.of(
+                shown(name or str(node.geometry.name)),
+                primitive.vertex,
+                primitive.vertex_index,
+                colours,
+                about,
+            ).moved(matrix)
+
+    def _count(self, faces: int) -> None:
+        self._faces += faces
+        if self._faces > MAX_FACES:
+            raise WorldError(
+                f"{self._name} has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece."
+            )
+
+    def _colours(self, primitive: Any, material: Any) -> Any:
+        if material is None:
+            return None
+        if material.id not in self._looks:
+            self._looks[material.id] = self._look(material)
+        look = self._looks[material.id]
+        if look is None or look.ndim == 1:
+            return look
+        if not len(primitive.texcoordset):
+            return look.mean(axis=(0, 1))
+        return texture_colours(
+            look, np.asarray(primitive.texcoordset[0], np.float64)[primitive.texcoord_indexset[0]][..., :2]
+        )
+
+    def _look(self, material: Any) -> NDArray[np.float32] | None:
+        """A picture (rows, columns, 3), one colour (3,), or None where there is neither."""
+        diffuse = getattr(material.effect, "diffuse", None)
+        if isinstance(diffuse, collada.material.Map):
+            picture = diffuse.sampler.surface.image.path or ""
+            try:
+                return read_image(self._folder.read(picture))
+            except FileNotFoundError:
+                self._report.warn(f"{shown(picture)} is missing: what it colours has a plain colour")
+            except WorldError as error:
+                self._report.warn(str(error).splitlines()[0])
+            except ValueError as error:
+                self._report.warn(f"{shown(picture)} is left out: {error}")
+            return None
+        if diffuse is None:
+            return None
+        colour = np.asarray(diffuse, np.float32)[:3]
+        return colour if colour.shape == (3,) and np.isfinite(colour).all() else None

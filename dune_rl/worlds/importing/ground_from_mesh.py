@@ -1,0 +1,244 @@
+"""Triangles told apart into ground, as a grid of heights, and the things that stand on it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
+from dune_rl.worlds.importing.height_grid import (
+    Triangles,
+    cast_down,
+    extent_of,
+    filled,
+    grid_axes,
+    grid_spacing,
+)
+from dune_rl.worlds.importing.import_files import Report
+from dune_rl.worlds.importing.parts import Part
+from dune_rl.worlds.importing.topology import joined_faces, open_edges, welded
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+
+# Steeper is no ground that a robot can be on: walls, and the sides of things.
+_STEEPEST_RAD = np.deg2rad(62.0)
+# A surface is ground where its rim is no higher over the ground round it than a wheel can take.
+_STEP_M = 0.06
+_JOINED_SHARE = 0.7
+_PASSES = 6
+_VAULT_RISE = 0.2
+# What has no ground under it is ground of its own from this share of the largest on.
+_ISLAND_SHARE, _ISLAND_M2 = 0.005, 4.0
+
+
+class Ground(NamedTuple):
+    """Heights on a grid; where they were found, not filled in (rows, columns); and the colours there.
+
+    `faces` (F,) tells of every triangle, in the order of the parts, whether it is part of the ground.
+    """
+
+    terrain: HeightField
+    known: Mask
+    colours: NDArray[np.float32]
+    faces: Mask
+
+
+def find_ground(parts: Sequence[Part], spacing_m: float | None, report: Report) -> Ground:
+    """The ground of the `parts`, sampled by rays straight down every `spacing_m`; None: chosen by its size.
+
+    Connected triangles that face up and are not steep make a surface. The widest that nothing as wide lies
+    under is ground, and so is every other whose rim meets the ground, such as a mound or a road, or that has
+    no ground under it. The rest stands on the ground or hangs over it. A part that says itself whether it is
+    ground is believed. Holes are filled smoothly, and warned of unless something stands on them.
+    """
+    soup = _soup(parts)
+    surface = _surfaces(soup)
+    if surface.max(initial=-1) < 0:
+        raise WorldError(
+            f"{report.source} has no triangle that faces up, so that there is no ground to drive on: "
+            "look whether its up axis is right (world.up) and its faces are not inside out."
+        )
+    is_ground = _grown(soup, surface, report)
+    low, high = extent_of(soup, is_ground)
+    step = grid_spacing(low, high, spacing_m)
+    x, y, origin = grid_axes(low, high, step)
+    heights, face = cast_down(soup, np.flatnonzero(is_ground), x, y, low, high)
+    known = face >= 0
+    colours = np.where(known[..., None], soup.colours[face], 0.0).astype(np.float32)
+    _warn_of_holes(soup, is_ground, known, x, y, report)
+    ground_heights = filled(heights, known)
+    smooth = [filled(colours[..., channel].astype(np.float64), known) for channel in range(3)]
+    colours = np.stack(smooth, axis=-1).astype(np.float32)
+    return Ground(HeightField(ground_heights, step, origin), known, colours, is_ground)
+
+
+def _soup(parts: Sequence[Part]) -> Triangles:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
+    claim = {True: 1, False: -1, None: 0}
+    claims = [
+        np.full(len(part.faces), claim[part.ground if part.solid else False], np.int8) for part in parts
+    ]
+    corners = vertices[faces]
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(doubled, axis=1)
+    return Triangles(
+        vertices,
+        faces.astype(np.int32),
+        np.concatenate([part.colours for part in parts]),
+        np.concatenate(claims),
+        doubled / np.maximum(length, 1e-30)[:, None],
+        length / 2,
+    )
+
+
+def _surfaces(soup: Triangles) -> NDArray[np.int64]:
+    """The number of the connected surface (F,) that each triangle belongs to, -1 for none."""
+    upward = (soup.normals[:, 2] > np.cos(_STEEPEST_RAD)) & (soup.claim >= 0)
+    if (soup.claim > 0).any():
+        # Where a file says what its ground is, nothing else is.
+        upward = soup.claim > 0
+    surface = np.full(len(soup.faces), -1, np.int64)
+    chosen = np.flatnonzero(upward)
+    if len(chosen):
+        surface[chosen] = joined_faces(welded(soup.vertices, soup.faces)[chosen])
+    return surface
+
+
+def _grown(soup: Triangles, surface: NDArray[np.int64], report: Report) -> Mask:
+    """Which triangles (F,) are ground."""
+    if (soup.claim > 0).any():
+        return soup.claim > 0
+    count = int(surface.max()) + 1
+    chosen = surface >= 0
+    flat_area = np.bincount(surface[chosen], (soup.areas * soup.normals[:, 2])[chosen], minlength=count)
+    ground = np.zeros(count, bool)
+    seed, vault = _seed(soup, surface, np.asarray(flat_area, np.float64))
+    ground[seed] = True
+    large = ~vault & (flat_area >= max(_ISLAND_M2, _ISLAND_SHARE * float(flat_area[~vault].max(initial=0.0))))
+    probes = _rim_probes(soup, surface)
+    for _ in range(_PASSES):
+        joined, over_none = _rims_on_ground(soup, ground[surface] & chosen, probes, count)
+        # Under all of a roof's inside there may be ground where its rim hangs over the edge.
+        islands = large & (over_none > 0.95) & ~_over(soup, ground[surface] & chosen, surface, count)
+        more = ~ground & ((joined >= _JOINED_SHARE) | islands)
+        if not more.any():
+            break
+        ground |= more
+    return ground[surface] & chosen
+
+
+def _seed(soup: Triangles, surface: NDArray[np.int64], flat_area: Array) -> tuple[int, NDArray[np.bool_]]:
+    """The widest surface, or the lowest of those over half as wide; and which ones (S,) are backdrops."""
+    member = np.argsort(surface, kind="stable")[int((surface < 0).sum()) :]
+    pieces = np.split(member, np.cumsum(np.bincount(surface[member]))[:-1])
+    large = [int(s) for s in np.flatnonzero(flat_area >= min(_ISLAND_M2, float(flat_area.max())))]
+    centre = {s: soup.vertices[soup.faces[pieces[s]]].mean(axis=(0, 1)) for s in large}
+    vault = np.zeros(len(flat_area), bool)
+    # A dome for the sky is wider than all under it.
+    vault[[s for s in large if _is_vault(soup.vertices[soup.faces[pieces[s]]], centre, s)]] = True
+    usable = [s for s in large if not vault[s]] or large
+    widest = max(flat_area[usable])
+    return min((s for s in usable if flat_area[s] > 0.5 * widest), key=lambda s: float(centre[s][2])), vault
+
+
+def _is_vault(corners: Array, centre: dict[int, Array], number: int) -> bool:
+    """Whether a surface rises like a dome and has another large one under it."""
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    if high[2] - low[2] < _VAULT_RISE * (high - low)[:2].max():
+        return False
+    return any(
+        (low[:2] < other[:2]).all() and (other[:2] < high[:2]).all() and other[2] < low[2]
+        for key, other in centre.items()
+        if key != number
+    )
+
+
+class _Probes(NamedTuple):
+    # Points on the rims of surfaces, the surface of each, how much rim it stands for [m], and away from it.
+    at: Array
+    surface: NDArray[np.int64]
+    weight: Array
+    outward: Array
+
+
+def _rim_probes(soup: Triangles, surface: NDArray[np.int64]) -> _Probes:
+    chosen = np.flatnonzero(surface >= 0)
+    ids = welded(soup.vertices, soup.faces)[chosen]
+    edge_face, edge_side = open_edges(ids)
+    face = chosen[edge_face]
+    start = soup.vertices[soup.faces[face, edge_side]]
+    end = soup.vertices[soup.faces[face, (edge_side + 1) % 3]]
+    opposite = soup.vertices[soup.faces[face, (edge_side + 2) % 3]]
+    along = (end - start)[:, :2]
+    length = np.linalg.norm(along, axis=1)
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
+    inward = ((opposite - start)[:, :2] * outward).sum(axis=1) > 0
+    outward[inward] *= -1
+    shares = np.array([0.15, 0.5, 0.85])
+    at = start[:, None] + shares[None, :, None] * (end - start)[:, None]
+    return _Probes(
+        at.reshape(-1, 3),
+        np.repeat(surface[face], len(shares)),
+        np.repeat(length, len(shares)),
+        np.repeat(outward, len(shares), axis=0),
+    )
+
+
+def _rims_on_ground(soup: Triangles, ground: Mask, probes: _Probes, count: int) -> tuple[Array, Array]:
+    """Shares (count,) of each surface's rim that meet the ground, and that have none over or under them."""
+    if not len(probes.at):
+        return np.zeros(count), np.zeros(count)
+    beside_m = 0.05
+    top = float(soup.vertices[:, 2].max()) + 1.0
+    far = top - float(soup.vertices[:, 2].min()) + 1.0
+    scene = RayScene(soup.vertices, soup.faces[ground])
+    origins = np.column_stack([probes.at[:, :2] + beside_m * probes.outward, np.full(len(probes.at), top)])
+    down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
+    hit, _ = scene.first_hit(origins, down, far)
+    found = hit < far
+    above = probes.at[:, 2] - (top - hit)
+    meets = found & (above < _STEP_M + beside_m * np.tan(_STEEPEST_RAD) / 2)
+    total = np.maximum(np.bincount(probes.surface, probes.weight, minlength=count), 1e-12)
+    joined = np.bincount(probes.surface, probes.weight * meets, minlength=count) / total
+    return joined, np.bincount(probes.surface, probes.weight * ~found, minlength=count) / total
+
+
+def _over(soup: Triangles, ground: Mask, surface: NDArray[np.int64], count: int) -> Mask:
+    """Which surfaces (count,) have ground over or under any of their triangles' centres."""
+    candidates = np.flatnonzero((surface >= 0) & ~ground)
+    centres = soup.vertices[soup.faces[candidates]].mean(axis=1)
+    top = float(soup.vertices[:, 2].max()) + 1.0
+    far = top - float(soup.vertices[:, 2].min()) + 1.0
+    scene = RayScene(soup.vertices, soup.faces[ground])
+    origins = np.column_stack([centres[:, :2], np.full(len(centres), top)])
+    hit, _ = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), far)
+    over = np.zeros(count, bool)
+    over[surface[candidates[hit < far]]] = True
+    return over
+
+
+def _warn_of_holes(soup: Triangles, ground: Mask, known: Mask, x: Array, y: Array, report: Report) -> None:
+    if known.all():
+        return
+    rows, columns = np.nonzero(~known)
+    top = float(soup.vertices[:, 2].max()) + 1.0
+    far = top - float(soup.vertices[:, 2].min()) + 1.0
+    origins = np.column_stack([x[columns], y[rows], np.full(len(rows), top)])
+    covered = np.zeros(len(rows), bool)
+    if not ground.all():
+        scene = RayScene(soup.vertices, soup.faces[~ground])
+        hit, _ = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), far)
+        covered = hit < far
+    share = float((~covered).sum()) / known.size
+    if share > 0.001:
+        report.warn(
+            f"{share:.1%} of its rectangle of {x[-1] - x[0]:.0f} by {y[-1] - y[0]:.0f} m has no ground; "
+            "the holes are filled smoothly"
+        )

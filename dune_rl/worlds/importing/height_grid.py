@@ -1,0 +1,125 @@
+"""Heights on a regular grid, taken from triangles by rays straight down."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.rays import RayScene
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Bullet takes no mesh with more than 524,288 indices, and the terrain is one mesh.
+MAX_POINTS = 87_000
+
+_DEFAULT_POINTS = 80_000
+_FINEST_M = 0.05
+_SMALLEST_M, _LARGEST_M = 0.5, 20_000.0
+
+
+class Triangles(NamedTuple):
+    """All triangles of a world, in the order of its parts.
+
+    `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3), unit `normals` (F, 3) and `areas` (F,) [m2].
+    `claim` (F,) is 1 for what is said to be ground, -1 for what is said not to be, 0 for the rest.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    colours: NDArray[np.float32]
+    claim: NDArray[np.int8]
+    normals: Array
+    areas: Array
+
+
+def extent_of(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
+    points = soup.vertices[soup.faces[ground], :2].reshape(-1, 2)
+    low, high = points.min(axis=0), points.max(axis=0)
+    if (high - low).min() < _SMALLEST_M:
+        raise WorldError(
+            f"its ground is {high[0] - low[0]:.3g} by {high[1] - low[1]:.3g} m, too little to drive on: "
+            "look whether its unit is right (world.unit_m)."
+        )
+    if (high - low).max() > _LARGEST_M:
+        raise WorldError(
+            f"its ground is {high[0] - low[0]:.3g} by {high[1] - low[1]:.3g} m, too much for one world: "
+            "look whether its unit is right (world.unit_m), or cut out a piece."
+        )
+    return low, high
+
+
+def grid_spacing(low: Array, high: Array, wanted: float | None) -> float:
+    width, depth = high - low
+    if wanted is None:
+        least = max(_FINEST_M, float(np.sqrt(width * depth / _DEFAULT_POINTS)))
+        # A whole number of cells from edge to edge.
+        return float(width / max(1.0, np.floor(width / least + 1e-9)))
+    if (width / wanted + 1) * (depth / wanted + 1) > MAX_POINTS:
+        least = float(np.sqrt(width * depth / MAX_POINTS)) * 1.01
+        raise WorldError(
+            f"world.spacing_m={wanted:g} makes more than {MAX_POINTS:,} points: "
+            f"set it to {least:.2g} or more."
+        )
+    if min(width, depth) < wanted:
+        raise WorldError(
+            f"world.spacing_m={wanted:g} is more than the ground's {min(width, depth):.2f} m: lower it."
+        )
+    return wanted
+
+
+def grid_axes(low: Array, high: Array, step: float) -> tuple[Array, Array, tuple[float, float]]:
+    cells = np.maximum(np.floor((high - low) / step + 1e-6).astype(int), 1)
+    start = (low + high - cells * step) / 2
+    x, y = (start[k] + step * np.arange(cells[k] + 1) for k in (0, 1))
+    return x, y, (float(start[0]), float(start[1]))
+
+
+def cast_down(
+    soup: Triangles, ground: NDArray[np.intp], x: Array, y: Array, low: Array, high: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """Heights (rows, columns) of the topmost ground and its triangle, -1 where there is none."""
+    # A ray along the outermost edge may miss it by a rounding.
+    inside = 1e-6 * (high - low) + 1e-6
+    at = np.stack(np.meshgrid(np.clip(x, low[0] + inside[0], high[0] - inside[0]),
+                              np.clip(y, low[1] + inside[1], high[1] - inside[1])), axis=-1)  # fmt: skip
+    xy = at.reshape(-1, 2)
+    middle = (low + high) / 2
+    # Round the middle, where single precision is finest.
+    vertices = soup.vertices - [*middle, 0.0]
+    top = float(vertices[:, 2].max()) + 1.0
+    far = top - float(vertices[:, 2].min()) + 1.0
+    scene = RayScene(vertices, soup.faces[ground])
+    origins = np.column_stack([xy - middle, np.full(len(xy), top)]).astype(np.float32)
+    down = np.zeros_like(origins)
+    down[:, 2] = -1.0
+    hits = scene.hits(origins, down, np.full(len(xy), far, np.float32))
+    face = np.where(hits.face >= 0, ground[hits.face], -1)
+    heights = np.where(face >= 0, _height_on(soup, face, xy), 0.0)
+    return heights.reshape(len(y), len(x)), face.reshape(len(y), len(x))
+
+
+def _height_on(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:
+    # In double precision, from the triangle's plane; kept between its corners where that is steep.
+    corner = soup.vertices[soup.faces[face]]
+    normal = soup.normals[face]
+    z = corner[:, 0, 2] - ((xy - corner[:, 0, :2]) * normal[:, :2]).sum(axis=1) / np.maximum(
+        normal[:, 2], 1e-6
+    )
+    return np.clip(z, corner[..., 2].min(axis=1), corner[..., 2].max(axis=1))
+
+
+def filled(values: Array, known: Mask) -> Array:
+    """`values` (rows, columns) with what is not `known` replaced by a smooth surface."""
+    if known.all():
+        return np.asarray(values, np.float64)
+    index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    out = np.asarray(values, np.float64)[tuple(index)]
+    # From coarse to fine: each round takes out what the coarser one left rough.
+    for radius in (16, 8, 4, 2, 1):
+        for _ in range(12):
+            smooth = ndimage.uniform_filter(out, 2 * radius + 1, mode="nearest")
+            out = np.where(known, out, smooth)
+    return out

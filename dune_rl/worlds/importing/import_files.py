@@ -1,0 +1,210 @@
+"""Files of worlds from elsewhere, which nobody has checked: read within their folder and within bounds."""
+
+import io
+import os
+import stat
+import warnings
+from pathlib import Path
+from typing import Any, NoReturn
+from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import TreeBuilder as _TreeBuilder
+
+import defusedxml
+import numpy as np
+from defusedxml.ElementTree import DefusedXMLParser
+from numpy.typing import NDArray
+from PIL import Image
+
+from dune_rl.errors import WorldError
+
+MAX_FILE_BYTES = 256 * 2**20
+MAX_FACES = 4_000_000
+
+_MAX_XML_BYTES = 128 * 2**20
+_MAX_XML_DEPTH = 128
+_MAX_PIXELS = 64_000_000
+# Colours are taken a triangle at a time: more texels than this would not be seen.
+_TEXTURE_PIXELS = 1024
+
+
+class WorldWarning(UserWarning):
+    """What of an imported world is missing, or is not taken over."""
+
+
+class Report:
+    """What is to be warned of about one import: each text is given once, however often it is met.
+
+    It is kept until `tell`, since the libraries that read files have their own warnings silenced meanwhile.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self.texts: list[str] = []
+
+    def warn(self, text: str) -> None:
+        """Note `text`, unless that has been said."""
+        if text not in self.texts:
+            self.texts.append(text)
+
+    def tell(self) -> None:
+        """Give the warnings noted so far, with the file's name before each."""
+        texts, self.texts = self.texts, []
+        for text in texts:
+            warnings.warn(f"{self.source}: {text}", WorldWarning, stacklevel=3)
+
+
+class OutsideFolderError(WorldError):
+    """A name that leads out of the folder that a world may be read from."""
+
+
+class Folder:
+    """The files of a world: those under `root`, wherever links lead; names are seen from `base` in it."""
+
+    def __init__(self, root: Path, base: Path | None = None) -> None:
+        self.root = root.resolve()
+        self.base = root if base is None else base
+
+    def at(self, base: Path) -> "Folder":
+        """The same files, named from another folder."""
+        return Folder(self.root, base)
+
+    def find(self, name: str) -> Path:
+        """The path of a file; `OutsideFolderError` if it leads out, `FileNotFoundError` if not there."""
+        relative = name.strip().removeprefix("file://").replace("\\", "/")
+        if "\0" in relative or not relative:
+            raise FileNotFoundError(name)
+        try:
+            path = Path(os.path.abspath(self.base / relative))
+            real = path.resolve()
+            if not real.is_relative_to(self.root):
+                raise OutsideFolderError(
+                    f"{shown(name)} leads out of the folder {self.root}: it is not read. "
+                    "Copy what the world needs into that folder."
+                )
+            if not real.is_file():
+                raise FileNotFoundError(name)
+        except (OSError, ValueError) as error:
+            if isinstance(error, FileNotFoundError):
+                raise
+            raise FileNotFoundError(name) from None
+        return path
+
+    def read(self, name: str) -> bytes:
+        """The bytes of a file in the folder."""
+        return read_bytes(self.find(name))
+
+
+def existing(path: str | Path) -> Path:
+    """`path` as given in settings, `~` expanded; `WorldError` where there is nothing."""
+    found = Path(path).expanduser()
+    if not found.exists():
+        raise WorldError(f"there is no file {found}: world.path must name one that exists.")
+    return found
+
+
+def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
+    """All of a plain file of at most `limit` bytes; anything else is a `WorldError`."""
+    try:
+        state = path.stat()
+        if not stat.S_ISREG(state.st_mode):
+            raise WorldError(f"{path} is no plain file: world.path must name one.")
+        if state.st_size > limit:
+            raise WorldError(
+                f"{path} has {state.st_size / 2**20:,.0f} MiB, and at most {limit / 2**20:.0f} are read: "
+                "export it with fewer triangles or pixels."
+            )
+        with path.open("rb") as file:
+            return file.read(limit)
+    except OSError as error:
+        raise WorldError(f"{path} cannot be read: {error.strerror or error}.") from None
+
+
+class _Shallow(_TreeBuilder):
+    # Trees deeper than any real file would overflow the stack of whoever walks them.
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = 0
+
+    def start(self, tag: Any, attributes: Any) -> Any:
+        self._depth += 1
+        if self._depth > _MAX_XML_DEPTH:
+            raise WorldError(f"its elements are nested more than {_MAX_XML_DEPTH} deep")
+        return super().start(tag, attributes)
+
+    def end(self, tag: Any) -> Any:
+        self._depth -= 1
+        return super().end(tag)
+
+
+def read_xml(data: bytes, name: str) -> Element:
+    """The root element of an XML text without entities or external parts; `WorldError` for any other."""
+    if len(data) > _MAX_XML_BYTES:
+        raise WorldError(
+            f"{name} has {len(data) / 2**20:,.0f} MiB of XML, and at most {_MAX_XML_BYTES / 2**20:.0f} are "
+            "read: export it with fewer triangles, or as GLB."
+        )
+    parser = DefusedXMLParser(target=_Shallow(), forbid_dtd=False, forbid_entities=True, forbid_external=True)
+    try:
+        parser.feed(data)
+        root: Element = parser.close()
+    except defusedxml.DefusedXmlException:
+        raise WorldError(
+            f"{name} declares XML entities or refers to external ones, which are not read: "
+            "remove its DOCTYPE."
+        ) from None
+    except WorldError as error:
+        raise WorldError(f"{name} is not read: {error}.") from None
+    except (ParseError, ValueError, LookupError) as error:
+        raise WorldError(f"{name} is no valid XML ({first_line(error)}): export it again.") from None
+    return root
+
+
+def read_image(data: bytes) -> NDArray[np.float32]:
+    """RGB (rows, columns, 3) in [0, 1] of a picture, smaller where large; `ValueError` for no picture."""
+    return shrunk(open_image(data))
+
+
+def open_image(data: bytes) -> Image.Image:
+    """A picture of bounded size, not yet decoded; `ValueError` where it is none."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = Image.open(io.BytesIO(data))
+    except Exception as error:
+        raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
+    if image.width * image.height > _MAX_PIXELS:
+        raise ValueError(f"it has {image.width} by {image.height} pixels, more than {_MAX_PIXELS:,}")
+    return image
+
+
+def shrunk(image: Image.Image) -> NDArray[np.float32]:
+    """RGB (rows, columns, 3) in [0, 1] of a picture, at most 1,024 pixels a side."""
+    if image.width * image.height > _MAX_PIXELS:
+        raise ValueError(f"it has {image.width} by {image.height} pixels, more than {_MAX_PIXELS:,}")
+    try:
+        image.draft("RGB", (_TEXTURE_PIXELS, _TEXTURE_PIXELS))
+        image = image.convert("RGB")
+        image.thumbnail((_TEXTURE_PIXELS, _TEXTURE_PIXELS))
+        return np.asarray(image, np.float32) / 255.0
+    except Exception as error:
+        raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
+
+
+def unreadable(name: str, kind: str, error: BaseException) -> NoReturn:
+    """Raises the `WorldError` for a file that a library could not read."""
+    raise WorldError(
+        f"{name} is no {kind} that can be read ({type(error).__name__}: {first_line(error)}): "
+        "open it in a program that shows it, and export it again."
+    ) from None
+
+
+def first_line(error: BaseException | str) -> str:
+    """The first line of a message, cut to a readable length."""
+    text = str(error).strip()
+    return shown(text.splitlines()[0]) if text else "no reason given"
+
+
+def shown(name: str, longest: int = 120) -> str:
+    """A text out of a file as messages show it: printable and not too long."""
+    text = "".join(letter if letter.isprintable() else "?" for letter in name)
+    return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -1,0 +1,167 @@
+"""Worlds put together from imported parts: ground, things, their clearance, and a place to spawn in."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.light import LightConf
+from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.importing.ground_from_mesh import find_ground
+from dune_rl.worlds.importing.import_files import Report
+from dune_rl.worlds.importing.parts import GREY, Part
+from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
+from dune_rl.worlds.importing.things import ImportedProp, things_on
+from dune_rl.worlds.world import Rectangle, World
+
+Floats = NDArray[np.float32]
+
+_REGION_M = 8.0
+# A robot of this size should find room in the region, whatever robot comes.
+_ROBOT_RADIUS_M, _SLOPE_DEG, _EDGE_M = 0.6, 20.0, 1.5
+_REGION_CELL_M = 0.25
+# At the edge of the world, half its width away, a square must be this much freer, halved.
+_FAR_COSTS = 0.4
+
+
+class ImportedWorld(World):
+    """A world from a file.
+
+    `ground_colours` (rows, columns, 3) are the ground's colours (sRGB) at the points of its grid, None where
+    the file has none; `light` is the file's sun, None where it has none. The colours of each prop's faces are
+    in its `face_colours`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        terrain: HeightField,
+        props: Sequence[ImportedProp],
+        *,
+        region: Rectangle,
+        friction: float = 1.0,
+        ground_colours: Floats | None = None,
+        light: LightConf | None = None,
+    ) -> None:
+        super().__init__(name, terrain, props, region=region, friction=friction, ground=_look(ground_colours))
+        self.ground_colours = ground_colours
+        self.light = light
+
+    @cached_property
+    def clearance_field(self) -> ClearanceField:
+        """The distance field behind `clearance` (`SurfaceClearance`)."""
+        solid = [prop for prop in self.props if prop.solid]
+        return SurfaceClearance(
+            self.terrain,
+            [(prop.vertices, prop.faces) for prop in solid if not prop.drivable],
+            [(prop.vertices, prop.faces) for prop in solid if prop.drivable],
+        )
+
+
+def assembled(
+    name: str,
+    parts: Sequence[Part],
+    report: Report,
+    *,
+    spacing_m: float | None,
+    friction: float,
+    region: Rectangle | None,
+    light: LightConf | None = None,
+) -> ImportedWorld:
+    """The world of the `parts`: ground and things told apart, a region chosen where none is given."""
+    ground = find_ground(parts, spacing_m, report)
+    things = things_on(parts, ground.faces, ground.terrain, report)
+    return with_region(
+        ImportedWorld(
+            name,
+            ground.terrain,
+            things,
+            region=ground.terrain.extent,
+            friction=friction,
+            ground_colours=ground.colours,
+            light=light,
+        ),
+        region,
+        report,
+        ground.known,
+    )
+
+
+def with_region(
+    world: ImportedWorld,
+    region: Rectangle | None,
+    report: Report,
+    known: NDArray[np.bool_] | None = None,
+) -> ImportedWorld:
+    """The same world with `region`, or with one of up to 8 by 8 m that has most free and level ground.
+
+    `known` is where the terrain's heights are not filled in; None: everywhere.
+    """
+    world.region = region if region is not None else best_region(world, report, known)
+    return world
+
+
+def checked_region(region: Rectangle | None) -> Rectangle | None:
+    """The same rectangle; `WorldError` where it has no area."""
+    if region is not None and not (region[0] < region[1] and region[2] < region[3]):
+        raise WorldError(f"world.region must be (xmin, xmax, ymin, ymax) with min < max, not {region}.")
+    return region
+
+
+def best_region(world: World, report: Report, known: NDArray[np.bool_] | None = None) -> Rectangle:
+    """The square of 8 m (less in a small world) with the most ground that a robot can stand on."""
+    xmin, xmax, ymin, ymax = world.extent
+    edge = min(_EDGE_M, 0.15 * min(xmax - xmin, ymax - ymin))
+    free = FreeSpace(world, _ROBOT_RADIUS_M, _SLOPE_DEG, cell_m=_REGION_CELL_M, edge_m=edge)
+    good = free.traversable
+    if known is not None and not known.all():
+        row = np.clip(np.round((free.y - ymin) / world.terrain.spacing_m).astype(int), 0, known.shape[0] - 1)
+        column = np.clip(
+            np.round((free.x - xmin) / world.terrain.spacing_m).astype(int), 0, known.shape[1] - 1
+        )
+        good &= known[np.ix_(row, column)]
+    labels, count = ndimage.label(good)
+    if not count:
+        report.warn(
+            f"no ground is level (under {_SLOPE_DEG:g} degrees) and free enough to start on; set world.region"
+        )
+        return world.extent
+    part = labels == int(np.bincount(labels[labels > 0]).argmax())
+    wide = min(_REGION_M, xmax - xmin - 2 * edge, ymax - ymin - 2 * edge)
+    cells = max(1, min(int(wide / free.cell_m), *part.shape))
+    share = _window_sums(part, cells)
+    # Among squares that are about as free, one near the middle of the world.
+    rows, columns = np.indices(share.shape).reshape(2, -1)
+    x, y = free.x[columns] + wide / 2, free.y[rows] + wide / 2
+    away = np.hypot((x - (xmin + xmax) / 2) / (xmax - xmin), (y - (ymin + ymax) / 2) / (ymax - ymin))
+    nearest = int((share.reshape(-1) / share.max() - _FAR_COSTS * away).argmax())
+    left = float(free.x[columns[nearest]] - free.cell_m / 2)
+    low = float(free.y[rows[nearest]] - free.cell_m / 2)
+    return left, left + cells * free.cell_m, low, low + cells * free.cell_m
+
+
+def _window_sums(grid: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
+    # How many are True in each square of `size`, by its lowest row and column.
+    total = np.zeros((grid.shape[0] + 1, grid.shape[1] + 1), np.int64)
+    total[1:, 1:] = grid.cumsum(axis=0).cumsum(axis=1)
+    return total[size:, size:] - total[:-size, size:] - total[size:, :-size] + total[:-size, :-size]
+
+
+def _look(colours: Floats | None) -> Ground:
+    """A ground in the mean of its colours: a little darker and lighter in patches, and bare where steep."""
+    mean = np.array(GREY) if colours is None else colours.reshape(-1, 3).mean(axis=0)
+    if np.allclose(mean, GREY, atol=0.02):
+        # Nothing known of its colour: dry earth.
+        mean = np.array([0.58, 0.48, 0.37])
+
+    def toned(factor: float) -> tuple[float, float, float]:
+        red, green, blue = np.clip(mean * factor, 0.0, 1.0)
+        return float(red), float(green), float(blue)
+
+    return Ground(low=toned(0.9), high=toned(1.1), bare=toned(0.8), bare_from_rad=0.45, contrast=0.8)

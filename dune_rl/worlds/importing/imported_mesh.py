@@ -1,0 +1,89 @@
+"""A world from a mesh file: .dae, .obj, .stl, .ply or .glb."""
+
+from fnmatch import fnmatch
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.errors import WorldError
+from dune_rl.settings import Settings
+from dune_rl.worlds.importing.import_files import Folder, Report, existing
+from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region
+from dune_rl.worlds.importing.mesh_files import UpAxis, mesh_parts
+from dune_rl.worlds.importing.parts import Part
+from dune_rl.worlds.world import Rectangle
+
+# Further out, single precision is coarser than a millimetre.
+_FAR_M = 5_000.0
+
+
+class MeshConf(Settings):
+    """Settings of `build_mesh`."""
+
+    name: Literal["mesh"] = "mesh"
+    path: str = Field(min_length=1, description="the file; its textures lie in its folder or below")
+    unit_m: float | None = Field(
+        default=None, gt=0.0, le=1e4, description="length of the file's unit; None: as it says, else a metre"
+    )
+    up: UpAxis | None = Field(
+        default=None, description="the file's axis that is up; None: as it says, else z"
+    )
+    spacing_m: float | None = Field(
+        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen by the size"
+    )
+    ground: tuple[str, ...] = Field(
+        default=(), description="names of the parts that are the ground, * for any letters; none: found out"
+    )
+    friction: float = Field(default=1.0, gt=0.0, le=5.0)
+    region: Rectangle | None = Field(
+        default=None, description="xmin, xmax, ymin, ymax of the spawn region; None: the freest level square"
+    )
+
+
+def build_mesh(conf: MeshConf) -> ImportedWorld:
+    """The world in a file, its ground told apart from what stands on it; `WorldError` where that cannot be.
+
+    Nothing outside the file's folder is read. What is missing or not taken over is a `WorldWarning`.
+    """
+    path = existing(conf.path)
+    report = Report(path.name)
+    folder = Folder(path.resolve().parent, path.resolve().parent)
+    parts = mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
+    parts = _near_origin(_claimed(parts, conf.ground), report)
+    world = assembled(
+        "mesh",
+        parts,
+        report,
+        spacing_m=conf.spacing_m,
+        friction=conf.friction,
+        region=checked_region(conf.region),
+    )
+    report.tell()
+    return world
+
+
+def _claimed(parts: list[Part], patterns: tuple[str, ...]) -> list[Part]:
+    if not patterns:
+        return parts
+    known = [any(fnmatch(part.name, pattern) for pattern in patterns) for part in parts]
+    if not any(known):
+        names = ", ".join(sorted({part.name for part in parts})[:12])
+        raise WorldError(f"world.ground={list(patterns)} names none of the file's parts; it has {names}.")
+    return [
+        Part(part.name, part.vertices, part.faces, part.colours, part.about, claim, part.solid)
+        for part, claim in zip(parts, known, strict=True)
+    ]
+
+
+def _near_origin(parts: list[Part], report: Report) -> list[Part]:
+    """The parts, moved so that their middle is the origin if they lie very far from it."""
+    low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
+    high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
+    middle = np.round((low + high) / 2)
+    if np.abs(middle).max() < _FAR_M:
+        return parts
+    report.warn("lies far from its origin and is moved there, by ({:g}, {:g}, {:g}) m".format(*-middle))
+    matrix = np.eye(4)
+    matrix[:3, 3] = -middle
+    return [part.moved(matrix) for part in parts]

@@ -1,0 +1,173 @@
+"""What importers find in files: named triangles with colours, and what things are likely to be by name."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dune_rl.worlds.importing.import_files import Report
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+GREY = (0.6, 0.6, 0.6)
+
+# Likely colours of what has no texture, by a word in a name: looked for in this order.
+_COLOURS: tuple[tuple[str, tuple[float, float, float]], ...] = (
+    ("solar", (0.10, 0.16, 0.38)),
+    ("water", (0.20, 0.42, 0.55)),
+    ("red", (0.55, 0.20, 0.15)),
+    ("white", (0.82, 0.81, 0.78)),
+    ("wood", (0.50, 0.36, 0.22)),
+    ("plank", (0.50, 0.36, 0.22)),
+    ("bark", (0.36, 0.27, 0.20)),
+    ("leaf", (0.28, 0.38, 0.16)),
+    ("tree", (0.28, 0.38, 0.16)),
+    ("grass", (0.38, 0.42, 0.22)),
+    ("metal", (0.58, 0.59, 0.60)),
+    ("steel", (0.58, 0.59, 0.60)),
+    ("brick", (0.60, 0.36, 0.28)),
+    ("concrete", (0.66, 0.65, 0.62)),
+    ("rock", (0.52, 0.49, 0.45)),
+    ("sand", (0.76, 0.68, 0.52)),
+)
+_GROUND = {"ground", "terrain", "landscape", "heightmap", "heightfield", "dem", "soil", "grounds", "lawn"}
+_WATER = {"water", "lake", "pond", "river", "sea", "ocean"}
+_SHAPELESS = {
+    *("cube", "plane", "mesh", "object", "node", "geometry", "gltf", "cylinder", "sphere", "cone", "group"),
+    *("default", "obj", "material", "mat", "part", "shape", "empty", "scene", "root", "model", "link"),
+    *("collision", "visual", "box", "polysurface", "defaultobject", "geom", "untitled", "world"),
+    *("stl", "ply", "glb", "dae"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles of one thing in a file: `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3) in sRGB.
+
+    `about` holds further words on what it is, such as its material. `ground` says whether it is ground, None
+    where that has yet to be found out. What is not `solid` can only be seen.
+    """
+
+    name: str
+    vertices: Array
+    faces: NDArray[np.int32]
+    colours: Floats
+    about: str = ""
+    ground: bool | None = None
+    solid: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        colours: ArrayLike | None = None,
+        about: str = "",
+        *,
+        ground: bool | None = None,
+        solid: bool = True,
+    ) -> "Part":
+        """A part; `colours` is one (3,) for all, one a face (F, 3), or None for a guess by name."""
+        corners = np.asarray(faces, np.int32).reshape(-1, 3)
+        rgb = likely_colour(f"{name} {about}") if colours is None else colours
+        each = np.broadcast_to(np.clip(np.asarray(rgb, np.float32), 0.0, 1.0), (len(corners), 3))
+        points = np.asarray(vertices, np.float64).reshape(-1, 3)
+        return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid)
+
+    def moved(self, matrix: Array) -> "Part":
+        """The same part under a transform (4, 4); a mirrored one keeps its outside outside."""
+        if np.array_equal(matrix, np.eye(4)):
+            return self
+        vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        faces = self.faces[:, ::-1].copy() if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
+        return Part(self.name, vertices, faces, self.colours, self.about, self.ground, self.solid)
+
+    @property
+    def words(self) -> set[str]:
+        """The words of its name and of what is known about it, in lower case."""
+        return set(_words(f"{self.name} {self.about}"))
+
+    @property
+    def is_named_ground(self) -> bool:
+        return bool(set(_words(self.name)) & _GROUND)
+
+    @property
+    def is_named_water(self) -> bool:
+        return bool(self.words & _WATER)
+
+    @property
+    def kind(self) -> str:
+        """One or two words for what it is: of its name, or of its material where the name says nothing."""
+        for text in (self.name, self.about):
+            said = [w for w in dict.fromkeys(_words(text)) if w not in _SHAPELESS and len(w) > 1]
+            if said:
+                return " ".join(said[:2])
+        return "thing"
+
+
+def likely_colour(text: str) -> tuple[float, float, float]:
+    """A guess at the colour (sRGB) of what is called that: grey where no word tells."""
+    low = text.lower()
+    return next((colour for word, colour in _COLOURS if word in low), GREY)
+
+
+def without_faults(parts: Sequence[Part], report: Report) -> list[Part]:
+    """The parts without triangles that have no area or wrong numbers, which are warned of."""
+    kept: list[Part] = []
+    for part in parts:
+        inside = np.all((part.faces >= 0) & (part.faces < len(part.vertices)), axis=1)
+        good: NDArray[np.bool_] = np.array(inside, bool)
+        if inside.any():
+            corners = part.vertices[part.faces[inside]]
+            with np.errstate(all="ignore"):
+                doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+                # Embree and the engines count in single precision.
+                finite = (np.abs(corners) < 1e7).all(axis=(1, 2)) & np.isfinite(doubled).all(axis=1)
+                good[inside] = finite & (np.abs(doubled).max(axis=1) > 1e-12)
+            if not finite.all():
+                report.warn("has vertices that are NaN or infinite; the triangles with them are left out")
+        if not inside.all():
+            report.warn("has triangles whose vertices do not exist; they are left out")
+        if good.any():
+            kept.append(_used(part, good))
+    return kept
+
+
+def _used(part: Part, faces: NDArray[np.bool_]) -> Part:
+    # Only the vertices in use: others may be NaN, or far away.
+    used, index = np.unique(part.faces[faces], return_inverse=True)
+    return Part(
+        part.name,
+        part.vertices[used],
+        index.reshape(-1, 3).astype(np.int32),
+        part.colours[faces],
+        part.about,
+        part.ground,
+        part.solid,
+    )
+
+
+def texture_colours(image: Floats, uv: Array) -> Floats:
+    """Mean colours (F, 3) of triangles in a picture (rows, columns, 3), `uv` (F, 3, 2) from lower left."""
+    rows, columns = image.shape[:2]
+    # All inside, or the picture's other edge would show at the seams.
+    weights = np.array([[8, 2, 2], [2, 8, 2], [2, 2, 8], [4, 4, 4], [5, 5, 2], [2, 5, 5], [5, 2, 5]]) / 12.0
+    uv = np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0)
+    at = np.einsum("pc,fcx->fpx", weights, uv)
+    at -= np.floor(at)
+    column = np.minimum((at[..., 0] * columns).astype(np.intp), columns - 1)
+    row = np.minimum(((1.0 - at[..., 1]) * rows).astype(np.intp), rows - 1)
+    colours = image[row, column].mean(axis=1)
+    # A triangle that repeats the picture has its mean, not that of a few texels.
+    tiled = np.ptp(uv, axis=1).prod(axis=1) > 0.5
+    colours[tiled] = image.mean(axis=(0, 1))
+    return colours.astype(np.float32)
+
+
+def _words(text: str) -> list[str]:
+    parted = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
+    return [word for word in re.split(r"[^a-z]+", parted.lower()) if word]

@@ -1,0 +1,134 @@
+"""Where the files of Gazebo models are: `model://` names, and paths beside a file."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.import_files import (
+    Folder,
+    OutsideFolderError,
+    Report,
+    read_bytes,
+    read_xml,
+    shown,
+)
+
+RESOURCE_VARIABLE = "GZ_SIM_RESOURCE_PATH"
+
+_MODEL_FILE_BYTES = 32 * 2**20
+_NAMES = ("world.sdf", "model.sdf")
+
+
+class Library:
+    """Files by their URIs: beside the world's file and below, and in the folders of GZ_SIM_RESOURCE_PATH.
+
+    `model://NAME/...` is looked for in the world's own folder if that is called NAME, in the folder NAME or
+    models/NAME in it, and in the folder NAME of each resource folder. Nothing else is read: links that
+    lead out of these are refused.
+    """
+
+    def __init__(self, folder: Path, report: Report) -> None:
+        self.folder = Folder(folder)
+        self._report = report
+        self._resources = [
+            Path(p).expanduser() for p in os.environ.get(RESOURCE_VARIABLE, "").split(":") if p
+        ]
+        self._xml: dict[Path, Element] = {}
+
+    def find(self, uri: str, beside: Folder) -> tuple[Path, Folder] | None:
+        """A file or folder, and the folder that it may name files in; None, with a warning, if not there.
+
+        `OutsideFolderError` where the URI leads out of where it may.
+        """
+        scheme, separator, rest = uri.strip().partition("://")
+        if separator and scheme in ("model", "package"):
+            found = self._model(rest)
+        elif separator and scheme != "file":
+            self._report.warn(f"{scheme}:// addresses are not supported: {shown(uri)} is left out")
+            return None
+        else:
+            found = _inside(beside, rest if separator else uri.strip())
+        if found is None:
+            self._report.warn(
+                f"{shown(uri)} is missing and left out; "
+                f"put its folder beside the file, or into {RESOURCE_VARIABLE}"
+            )
+        return found
+
+    def _model(self, rest: str) -> tuple[Path, Folder] | None:
+        name, _, inner = rest.replace("\\", "/").partition("/")
+        if name in ("", ".", "..") or "\0" in rest:
+            raise OutsideFolderError(f"model://{shown(rest)} names no model: write model://NAME/FILE.")
+        own = [self.folder.root] if self.folder.root.name == name else []
+        for root in (*own, self.folder.root / name, self.folder.root / "models" / name):
+            if root.is_dir():
+                if not root.resolve().is_relative_to(self.folder.root):
+                    raise OutsideFolderError(
+                        f"{root} is a link that leads out of {self.folder.root}: it is not read."
+                    )
+                found = _inside(Folder(root), inner)
+                if found is not None:
+                    return found
+        for resource in self._resources:
+            # What a user put there may be a link itself.
+            if (resource / name).is_dir():
+                found = _inside(Folder(resource / name), inner)
+                if found is not None:
+                    return found
+        return None
+
+    def document(self, path: Path) -> Element:
+        """The root of an SDF file, read once."""
+        real = path.resolve()
+        if real not in self._xml:
+            root = read_xml(read_bytes(path, _MODEL_FILE_BYTES), path.name)
+            if root.tag != "sdf":
+                raise WorldError(f"{path} is no SDF file: its root is <{shown(root.tag, 40)}>, not <sdf>.")
+            self._xml[real] = root
+        return self._xml[real]
+
+    def description(self, folder: Path, within: Folder) -> Path:
+        """The SDF file of a model's or world's folder: what model.config names last, or the usual names."""
+        names: list[str] = []
+        config = folder / "model.config"
+        if config.is_file():
+            within.at(folder).find("model.config")
+            root = read_xml(read_bytes(config, _MODEL_FILE_BYTES), config.name)
+            listed = [(_version(element), (element.text or "").strip()) for element in root.iter("sdf")]
+            names = [name for _, name in sorted(listed, key=lambda item: item[0], reverse=True) if name]
+        for name in (*names, *_NAMES):
+            try:
+                return within.at(folder).find(name)
+            except FileNotFoundError:
+                continue
+        found = sorted(p for ending in ("*.sdf", "*.world") for p in folder.glob(ending))
+        if len(found) == 1:
+            return within.at(folder).find(found[0].name)
+        listing = ", ".join(p.name for p in found[:8]) or "none"
+        raise WorldError(
+            f"{folder} has no model.sdf or world.sdf (of .sdf and .world: {listing}): name the file."
+        )
+
+
+def _inside(folder: Folder, inner: str) -> tuple[Path, Folder] | None:
+    """A file, or the folder itself or one in it, where that lies in `folder`."""
+    base = Path(os.path.abspath(folder.base / inner)) if inner else folder.base
+    try:
+        real = base.resolve()
+        if not real.is_relative_to(folder.root):
+            raise OutsideFolderError(
+                f"{shown(inner)} leads out of the folder {folder.root}: it is not read. "
+                "Copy what the world needs into that folder."
+            )
+        if real.is_dir():
+            return base, Folder(real)
+        return (base, folder) if real.is_file() else None
+    except (OSError, ValueError):
+        return None
+
+
+def _version(element: Element) -> tuple[int, ...]:
+    words: Sequence[str] = (element.get("version") or "0").split(".")
+    return tuple(int(word) if word.isdigit() else 0 for word in words[:3])

@@ -1,0 +1,99 @@
+"""Numbers, poses and simple shapes of SDF files."""
+
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.import_files import shown
+
+Array = NDArray[np.float64]
+Mesh = tuple[Array, NDArray[np.int32]]
+
+_ROUND_SIDES = 24
+_LARGEST_M = 1e5
+
+
+def numbers(element: Element | None, count: int, default: tuple[float, ...]) -> Array:
+    """The `count` finite numbers that an element holds; the default where there is no element or no text."""
+    text = None if element is None else (element.text or "").strip()
+    if not text or element is None:
+        return np.array(default, np.float64)
+    try:
+        found = np.array([float(word) for word in text.split()], np.float64)
+    except ValueError:
+        found = np.zeros(0)
+    if len(found) != count or not np.isfinite(found).all():
+        raise WorldError(f"<{element.tag}> must hold {count} numbers (got {shown(text, 60)!r}).")
+    return found
+
+
+def pose_of(element: Element) -> Array:
+    """The transform (4, 4) of an element's <pose>: x y z [m], roll pitch yaw [rad] unless it says other."""
+    pose = element.find("pose")
+    if pose is None:
+        return np.eye(4)
+    matrix = np.eye(4)
+    if pose.get("rotation_format") == "quat_xyzw":
+        found = numbers(pose, 7, (0, 0, 0, 0, 0, 0, 1))
+        x, y, z, w = found[3:] / max(float(np.linalg.norm(found[3:])), 1e-12)
+        matrix = trimesh.transformations.quaternion_matrix([w, x, y, z])
+    else:
+        found = numbers(pose, 6, (0,) * 6)
+        angles = np.deg2rad(found[3:]) if pose.get("degrees") in ("true", "1") else found[3:]
+        matrix = trimesh.transformations.euler_matrix(angles[0], angles[1], angles[2], "sxyz")
+    matrix = np.asarray(matrix, np.float64)
+    matrix[:3, 3] = found[:3]
+    return matrix
+
+
+def simple_shape(element: Element) -> Mesh | None:
+    """The closed surface of a <box>, <cylinder>, <cone>, <sphere>, <ellipsoid> or <capsule>; else None."""
+    kind = element.tag
+    if kind == "box":
+        solid = trimesh.creation.box(_lengths(element, "size", 3, (1, 1, 1)))
+    elif kind == "cylinder":
+        radius, length = _round(element)
+        solid = trimesh.creation.cylinder(radius, length, sections=_ROUND_SIDES)
+    elif kind == "cone":
+        radius, length = _round(element)
+        solid = trimesh.creation.cone(radius, length, sections=_ROUND_SIDES)
+        solid.vertices[:, 2] -= length / 2
+    elif kind == "capsule":
+        radius, length = _round(element)
+        solid = trimesh.creation.capsule(length, radius, count=(_ROUND_SIDES, _ROUND_SIDES))
+        solid.vertices[:, 2] -= solid.vertices[:, 2].min() + radius + length / 2
+    elif kind == "sphere":
+        radius = float(_lengths(element, "radius", 1, (1,))[0])
+        solid = trimesh.creation.icosphere(2, radius)
+    elif kind == "ellipsoid":
+        solid = trimesh.creation.icosphere(2, 1.0)
+        solid.vertices *= _lengths(element, "radii", 3, (1, 1, 1))
+    else:
+        return None
+    return np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int32)
+
+
+def plane(element: Element, least_m: Array) -> Mesh:
+    """A <plane> as two triangles of its size, and at least `least_m` (2,): to physics it has no end."""
+    normal = numbers(element.find("normal"), 3, (0, 0, 1))
+    length = float(np.linalg.norm(normal))
+    if length < 1e-9:
+        raise WorldError("<normal> of a <plane> must not be zero.")
+    half = np.maximum(_lengths(element, "size", 2, (1, 1)), least_m) / 2
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 1.0]
+    turn = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], normal / length)[:3, :3]
+    return corners @ np.asarray(turn).T, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+def _round(element: Element) -> tuple[float, float]:
+    return float(_lengths(element, "radius", 1, (0.5,))[0]), float(_lengths(element, "length", 1, (1,))[0])
+
+
+def _lengths(element: Element, name: str, count: int, default: tuple[float, ...]) -> Array:
+    found = numbers(element.find(name), count, default)
+    if not ((found > 0) & (found <= _LARGEST_M)).all():
+        raise WorldError(f"<{name}> of a <{element.tag}> must be above 0 and at most {_LARGEST_M:g} m.")
+    return found

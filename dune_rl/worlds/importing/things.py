@@ -1,0 +1,202 @@
+"""What stands on the ground of an imported world: triangles grouped into closed props."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.importing.import_files import Report
+from dune_rl.worlds.importing.parts import Part
+from dune_rl.worlds.importing.topology import closed, joined_faces, welded
+from dune_rl.worlds.world import Prop
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Ids = NDArray[np.int64]
+
+MAX_PROPS = 400
+# Bullet takes no mesh with more than 131,072 vertices or 524,288 indices.
+_MOST_FACES = 40_000
+# Pieces with vertices in one cell of this size are one prop.
+_CELL_M = 0.5
+# Up to as many, pieces are also joined where their bounding boxes overlap.
+_MOST_COMPARED = 2_000
+# What lies this close to the ground, or below it, is the ground's: its skirts, its steep faces, decals.
+_FLUSH_M = 0.02
+_LONGEST_STEEP_M = 1.5
+_BACKDROP_M = 50.0
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedProp(Prop):
+    """A prop from a file; `face_colours` (F, 3) in sRGB are those of its faces, `colour` their mean."""
+
+    face_colours: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+
+
+def things_on(
+    parts: Sequence[Part], is_ground: NDArray[np.bool_], terrain: HeightField, report: Report
+) -> list[ImportedProp]:
+    """Props of the triangles that are not ground; `is_ground` (F,) runs over all parts in their order.
+
+    A part falls into the groups of its pieces that are near each other. What lies within the ground, or flush
+    with it, is left out.
+    """
+    starts = np.cumsum([0, *(len(part.faces) for part in parts)])
+    found: list[tuple[Part, list[_Piece]]] = []
+    for part, start in zip(parts, starts[:-1], strict=True):
+        rest = np.flatnonzero(~is_ground[start : start + len(part.faces)])
+        far = _far_out(part, rest, terrain)
+        if far.any():
+            report.warn(f"{part.name!r} reaches far beyond the ground; what does is left out")
+        pieces = list(_pieces(part, rest[~far], terrain))
+        if pieces:
+            found += [(part, group) for group in _groups(pieces)]
+    if len(found) > MAX_PROPS:
+        report.warn(f"{len(found)} separate things are joined into one for each part of the file")
+        found = _by_part(found)
+    return _named(found)
+
+
+def _far_out(part: Part, faces: NDArray[np.intp], terrain: HeightField) -> NDArray[np.bool_]:
+    """Triangles of a backdrop, such as a dome for the sky: pictures and clearance would be made of it."""
+    xmin, xmax, ymin, ymax = terrain.extent
+    reach = max(_BACKDROP_M, 0.5 * max(xmax - xmin, ymax - ymin))
+    bottom, top = terrain.heights.min() - reach, terrain.heights.max() + reach
+    corners = part.vertices[part.faces[faces]]
+    beyond = (corners < [xmin - reach, ymin - reach, bottom]) | (corners > [xmax + reach, ymax + reach, top])
+    return np.asarray(beyond.any(axis=(1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    vertices: Array
+    faces: NDArray[np.int32]
+    colours: Floats
+
+
+def _pieces(part: Part, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
+    """The connected pieces of some faces of a part, each made closed."""
+    if not len(rest):
+        return
+    height = terrain.height(part.vertices[:, :2])
+    over = part.vertices[:, 2] - height
+    if part.solid:
+        rest = rest[~_within_ground(part, rest, over, terrain)]
+        if not len(rest):
+            return
+    number = joined_faces(welded(part.vertices, part.faces[rest]))
+    order = np.argsort(number, kind="stable")
+    for piece in np.split(rest[order], np.flatnonzero(np.diff(number[order])) + 1):
+        faces = part.faces[piece]
+        if part.solid and (over[faces] < _FLUSH_M).all():
+            continue
+        vertices, corners, source = closed(part.vertices, faces, height)
+        yield _Piece(vertices, corners, part.colours[piece][source])
+
+
+def _within_ground(
+    part: Part, faces: NDArray[np.intp], over: Array, terrain: HeightField
+) -> NDArray[np.bool_]:
+    """Steep faces of the terrain itself: all of them lies on its surface, within what its grid can tell."""
+    reach = max(_FLUSH_M, 0.5 * terrain.spacing_m)
+    near = (np.abs(over[part.faces[faces]]) < reach).all(axis=1)
+    near &= np.ptp(part.vertices[part.faces[faces], 2], axis=1) < _LONGEST_STEEP_M
+    # A thin plate or a low kerb is near the ground too: only single sheets are the ground's.
+    corners = part.vertices[part.faces[faces]]
+    centre = corners.mean(axis=1)
+    near &= np.abs(centre[:, 2] - terrain.height(centre[:, :2])) < reach / 2
+    return near & (part.ground is not False) & is_single_sheet(part)
+
+
+def is_single_sheet(part: Part) -> bool:
+    # A terrain has as good as nothing that faces down; a closed thing has as much as faces up.
+    corners = part.vertices[part.faces]
+    upward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    return bool(upward[upward > 0].sum() > 5 * -upward[upward < 0].sum())
+
+
+def _groups(pieces: list[_Piece]) -> list[list[_Piece]]:
+    """Pieces together with those near them: in overlapping boxes, or with vertices in the same cells."""
+    if len(pieces) == 1:
+        return [pieces]
+    owner = np.repeat(np.arange(len(pieces)), [len(piece.vertices) for piece in pieces])
+    cells = np.floor(np.concatenate([piece.vertices for piece in pieces]) / _CELL_M).astype(np.int64)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    nodes = len(pieces) + int(cell.max()) + 1
+    pairs = np.stack([owner, len(pieces) + cell.reshape(-1)])
+    if len(pieces) <= _MOST_COMPARED:
+        pairs = np.concatenate([pairs, _overlapping(pieces)], axis=1)
+    graph = coo_array((np.ones(pairs.shape[1], np.int8), tuple(pairs)), shape=(nodes, nodes))
+    count, label = connected_components(graph, directed=False)
+    groups: list[list[_Piece]] = [[] for _ in range(count)]
+    for piece, number in zip(pieces, label[: len(pieces)], strict=True):
+        groups[number].append(piece)
+    return [group for group in groups if group]
+
+
+def _overlapping(pieces: list[_Piece]) -> Ids:
+    """Pairs (2, N) of the pieces whose bounding boxes overlap."""
+    low = np.array([piece.vertices.min(axis=0) for piece in pieces])
+    high = np.array([piece.vertices.max(axis=0) for piece in pieces])
+    overlap = np.ones((len(pieces), len(pieces)), bool)
+    for axis in range(3):
+        overlap &= low[:, None, axis] <= high[None, :, axis]
+    return np.stack(np.nonzero(overlap & overlap.T)).astype(np.int64)
+
+
+def _by_part(found: list[tuple[Part, list[_Piece]]]) -> list[tuple[Part, list[_Piece]]]:
+    # By kind where the file has too many parts even so.
+    together: dict[object, tuple[Part, list[_Piece]]] = {}
+    for by in (lambda part: id(part), lambda part: (part.kind, part.solid)):
+        together = {}
+        for part, pieces in found:
+            together.setdefault(by(part), (part, []))[1].extend(pieces)
+        if len(together) <= MAX_PROPS:
+            break
+    return list(together.values())
+
+
+def _named(found: list[tuple[Part, list[_Piece]]]) -> list[ImportedProp]:
+    props: list[ImportedProp] = []
+    taken: dict[str, int] = {}
+    for part, pieces in found:
+        for vertices, faces, colours in _in_bounds(pieces):
+            number = taken[part.name] = taken.get(part.name, 0) + 1
+            corners = vertices[faces]
+            area = np.linalg.norm(
+                np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+            )
+            red, green, blue = np.average(colours, axis=0, weights=area + 1e-12)
+            props.append(
+                ImportedProp(
+                    part.name if number == 1 else f"{part.name} #{number}",
+                    part.kind,
+                    vertices,
+                    faces.astype(np.int32),
+                    solid=part.solid and not part.is_named_water,
+                    colour=(float(red), float(green), float(blue)),
+                    face_colours=colours.astype(np.float32),
+                )
+            )
+    return props
+
+
+def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32], Floats]]:
+    """The pieces as one mesh, or as several where an engine would not take it; together these are closed."""
+    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
+    vertices = np.concatenate([piece.vertices for piece in pieces])
+    faces = np.concatenate([piece.faces + s for piece, s in zip(pieces, starts, strict=True)])
+    colours = np.concatenate([piece.colours for piece in pieces])
+    if len(faces) <= _MOST_FACES:
+        yield vertices, faces, colours
+        return
+    along = int(np.ptp(vertices[:, :2], axis=0).argmax())
+    order = np.argsort(vertices[faces, along].mean(axis=1), kind="stable")
+    for chosen in np.array_split(order, int(np.ceil(len(faces) / _MOST_FACES))):
+        used, index = np.unique(faces[chosen], return_inverse=True)
+        yield vertices[used], index.reshape(-1, 3).astype(np.int32), colours[chosen]

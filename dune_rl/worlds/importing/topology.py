@@ -1,0 +1,123 @@
+"""Which triangles hang together, and surfaces made closed."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+Ids = NDArray[np.int64]
+
+_WELD_M = 1e-4
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+SHELL_M = 0.02
+
+
+def welded(vertices: Array, faces: Faces) -> Ids:
+    """Faces (F, 3) as numbers of places: vertices within a tenth of a millimetre or so are one."""
+    cells = np.round(vertices / _WELD_M).astype(np.int64).view(np.uint64)
+    # A number for each cell: two of a million cells share one with a chance of 1 in 10 million.
+    key = cells[:, 0] * _MIX[0]
+    for axis in (1, 2):
+        key = (key ^ (key >> np.uint64(29))) * _MIX[axis] + cells[:, axis] * _MIX[axis - 1]
+    _, place = np.unique(key, return_inverse=True)
+    return np.asarray(place, np.int64).reshape(-1)[faces]
+
+
+def joined_faces(ids: Ids) -> Ids:
+    """The number of the piece (F,) that each face (F, 3) belongs to: faces that share an edge are of one."""
+    count = len(ids)
+    low, high = _edges(ids)
+    key = low * (int(ids.max(initial=0)) + 1) + high
+    _, edge = np.unique(key, return_inverse=True)
+    face = np.tile(np.arange(count), 3)
+    # Faces and edges as one graph of two kinds of nodes.
+    nodes = count + int(edge.max(initial=-1)) + 1
+    graph = coo_array((np.ones(len(face), np.int8), (face, count + edge.reshape(-1))), shape=(nodes, nodes))
+    _, label = connected_components(graph, directed=False)
+    return np.unique(label[:count], return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def open_edges(ids: Ids) -> tuple[Ids, Ids]:
+    """Face and side (N,) of the edges that only one of the faces (F, 3) has."""
+    low, high = _edges(ids)
+    key = low * (int(ids.max(initial=0)) + 1) + high
+    _, edge, uses = np.unique(key, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(uses[edge.reshape(-1)] == 1)
+    return single % len(ids), single // len(ids)
+
+
+def _edges(ids: Ids) -> tuple[Ids, Ids]:
+    # Sides 0 of all faces, then sides 1, then sides 2.
+    start, end = ids.T.reshape(-1), np.roll(ids, -1, axis=1).T.reshape(-1)
+    return np.minimum(start, end), np.maximum(start, end)
+
+
+def boundary(ids: Ids) -> tuple[Ids, Ids]:
+    """Start and end places (N,) of the directed edges that no face runs along the other way; may repeat."""
+    start, end = ids.T.reshape(-1), np.roll(ids, -1, axis=1).T.reshape(-1)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    count = int(ids.max(initial=0)) + 1
+    keys, edge = np.unique(low * count + high, return_inverse=True)
+    net = np.bincount(edge.reshape(-1), np.where(start < end, 1, -1), minlength=len(keys)).astype(int)
+    least, most = np.divmod(keys, count)
+    net[least == most] = 0
+    times = np.abs(net)
+    first, second = np.where(net > 0, least, most), np.where(net > 0, most, least)
+    return np.repeat(first, times), np.repeat(second, times)
+
+
+def closed(vertices: Array, faces: Faces, ground_height: Array) -> tuple[Array, Faces, NDArray[np.intp]]:
+    """The same piece as a closed surface that faces outward, and the face (F,) that each of its came from.
+
+    One that is open only at or below the ground (`ground_height` (V,) [m] under its vertices) is closed down
+    there, and so is solid. Any other open one is a sheet: it gets a back `SHELL_M` behind it.
+    """
+    # Numbered anew, so that vertices in one place are one.
+    ids = welded(vertices, faces)
+    _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
+    ids = ids.reshape(-1, 3)
+    origin = faces.reshape(-1)[index]
+    points, ground = vertices[origin], ground_height[origin]
+    start, end = boundary(ids)
+    source = np.arange(len(faces))
+    if not len(start):
+        if _volume(points, ids) < 0:
+            ids = ids[:, ::-1]
+        return points, ids.astype(np.int32), source
+    rim = np.concatenate([start, end])
+    if (points[rim, 2] <= ground[rim] + 0.03).all():
+        apex = points[rim].mean(axis=0)
+        apex[2] = min(float(points[rim, 2].min()), float(ground[rim].min())) - 0.1
+        caps = np.stack([end, start, np.full(len(start), len(points))], axis=1)
+        ids = np.concatenate([ids, caps])
+        points = np.concatenate([points, apex[None]])
+        if _volume(points, ids) < 0:
+            ids = ids[:, ::-1]
+        return points, ids.astype(np.int32), np.concatenate([source, np.zeros(len(caps), np.intp)])
+    return _shell(points, ids, start, end)
+
+
+def _shell(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Faces, NDArray[np.intp]]:
+    corners = points[ids]
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(points)
+    np.add.at(normals, ids.reshape(-1), np.repeat(doubled, 3, axis=0))
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    # Where sheets meet back to back there is no outside; any direction does.
+    normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
+    count = len(points)
+    both = np.concatenate([points + normals * SHELL_M / 2, points - normals * SHELL_M / 2])
+    sides = np.concatenate(
+        [np.stack([end, start, start + count], axis=1), np.stack([end, start + count, end + count], axis=1)]
+    )
+    faces = np.concatenate([ids, ids[:, ::-1] + count, sides]).astype(np.int32)
+    source = np.arange(len(ids))
+    return both, faces, np.concatenate([source, source, np.zeros(len(sides), np.intp)])
+
+
+def _volume(points: Array, ids: Ids) -> float:
+    # About the middle, where rounding matters least.
+    a, b, c = np.moveaxis(points[ids] - points.mean(axis=0), 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())
