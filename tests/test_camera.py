@@ -49,9 +49,8 @@ AHEAD: Box = (5.5, 0.0, 0.0, 1.0, 2.0, 1.0)
 
 def standing(name: str, box: Box, colour=(0.6, 0.6, 0.6), **settings) -> Prop:
     x, y, yaw, length, width, height = box
-    return Prop(
-        name, "box", *upright_box((x, y), yaw, -0.1, height, length, width), colour=colour, **settings
-    )
+    kind = "box" if settings.get("solid", True) else "water"
+    return Prop(name, kind, *upright_box((x, y), yaw, -0.1, height, length, width), colour=colour, **settings)
 
 
 def plain(*props: Prop) -> World:

@@ -3,6 +3,7 @@
 Each case runs in a process of its own, with little memory and time, which a crash would end.
 """
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 from world_files import SHARED_WORLDS
 
+HERE = Path(__file__).resolve().parent
 KINDS = ("obj", "stl", "ply", "glb", "dae", "sdf", "tif", "png", "npy")
 
 # Runs in the other process: arguments are a folder, kinds, and the seeds from and to.
@@ -50,6 +52,7 @@ def fuzz(folder: Path, kinds: str, first: int, last: int) -> dict[str, tuple[int
         capture_output=True,
         text=True,
         timeout=1800,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent)])},
     )
     lines = done.stdout.splitlines()
     assert done.returncode == 0, f"{lines[-1:]}: {done.returncode}\n{done.stderr[-3000:]}"

@@ -44,7 +44,8 @@ def plain(*props: Prop, heights: np.ndarray | None = None) -> World:
 
 
 def box(x: float, y: float, length: float, width: float, height: float, **settings) -> Prop:
-    return Prop("box", "box", *upright_box((x, y), 0.0, -0.1, height, length, width), **settings)
+    kind = "box" if settings.get("solid", True) else "water"
+    return Prop("box", kind, *upright_box((x, y), 0.0, -0.1, height, length, width), **settings)
 
 
 def painter(*props: Prop, **light) -> Painter:
