@@ -205,3 +205,25 @@ def test_a_neighbour_s_new_episode_changes_nothing():
 def test_settings_out_of_range_are_refused(settings, message):
     with pytest.raises(ValidationError, match=message):
         LidarRealismConf.model_validate(settings)
+
+
+def test_rings_have_the_same_faults():
+    from batches import real_batch
+
+    settings = {
+        "enabled": ["lidar_3d"],
+        "lidar_3d": {"n_rings": 4, "n_beams": 64, "outputs": ["range", "segmentation"]},
+    }
+    plain = real_batch("inspection", 2, sensors=settings).observe()
+    faulty = real_batch(
+        "inspection", 2, sensors=settings | {"realism": {"lidar_3d": {"noise_m": 0.05, "dropout": 0.3}}}
+    ).observe()
+    true, seen = plain["lidar_3d_range"], faulty["lidar_3d_range"]
+    returned = true < 30.0
+    lost = returned & (seen >= 30.0)
+    assert 0.2 < lost.sum() / returned.sum() < 0.4
+    assert (faulty["lidar_3d_segmentation"][lost] == 0).all()
+    kept = returned & ~lost
+    assert 0.03 < (seen - true)[kept].std() < 0.07
+    np.testing.assert_array_equal(faulty["lidar_3d_segmentation"][kept], plain["lidar_3d_segmentation"][kept])
+    assert (seen[~returned] >= 30.0).all()

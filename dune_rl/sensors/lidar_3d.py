@@ -1,7 +1,7 @@
 """A LiDAR of rings: range, intensity and segment of every beam."""
 
 from collections.abc import Sequence
-from typing import Literal, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,15 @@ Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 _CLEAR = Air()
+
+
+class RangeFaults(Protocol):
+    """What a real part makes of ranges; see `realism_lidar.BeamFaults`."""
+
+    def applied(self, ranges: Floats, now: Moment) -> Floats:
+        """`ranges` (M, N) [m] with faults."""
+        ...
+
 
 Lidar3dOutput = Literal["range", "intensity", "segmentation"]
 
@@ -79,8 +88,10 @@ class Lidar3d:
         figures: Sequence[Figure],
         num_scenes: int,
         air: Air = _CLEAR,
+        faults: RangeFaults | None = None,
     ) -> None:
         self.conf = conf
+        self._faults = faults
         self._solid, self._surface = solid, surface
         self._groups = groups(figures)
         self._brightness = [luminance(figure.shape.albedo) for figure, _ in self._groups]
@@ -114,7 +125,7 @@ class Lidar3d:
         rows = np.flatnonzero(mask)
         if not len(rows):
             return
-        if self._effects:
+        if self._effects or self._faults is not None:
             found = {name: values[rows] for name, values in self._scan_at(now).items()}
         else:
             found = self.scan(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
@@ -146,6 +157,12 @@ class Lidar3d:
                 lost = seen[changed] >= np.float32(self.conf.range_m)
                 segments[changed] = np.where(lost, np.uint8(Segment.SKY), np.uint8(effect.segment))
                 brightness[changed] = np.where(lost, np.float32(0.0), np.float32(effect.luminance))
+            ranges = seen
+        if self._faults is not None:
+            seen = self._faults.applied(ranges.reshape(len(now.position_w), -1), now).reshape(ranges.shape)
+            if not self._range_only:
+                lost = (seen >= np.float32(self.conf.range_m)) & (ranges < np.float32(self.conf.range_m))
+                segments[lost], brightness[lost] = Segment.SKY, 0.0
             ranges = seen
         return self._outputs(ranges, brightness, segments)
 

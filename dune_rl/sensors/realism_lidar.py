@@ -52,7 +52,8 @@ class BeamFaults:
     """Ranges as a real LiDAR gives them; they depend on the true ones and on the moment alone."""
 
     def __init__(self, conf: LidarRealismConf, lidar: LidarConf) -> None:
-        self._conf, self._lidar = conf, lidar
+        self._conf, self._name = conf, "lidar"
+        self._limits_m, self._count = (lidar.min_range_m, lidar.range_m), lidar.n_beams
         angles = beam_angles(lidar)
         self._full_circle = bool(np.isclose(lidar.fov_rad, 2 * np.pi))
         apart = float(angles[1] - angles[0]) if len(angles) > 1 else 0.0
@@ -60,22 +61,30 @@ class BeamFaults:
         self._slanted = 0.0 < apart < np.pi / 4 and len(angles) > 2
         self._cos, self._sin = np.float32(np.cos(apart)), np.float32(np.sin(apart))
 
+    @classmethod
+    def of_rings(cls, conf: LidarRealismConf, limits_m: tuple[float, float], count: int) -> Self:
+        """For `count` beams of rings, whose ranges end at `limits_m`; all count as met head-on."""
+        faults = cls(conf, LidarConf())
+        faults._name, faults._limits_m, faults._count, faults._slanted = "lidar 3d", limits_m, count, False
+        return faults
+
     def applied(self, ranges: Floats, now: Moment) -> Floats:
         """`ranges` (M, n_beams) [m] with faults: `range_m` where nothing returns, otherwise within limits."""
-        conf, lidar = self._conf, self._lidar
-        returned = ranges < np.float32(lidar.range_m)
+        conf = self._conf
+        nearest, farthest = (np.float32(limit) for limit in self._limits_m)
+        returned = ranges < farthest
         if conf.dropout > 0.0 or conf.half_return_m is not None:
-            chance = uniform(now.seed, "lidar return", now.episodes, now.steps, lidar.n_beams)
+            chance = uniform(now.seed, f"{self._name} return", now.episodes, now.steps, self._count)
             returned &= chance < self._return_share(ranges, now)
         measured = ranges
         if conf.noise_m > 0.0 or conf.noise_share > 0.0:
-            noise = normal(now.seed, "lidar noise", now.episodes, now.steps, lidar.n_beams)
+            noise = normal(now.seed, f"{self._name} noise", now.episodes, now.steps, self._count)
             noise *= np.float32(conf.noise_m) + np.float32(conf.noise_share) * ranges
             measured = ranges + noise
         if conf.quantum_m > 0.0:
             measured = np.rint(measured / np.float32(conf.quantum_m)) * np.float32(conf.quantum_m)
-        measured = np.minimum(np.maximum(measured, np.float32(lidar.min_range_m)), np.float32(lidar.range_m))
-        return np.where(returned, measured, np.float32(lidar.range_m))
+        measured = np.minimum(np.maximum(measured, nearest), farthest)
+        return np.where(returned, measured, farthest)
 
     def _return_share(self, ranges: Floats, now: Moment) -> Floats:
         """Share (M, n_beams) of beams that return.
@@ -91,7 +100,9 @@ class BeamFaults:
             return np.full_like(ranges, stays)
         low, high = conf.reflectance
         first = np.zeros_like(now.steps)
-        reflectance = low + (high - low) * uniform(now.seed, "lidar reflectance", now.episodes, first, 1)
+        reflectance = low + (high - low) * uniform(
+            now.seed, f"{self._name} reflectance", now.episodes, first, 1
+        )
         near: Floats = np.reciprocal(np.maximum(ranges, np.float32(1e-3)))
         light = near * near * self._cos_slant(near)
         light *= (reflectance * conf.half_return_m**2).astype(np.float32)

@@ -65,7 +65,7 @@ class SensorRealismConf(Settings):
 
     imu: ImuRealismConf | None = None
     lidar: LidarRealismConf | None = None
-    lidar_3d: RealismConf | None = None
+    lidar_3d: LidarRealismConf | None = None
     depth_strip: ReadingRealismConf | None = None
     height_scan: ReadingRealismConf | None = None
     camera: CameraRealismConf | None = None
@@ -172,12 +172,18 @@ def make_sensors(
     def plain(sensor: Sensor, faults: RealismConf | None) -> Sensor:
         return realistic(sensor, faults, num_scenes, step_s)
 
+    def rings() -> Sensor:
+        scan, faults = conf.lidar_3d, None
+        if real.lidar_3d is not None:
+            limits_m = (scan.min_range_m, scan.range_m)
+            faults = BeamFaults.of_rings(real.lidar_3d, limits_m, scan.n_rings * scan.n_beams)
+        lidar = Lidar3d(scan, solid, around.surface(), figures, num_scenes, around.air, faults)
+        return plain(lidar, real.lidar_3d)
+
     solid, figures, wheels = around.solid, around.figures, around.num_wheels
     makers: dict[str, Callable[[], Sensor]] = {
         "lidar": scanner,
-        "lidar_3d": lambda: plain(
-            Lidar3d(conf.lidar_3d, solid, around.surface(), figures, num_scenes, around.air), real.lidar_3d
-        ),
+        "lidar_3d": rings,
         "depth_strip": lambda: plain(
             DepthStrip(conf.depth_strip, solid, figures, num_scenes, around.air), real.depth_strip
         ),
