@@ -7,6 +7,7 @@ from dune_rl.actors.actor import Actors
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec, StaticBody
 from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.worlds.props import merge
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -19,10 +20,14 @@ def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsC
     """The bodies of one scene: terrain, solid props, actors and the robot."""
     vertices, faces = world.terrain.mesh()
     statics = [StaticBody("terrain", vertices, faces, world.friction, ground=True)]
+    # Every static body costs the engine a third of a microsecond a step; what is ground needs no name.
+    decks = [(prop.vertices, prop.faces) for prop in world.props if prop.solid and prop.drivable]
+    if decks:
+        statics.append(StaticBody("drivable props", *merge(decks), world.friction, ground=True))
     statics += [
-        StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=prop.drivable)
+        StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=False)
         for prop in world.props
-        if prop.solid
+        if prop.solid and not prop.drivable
     ]
     return SceneSpec(
         statics=tuple(statics),
