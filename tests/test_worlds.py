@@ -1,12 +1,10 @@
 """The worlds: their figures, their props' footing, and the clearance they tell."""
 
-import hashlib
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from world_digest import digest
+from world_measures import SEEDS, cached, digest_in_another_process, grid
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
@@ -16,19 +14,7 @@ from dune_rl.worlds.inspection import InspectionConf, build_inspection
 from dune_rl.worlds.props import beam, merge, slab, tube, upright_box
 from dune_rl.worlds.world import Prop, World
 
-SEEDS = range(10)
-_built: dict[int, World] = {}
-
-
-def inspection(seed: int) -> World:
-    if seed not in _built:
-        _built[seed] = build_inspection(InspectionConf(seed=seed))
-    return _built[seed]
-
-
-def grid(xmin: float, xmax: float, ymin: float, ymax: float, step: float) -> np.ndarray:
-    x, y = np.arange(xmin + step / 2, xmax, step), np.arange(ymin + step / 2, ymax, step)
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+inspection = cached(lambda seed: build_inspection(InspectionConf(seed=seed)))
 
 
 def level_world(*props: Prop, half: float = 10.0) -> World:
@@ -255,22 +241,9 @@ def test_yard_obstacles_are_seen_by_a_lidar_and_leave_one_free_part(seed):
         assert seen.mean() > 0.5, p.name
 
 
-def digest(world: World) -> str:
-    sums = hashlib.sha256(world.terrain.heights.tobytes())
-    for p in world.props:
-        sums.update(p.name.encode() + p.vertices.tobytes() + p.faces.tobytes())
-    sums.update(world.clearance(grid(-32, 32, -32, 32, 0.5)).tobytes())
-    return sums.hexdigest()
-
-
 def test_same_seed_same_bytes_in_another_process():
-    code = (
-        "from tests.test_worlds import digest;"
-        "from dune_rl.worlds.inspection import InspectionConf, build_inspection;"
-        "print(digest(build_inspection(InspectionConf(seed=3))))"
-    )
-    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == digest(build_inspection(InspectionConf(seed=3)))
+    other = digest_in_another_process("inspection", "InspectionConf(seed=3)")
+    assert other == digest(build_inspection(InspectionConf(seed=3)))
     assert digest(inspection(3)) != digest(inspection(4))
 
 

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
@@ -101,11 +102,12 @@ def _volume(triangles: np.ndarray) -> float:
 def digest_in_another_process(name: str, conf: str) -> str:
     """The digest of the world `name` with the settings `conf` (source text), built by a fresh interpreter."""
     code = (
-        "from tests.world_digest import digest\n"
+        "from world_digest import digest\n"
         f"from dune_rl.worlds.{name} import *\n"
         f"print(digest(build_{name}({conf})))"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    here = Path(__file__).parent
+    run = subprocess.run([sys.executable, "-c", code], cwd=here, capture_output=True, text=True, check=True)
     return run.stdout.strip()
 
 
