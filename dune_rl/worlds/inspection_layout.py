@@ -18,6 +18,7 @@ from dune_rl.worlds.inspection_terrain import (
     YARD_CENTRE,
     Gully,
 )
+from dune_rl.worlds.plan import Plan
 from dune_rl.worlds.props import bearing
 from dune_rl.worlds.world import Prop
 
@@ -32,6 +33,7 @@ _YARD_ARRAY_NEAR_M = 3.6
 _YARD_ARRAY_FAR_M = 5.2
 _WIDE_YARD_HALF_M = 7.0
 _TRIES = 400
+_POINT_SPACING_M = 0.25
 _YARD_KINDS = ("array", "pipe", "wall", "post", "post", "wall", "post", "stand", "post", "post")
 
 _MAIN_PIPE = ((-4.0, -25.0), (9.0, -25.0), (13.5, -8.5), (26.0, -7.5))
@@ -39,33 +41,10 @@ _MAIN_PIPE_LIFTS = (0.15, 1.1, 0.15)
 _COUNTS = {"array": 4, "culvert": 5, "wall": 4, "post": 8}
 
 
-class _Plan:
-    """The ground taken so far, as points that fill rectangles."""
-
-    def __init__(self) -> None:
-        self._taken = np.empty((0, 2))
-
-    def gap(self, xy: Array, yaw: float, length: float, width: float) -> float:
-        """Distance [m] from a rectangle to the nearest ground taken."""
-        if not len(self._taken):
-            return np.inf
-        offset = (self._taken - xy) @ np.stack([bearing(yaw), bearing(yaw + np.pi / 2)], axis=-1)
-        beyond = np.maximum(np.abs(offset) - [length / 2, width / 2], 0.0)
-        return float(np.hypot(beyond[:, 0], beyond[:, 1]).min())
-
-    def take(self, xy: Array, yaw: float, length: float, width: float) -> None:
-        u, v = (np.linspace(-side / 2, side / 2, 1 + int(np.ceil(side / 0.25))) for side in (length, width))
-        local = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        self.take_points(np.asarray(xy) + local @ np.stack([bearing(yaw), bearing(yaw + np.pi / 2)]))
-
-    def take_points(self, points: Array) -> None:
-        self._taken = np.concatenate([self._taken, points])
-
-
 def place_props(terrain: HeightField, gully: Gully, seed: int, yard_obstacles: int) -> list[Prop]:
     """All props of the world of `seed`, `yard_obstacles` of them in and round the training square."""
     rng = stream(seed, "inspection layout")
-    plan = _Plan()
+    plan = Plan(_POINT_SPACING_M)
     water = _water(terrain)
     plan.take_points(water.vertices[:, :2])
     props: list[Prop] = [water]
@@ -85,7 +64,7 @@ def _water(terrain: HeightField) -> Prop:
     return structures.water_table(terrain, "water table", lowest, float(heights.min()) + 0.6, 8.0)
 
 
-def _main_pipeline(terrain: HeightField, plan: _Plan) -> list[Prop]:
+def _main_pipeline(terrain: HeightField, plan: Plan) -> list[Prop]:
     nodes = np.array(_MAIN_PIPE)
     legs = []
     for i, lift in enumerate(_MAIN_PIPE_LIFTS):
@@ -109,7 +88,7 @@ class _Place:
 
 def _find(
     rng: np.random.Generator,
-    plan: _Plan,
+    plan: Plan,
     draw: Callable[[], Array],
     size: tuple[float, float],
     gap: float,
@@ -123,7 +102,7 @@ def _find(
     return None
 
 
-def _yard(terrain: HeightField, plan: _Plan, rng: np.random.Generator, count: int) -> list[Prop]:
+def _yard(terrain: HeightField, plan: Plan, rng: np.random.Generator, count: int) -> list[Prop]:
     props: list[Prop] = []
     for i, listed in enumerate(islice(cycle(_YARD_KINDS), count)):
         # One array and one pipe are what the square holds; further rounds of the list bring small things.
@@ -141,7 +120,7 @@ def _yard(terrain: HeightField, plan: _Plan, rng: np.random.Generator, count: in
 
 
 def _find_in_yard(
-    terrain: HeightField, plan: _Plan, rng: np.random.Generator, kind: str, size: tuple[float, float]
+    terrain: HeightField, plan: Plan, rng: np.random.Generator, kind: str, size: tuple[float, float]
 ) -> _Place | None:
     # In the training square while there is room, then in the wider square round it.
     inner, outer = (_YARD_ARRAY_NEAR_M, _YARD_ARRAY_FAR_M) if kind == "array" else (0.0, _YARD_REACH_M)
@@ -172,7 +151,7 @@ def _yard_size(rng: np.random.Generator, kind: str) -> tuple[float, float]:
     return sizes[kind]
 
 
-def _scatter(terrain: HeightField, plan: _Plan, rng: np.random.Generator) -> list[Prop]:
+def _scatter(terrain: HeightField, plan: Plan, rng: np.random.Generator) -> list[Prop]:
     def draw() -> Array:
         while True:
             xy = rng.uniform(-(HALF_MAIN_M - 3.0), HALF_MAIN_M - 3.0, 2)

@@ -7,13 +7,12 @@ from dune_rl.worlds.props import bearing
 
 Array = NDArray[np.float64]
 
-_POINT_SPACING_M = 0.2
-
 
 class Plan:
-    """The ground taken so far, as points that fill rectangles."""
+    """The ground taken so far, as points that fill rectangles, `spacing_m` apart."""
 
-    def __init__(self) -> None:
+    def __init__(self, spacing_m: float = 0.2) -> None:
+        self._spacing_m = spacing_m
         self._taken: Array = np.empty((0, 2))
 
     def gap(self, xy: ArrayLike, yaw: float, length: float, width: float) -> float:
@@ -28,12 +27,16 @@ class Plan:
     def take(self, xy: ArrayLike, yaw: float, length: float, width: float) -> None:
         """Enter a rectangle."""
         u, v = (
-            np.linspace(-side / 2, side / 2, 1 + int(np.ceil(side / _POINT_SPACING_M)))
+            np.linspace(-side / 2, side / 2, 1 + int(np.ceil(side / self._spacing_m)))
             for side in (length, width)
         )
         local = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         axes = np.stack([bearing(yaw), bearing(yaw + np.pi / 2)])
-        self._taken = np.concatenate([self._taken, np.asarray(xy) + local @ axes])
+        self.take_points(np.asarray(xy) + local @ axes)
+
+    def take_points(self, points: Array) -> None:
+        """Enter points (N, 2) [m]."""
+        self._taken = np.concatenate([self._taken, points])
 
 
 class Discs:
