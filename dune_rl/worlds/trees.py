@@ -1,5 +1,6 @@
 """Trees and bushes: trunks that block, and leaves that are only seen."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,17 +67,7 @@ def broadleaf(
     bark = _BARK[int(rng.integers(len(_BARK)))]
     return [
         Prop(f"{name} trunk", "tree", *merge(wood), colour=bark),
-        *(
-            Prop(
-                f"{name} leaves {number + 1}",
-                "leaves",
-                *merge(shade),
-                solid=False,
-                colour=colour,
-                segment=Segment.VEGETATION,
-            )
-            for number, (shade, colour) in enumerate(zip(leaves, _LEAVES, strict=True))
-        ),
+        *_foliage(f"{name} leaves", leaves, _LEAVES),
     ]
 
 
@@ -102,17 +93,21 @@ def conifer(
     bark = _BARK[int(rng.integers(len(_BARK)))]
     return [
         Prop(f"{name} trunk", "tree", *wood, colour=bark),
-        *(
-            Prop(
-                f"{name} needles {number + 1}",
-                "leaves",
-                *merge(tier),
-                solid=False,
-                colour=colour,
-                segment=Segment.VEGETATION,
-            )
-            for number, (tier, colour) in enumerate(zip(tiers, _NEEDLES, strict=True))
-        ),
+        *_foliage(f"{name} needles", tiers, _NEEDLES),
+    ]
+
+
+def _foliage(name: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colour]) -> list[Prop]:
+    return [
+        Prop(
+            f"{name} {number + 1}",
+            "leaves",
+            *merge(shade),
+            solid=False,
+            colour=colour,
+            segment=Segment.VEGETATION,
+        )
+        for number, (shade, colour) in enumerate(zip(shades, colours, strict=True))
     ]
 
 
