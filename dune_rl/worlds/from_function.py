@@ -51,7 +51,7 @@ def kind_of(function: Build, name: str, origin: str, base: type[WorldSettings]) 
         stated = own.model_fields.get("name")
         if stated is not None and stated.default != name:
             raise WorldError(f"{origin}, whose settings name another world: {stated.default!r}.")
-        settings = _settings(origin, name, function, (own, base), {})
+        settings = _settings(origin, name, function, (base, own), {})
         return WorldKind(settings, function, function, origin)
     fields = {parameter.name: _field(parameter, hints, origin) for parameter in parameters}
     settings = _settings(origin, name, function, (base,), fields)
@@ -81,24 +81,24 @@ def _settings(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            made: type[WorldSettings] = create_model(
-                f"{label}Conf",
-                __base__=bases,
-                __module__=function.__module__,
-                __doc__=function.__doc__,
-                **everything,
-            )
+            settings = _model(f"{label}Conf", bases, function, everything)
     except (PydanticUserError, TypeError, NameError, UserWarning) as error:
         reason = str(error).splitlines()[0]
         raise WorldError(f"{origin}, whose parameters cannot be settings: {reason}") from error
-    if not any(field.is_required() for field in made.model_fields.values()):
+    if not any(field.is_required() for field in settings.model_fields.values()):
         try:
-            made()
+            settings()
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"])) or "settings"
             raise WorldError(f"{origin}, whose default for {place} is unfit: {first['msg']}.") from error
-    return made
+    return settings
+
+
+def _model(name: str, bases: tuple[type[Any], ...], function: Build, fields: dict[str, Any]) -> type[Any]:
+    return create_model(
+        name, __base__=bases, __module__=function.__module__, __doc__=function.__doc__, **fields
+    )
 
 
 def _named(annotation: Any) -> str:
