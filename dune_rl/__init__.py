@@ -4,16 +4,19 @@
 batched TorchRL one. Each takes every setting that the command lines take.
 """
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from dune_rl.env.registration import register_envs
+from dune_rl.env.registration import register_env, register_envs
 from dune_rl.errors import CheckpointError, ConfigError, DuneError, PhysicsError, WorldError
 
 if TYPE_CHECKING:
     from dune_rl.env.gymnasium import GymnasiumEnv
     from dune_rl.env.pettingzoo import ParallelDuneEnv
     from dune_rl.env.torchrl import DuneEnv
+    from dune_rl.worlds.world import World
+
+Builder = TypeVar("Builder", bound="Callable[..., World]")
 
 __all__ = [
     "CheckpointError",
@@ -24,6 +27,7 @@ __all__ = [
     "gym_env",
     "make",
     "parallel_env",
+    "register_world",
 ]
 __version__ = "0.1.0"
 
@@ -40,6 +44,7 @@ def parallel_env(
     *,
     render_mode: Literal["rgb_array"] | None = None,
     overrides: Iterable[str] = (),
+    config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "ParallelDuneEnv":
     """A PettingZoo `ParallelEnv`: the agent `rover_0`, and one for each actor whose controller is external.
@@ -47,13 +52,15 @@ def parallel_env(
     `settings` are sections of the configuration: a name chooses an option
     (`actors="external_walkers"`), a mapping changes values
     (`task={"max_steps": 100}`). `overrides` are command-line words
-    (`["task.max_steps=100"]`). With `render_mode="rgb_array"`, `render()` gives
+    (`["task.max_steps=100"]`), `config_dirs` further folders of options, as
+    `--config-dir` does. With `render_mode="rgb_array"`, `render()` gives
     a picture of the rover. Raises `ConfigError` naming every fault.
     """
     from dune_rl.config.build import make_parallel_env
     from dune_rl.config.compose import compose_environment
 
-    return make_parallel_env(compose_environment(world, overrides, settings), seed, render_mode)
+    conf = compose_environment(world, overrides, settings, config_dirs=config_dirs)
+    return make_parallel_env(conf, seed, render_mode)
 
 
 def gym_env(
@@ -62,6 +69,7 @@ def gym_env(
     *,
     render_mode: Literal["rgb_array"] | None = None,
     overrides: Iterable[str] = (),
+    config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "GymnasiumEnv":
     """A Gymnasium `Env` of the rover alone; arguments as for `parallel_env`."""
@@ -69,7 +77,7 @@ def gym_env(
     from dune_rl.config.compose import compose_environment
     from dune_rl.config.schema import SingleAgentConf
 
-    conf = compose_environment(world, overrides, settings, SingleAgentConf)
+    conf = compose_environment(world, overrides, settings, SingleAgentConf, config_dirs=config_dirs)
     return make_gymnasium_env(conf, seed, render_mode)
 
 
@@ -79,10 +87,29 @@ def make(
     seed: int = 0,
     *,
     overrides: Iterable[str] = (),
+    config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "DuneEnv":
     """A TorchRL environment of batch size (num_scenes,); the other arguments as for `parallel_env`."""
     from dune_rl.config.build import make_torchrl_env
     from dune_rl.config.compose import compose_environment
 
-    return make_torchrl_env(compose_environment(world, overrides, settings), num_scenes, seed)
+    conf = compose_environment(world, overrides, settings, config_dirs=config_dirs)
+    return make_torchrl_env(conf, num_scenes, seed)
+
+
+def register_world(function: Builder) -> Builder:
+    """Make the world that a function builds known to this process by the function's name; a decorator too.
+
+    The function returns a `dune_rl.worlds.World`. Its parameters, which have
+    types and defaults, become the settings `world.PARAMETER`; or it takes one
+    `Settings` object. Worker processes get the function along. A package says
+    the same with an entry point of the group `dune_rl.worlds`, for command
+    lines too. Raises `WorldError` for a name that is taken, and for a function
+    whose parameters cannot be settings.
+    """
+    from dune_rl.worlds.registry import register
+
+    register(function)
+    register_env(function.__name__)
+    return function

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dune_rl import plugins
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.paths import conf_folder
 
@@ -126,10 +127,11 @@ def group_settings() -> list[tuple[str, str]]:
     found = []
     for folder in sorted(path for path in conf_folder().iterdir() if path.is_dir()):
         if folder.name != "experiment":
-            plus = "+" if folder.name == "world" else ""
-            found.append(
-                (f"{plus}{folder.name}=NAME", ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))))
-            )
+            options = {path.stem for path in folder.glob("*.yaml")}
+            if folder.name == "world":
+                found.append(("+world=NAME", ", ".join(sorted(options | set(plugins.worlds())))))
+            else:
+                found.append((f"{folder.name}=NAME", ", ".join(sorted(options))))
     return sorted(found, key=lambda item: not item[0].startswith("+"))
 
 

@@ -178,7 +178,7 @@ def _show_end(console: Console, conf: Conf, result: TrainingResult) -> None:
     lines += [
         "Try next:",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
-        f"  python -m dune_rl.evaluate policy=go_to_goal +world={conf.world.name} episodes=100 seed=1",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against=go_to_goal episodes=100 seed=1",
         f"  tensorboard --logdir {result.run_dir.parent}",
         f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * conf.total_frames}",
     ]

@@ -5,8 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
+from own_worlds import known, write
 
 from dune_rl import paths
+from dune_rl.command import arguments, config_dirs
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -33,16 +35,17 @@ PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 def compose_command(words: list[str]) -> None:
     program, *rest = words
-    overrides = [word for word in rest if not word.startswith("-")]
+    parsed = arguments(rest)
+    overrides, folders = parsed.overrides, config_dirs(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
     if program == "dune_rl.train" and given(overrides, "resume"):
-        compose_resumed(overrides, (), saved)
+        compose_resumed(overrides, folders, saved)
     elif program == "dune_rl.train":
-        check_sweep(overrides) if "-m" in rest else compose(overrides)
+        check_sweep(overrides, folders) if parsed.multirun else compose(overrides, folders)
     elif program == "dune_rl.evaluate":
-        compose_evaluation(overrides, (), saved if given(overrides, "checkpoint") else None)
+        compose_evaluation(overrides, folders, saved if given(overrides, "checkpoint") else None)
     elif program == "dune_rl.view":
-        compose_view(overrides, (), saved if given(overrides, "checkpoint") else None)
+        compose_view(overrides, folders, saved if given(overrides, "checkpoint") else None)
     else:
         assert program == "dune_rl.benchmark"
 
@@ -59,8 +62,10 @@ def test_readme_opens_with_two_commands_that_set_themselves_up() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_commands_compose(command: str) -> None:
-    compose_command(shlex.split(command))
+def test_commands_compose(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(write(README, tmp_path))
+    with known(tmp_path):
+        compose_command(shlex.split(command))
 
 
 def test_a_stale_command_would_be_noticed() -> None:

@@ -2,21 +2,15 @@
 
 from functools import lru_cache
 
-from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
+from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.rover_zero import RoverZero
-from dune_rl.worlds.construction import ConstructionConf, build_construction
-from dune_rl.worlds.flat import FlatConf, build_flat
-from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
-from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
-from dune_rl.worlds.importing.sdf import SdfConf, build_sdf
-from dune_rl.worlds.inspection import InspectionConf, build_inspection
-from dune_rl.worlds.island import IslandConf, build_island
-from dune_rl.worlds.rubicon import RubiconConf, build_rubicon
+from dune_rl.worlds import registry
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
 
@@ -38,25 +32,9 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
 
 
 @lru_cache(maxsize=4)
-def build_world(conf: WorldConf) -> World:
+def build_world(conf: WorldSettings) -> World:
     """The world; equal settings share one, which nothing ever changes."""
-    match conf:
-        case FlatConf():
-            return build_flat(conf)
-        case InspectionConf():
-            return build_inspection(conf)
-        case ConstructionConf():
-            return build_construction(conf)
-        case RubiconConf():
-            return build_rubicon(conf)
-        case IslandConf():
-            return build_island(conf)
-        case MeshConf():
-            return build_mesh(conf)
-        case HeightmapConf():
-            return build_heightmap(conf)
-        case SdfConf():
-            return build_sdf(conf)
+    return registry.build(conf)
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:

@@ -3,12 +3,15 @@
 import difflib
 import types
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from dune_rl.errors import ConfigError
+from dune_rl.errors import ConfigError, WorldError
+from dune_rl.worlds import registry
+from dune_rl.worlds.settings import WorldSettings
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -177,6 +180,9 @@ def _member(annotation: Any, value: Any) -> type[BaseModel] | None:
     """Which settings class of a type a value belongs to: by its `name` where there are several."""
     candidates = list(_models(annotation))
     tag = value.get("name") if isinstance(value, Mapping) else None
+    if WorldSettings in candidates and isinstance(tag, str):
+        with suppress(WorldError):
+            return registry.settings_class(tag)
     for candidate in candidates:
         field = candidate.model_fields.get("name")
         if field is not None and tag is not None and field.default == tag:

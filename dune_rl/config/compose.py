@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -23,6 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from dune_rl import paths
 from dune_rl.config import overrides as command_line
+from dune_rl.config import worlds
 from dune_rl.config.checks import one_of, unique, validated
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
 from dune_rl.errors import ConfigError
@@ -68,6 +69,8 @@ def compose_environment(
     world: str | Mapping[str, Any],
     overrides: Iterable[str] = (),
     settings: Mapping[str, Any] | None = None,
+    *,
+    config_dirs: Sequence[str] = (),
 ) -> EnvConf: ...
 @overload
 def compose_environment(
@@ -75,12 +78,16 @@ def compose_environment(
     overrides: Iterable[str],
     settings: Mapping[str, Any] | None,
     model: type[Model],
+    *,
+    config_dirs: Sequence[str] = (),
 ) -> Model: ...
 def compose_environment(
     world: str | Mapping[str, Any],
     overrides: Iterable[str] = (),
     settings: Mapping[str, Any] | None = None,
     model: type[EnvConf] = EnvConf,
+    *,
+    config_dirs: Sequence[str] = (),
 ) -> EnvConf:
     """The settings of an environment alone.
 
@@ -92,7 +99,8 @@ def compose_environment(
     for name, value in {"world": world, **(settings or {})}.items():
         if isinstance(value, Mapping) and "name" in value:
             words.append(f"{name}={value['name']}")
-            changes[name] = value
+            # The option states its own name, which need not be its file's.
+            changes[name] = {key: given for key, given in value.items() if key != "name"}
         elif name == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
             # As on the command line: a list is of sensors.
             changes[name] = {"enabled": list(value)}
@@ -100,7 +108,7 @@ def compose_environment(
             words.append(f"{name}={value}")
         else:
             changes[name] = value
-    with _hydra() as loader:
+    with _hydra(config_dirs) as loader:
         request = command_line.read(words, loader)
         data = _merged(_plain(_composed("environment", request, loader)), changes)
         return validated(model, data, _earlier(request, data, loader))
@@ -173,6 +181,8 @@ def _hydra(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
         # Not `initialize_config_dir`, which knows no second folder to search.
         setbase("1.3")
         search_path = create_config_search_path(str(paths.conf_folder()))
+        worlds.offer(config_dirs)
+        OmegaConf.register_new_resolver("config_dir", partial(_in_folders, tuple(config_dirs)), replace=True)
         for folder in config_dirs:
             search_path.prepend("command-line", f"file://{Path(folder).resolve()}")
         yield Hydra.create_main_hydra2("dune_rl", search_path).config_loader
@@ -182,6 +192,16 @@ def _hydra(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
         GlobalHydra.instance().clear()
         if before is not None:
             Singleton.set_state(before)
+
+
+def _in_folders(folders: Sequence[str], name: str) -> str:
+    """A file in the user's folder of options, absolute: what `${config_dir:name}` stands for."""
+    for folder in folders:
+        path = Path(folder).resolve() / name
+        if path.exists():
+            return str(path)
+    where = " or ".join(folders) or "a folder of options (--config-dir)"
+    raise ConfigError(f"there is no file {name} in {where}")
 
 
 def _composed(name: str, request: command_line.Request, loader: ConfigLoader) -> DictConfig:

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dune_rl.actors.actor import ActorConf
+from dune_rl.config.worlds import WorldConf
 from dune_rl.learning.checkpoint import CheckpointConf
 from dune_rl.learning.collect import CollectorConf
 from dune_rl.learning.evaluation import EvaluationConf
@@ -17,26 +18,6 @@ from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
-from dune_rl.worlds.construction import ConstructionConf
-from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap import HeightmapConf
-from dune_rl.worlds.importing.imported_mesh import MeshConf
-from dune_rl.worlds.importing.sdf import SdfConf
-from dune_rl.worlds.inspection import InspectionConf
-from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.rubicon import RubiconConf
-
-WorldConf = Annotated[
-    FlatConf
-    | InspectionConf
-    | ConstructionConf
-    | RubiconConf
-    | IslandConf
-    | MeshConf
-    | HeightmapConf
-    | SdfConf,
-    Field(discriminator="name"),
-]
 
 
 class EnvConf(Settings):

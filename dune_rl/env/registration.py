@@ -1,13 +1,23 @@
 """Gymnasium ids under `dune_rl/`, registered by entry point: `gymnasium.make` needs no import."""
 
+import re
+
 import gymnasium
+
+from dune_rl import plugins
 
 _WORLDS = ("flat", "inspection", "construction", "rubicon", "island")
 
 
 def register_envs() -> None:
     """Register one id for each world, such as `dune_rl/Inspection-v0`; twice is harmless."""
-    for world in _WORLDS:
-        name = f"dune_rl/{world.capitalize()}-v0"
-        if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point="dune_rl:gym_env", kwargs={"world": world})
+    for world in (*_WORLDS, *plugins.worlds()):
+        register_env(world)
+
+
+def register_env(world: str) -> None:
+    """Register the id of one world: of `lunar_base` it is `dune_rl/LunarBase-v0`."""
+    title = "".join(part[:1].upper() + part[1:] for part in re.split("[_-]", world))
+    name = f"dune_rl/{title}-v0"
+    if name not in gymnasium.registry:
+        gymnasium.register(name, entry_point="dune_rl:gym_env", kwargs={"world": world})

@@ -1,0 +1,35 @@
+"""Worlds, and what one builds them of: a function that returns a `World` is all that another one takes."""
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.scenery import Segment
+from dune_rl.seeding import stream
+from dune_rl.settings import Settings
+from dune_rl.worlds.grass import Grass, grow
+from dune_rl.worlds.ground import GRAVEL, MEADOW, Ground
+from dune_rl.worlds.props import beam, merge, slab, tube, upright_box
+from dune_rl.worlds.rocks import rock
+from dune_rl.worlds.roughness import rough_field
+from dune_rl.worlds.soundness import check_world
+from dune_rl.worlds.world import Prop, World
+
+__all__ = [
+    "GRAVEL",
+    "MEADOW",
+    "Grass",
+    "Ground",
+    "HeightField",
+    "Prop",
+    "Segment",
+    "Settings",
+    "World",
+    "beam",
+    "check_world",
+    "grow",
+    "merge",
+    "rock",
+    "rough_field",
+    "slab",
+    "stream",
+    "tube",
+    "upright_box",
+]

@@ -8,10 +8,10 @@ from pydantic import Field, model_validator
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 from dune_rl.worlds.construction_layout import place_things
 from dune_rl.worlds.construction_walls import build_storey
 from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ _CONCRETE = Ground(
 )
 
 
-class ConstructionConf(Settings):
+class ConstructionConf(WorldSettings):
     """Settings of `build_construction`."""
 
     name: Literal["construction"] = "construction"

@@ -6,16 +6,16 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.settings import Settings
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.ground import GRAVEL
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
 # Contact solvers lose precision on triangles much longer than the robot.
 _SPACING_M = 5.0
 
 
-class FlatConf(Settings):
+class FlatConf(WorldSettings):
     """Settings of `build_flat`."""
 
     name: Literal["flat"] = "flat"

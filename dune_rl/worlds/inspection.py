@@ -4,14 +4,14 @@ from typing import Literal
 
 from pydantic import Field
 
-from dune_rl.settings import Settings
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.inspection_layout import place_props
 from dune_rl.worlds.inspection_terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
 
-class InspectionConf(Settings):
+class InspectionConf(WorldSettings):
     """Settings of `build_inspection`.
 
     Every `seed` gives another site of the same family: the slopes, the relief

@@ -10,12 +10,12 @@ from pydantic import Field, model_validator
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 from dune_rl.worlds.grass import Grass, grow
 from dune_rl.worlds.ground import Ground
 from dune_rl.worlds.plan import Plan
 from dune_rl.worlds.props import bearing, upright_box
 from dune_rl.worlds.roughness import rough_field, smooth_step
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import Colour, Prop, World
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ _PAINTS: tuple[Colour, ...] = (
 )
 
 
-class IslandConf(Settings):
+class IslandConf(WorldSettings):
     """Settings of `build_island`.
 
     The bumps' slopes go as `roughness_m` / `bump_length_m`: with the defaults

@@ -8,12 +8,12 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.ground import Ground
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.roughness import gradient, rough_field, smooth_step
 from dune_rl.worlds.rubicon_layout import place_props
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ FOREST_FLOOR = Ground(
 )
 
 
-class RubiconConf(Settings):
+class RubiconConf(WorldSettings):
     """Settings of `build_rubicon`.
 
     Every `seed` gives another hillside of the same family. The slopes met are

@@ -7,18 +7,18 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.settings import Settings
 from dune_rl.worlds.importing.import_files import Folder, Report, existing
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region
 from dune_rl.worlds.importing.mesh_files import UpAxis, mesh_parts
 from dune_rl.worlds.importing.parts import Part
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import Rectangle
 
 # Further out, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0
 
 
-class MeshConf(Settings):
+class MeshConf(WorldSettings):
     """Settings of `build_mesh`."""
 
     name: Literal["mesh"] = "mesh"

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.settings import Settings
 from dune_rl.worlds.importing.height_files import read_heights
 from dune_rl.worlds.importing.heightmap import grid_of
 from dune_rl.worlds.importing.import_files import Folder, Report, existing
@@ -17,6 +16,7 @@ from dune_rl.worlds.importing.sdf_files import Library
 from dune_rl.worlds.importing.sdf_reader import Found, HeightMap, SdfReader
 from dune_rl.worlds.importing.sdf_shapes import plane
 from dune_rl.worlds.importing.things import is_single_sheet, things_on
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
 _TERRAIN_M, _TERRAIN_M2 = 15.0, 100.0
 
 
-class SdfConf(Settings):
+class SdfConf(WorldSettings):
     """Settings of `build_sdf`."""
 
     name: Literal["sdf"] = "sdf"
