@@ -1,5 +1,6 @@
 """Environments built from settings: the one place that names concrete classes."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 
 from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
@@ -9,14 +10,7 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.rover_zero import RoverZero
-from dune_rl.worlds.construction import ConstructionConf, build_construction
-from dune_rl.worlds.flat import FlatConf, build_flat
-from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
-from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
-from dune_rl.worlds.importing.sdf import SdfConf, build_sdf
-from dune_rl.worlds.inspection import InspectionConf, build_inspection
-from dune_rl.worlds.island import IslandConf, build_island
-from dune_rl.worlds.rubicon import RubiconConf, build_rubicon
+from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
 
 
@@ -40,23 +34,12 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
 @lru_cache(maxsize=4)
 def build_world(conf: WorldConf) -> World:
     """The world; equal settings share one, which nothing ever changes."""
-    match conf:
-        case FlatConf():
-            return build_flat(conf)
-        case InspectionConf():
-            return build_inspection(conf)
-        case ConstructionConf():
-            return build_construction(conf)
-        case RubiconConf():
-            return build_rubicon(conf)
-        case IslandConf():
-            return build_island(conf)
-        case MeshConf():
-            return build_mesh(conf)
-        case HeightmapConf():
-            return build_heightmap(conf)
-        case SdfConf():
-            return build_sdf(conf)
+    return shared_store().get(conf)
+
+
+def prepare_worlds(confs: Iterable[WorldConf]) -> None:
+    """Have worlds built in the background that `build_world` will be asked for (`WorldStore.prepare`)."""
+    shared_store().prepare(confs)
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:

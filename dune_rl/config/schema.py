@@ -17,26 +17,7 @@ from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
-from dune_rl.worlds.construction import ConstructionConf
-from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap import HeightmapConf
-from dune_rl.worlds.importing.imported_mesh import MeshConf
-from dune_rl.worlds.importing.sdf import SdfConf
-from dune_rl.worlds.inspection import InspectionConf
-from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.rubicon import RubiconConf
-
-WorldConf = Annotated[
-    FlatConf
-    | InspectionConf
-    | ConstructionConf
-    | RubiconConf
-    | IslandConf
-    | MeshConf
-    | HeightmapConf
-    | SdfConf,
-    Field(discriminator="name"),
-]
+from dune_rl.worlds.families import WorldConf
 
 
 class EnvConf(Settings):
