@@ -1,9 +1,14 @@
-"""Where the packaged configurations and assets lie, in a checkout and in an installed wheel; and the cache."""
+"""Where the packaged configurations and assets lie, in a checkout and in a wheel, and the cache."""
 
 import os
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
+
+
+def package_folder() -> Path:
+    """The source text of dune_rl, absolute."""
+    return _PACKAGE
 
 
 def _data_folder(name: str) -> Path:

@@ -6,6 +6,7 @@ import time
 import warnings
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +56,9 @@ class CacheFolder:
         except Exception as error:
             self.warn("damaged", f"{path} is damaged ({type(error).__name__}) and made anew")
             return None
-        try:
+        with suppress(OSError):
             # What the least used go by; access times are often not kept.
             path.touch()
-        except OSError:
-            pass
         return found
 
     def write(self, key: str, text: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -68,9 +67,10 @@ class CacheFolder:
         try:
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
             data = np.frombuffer(json.dumps(text).encode(), np.uint8)
-            everything = {_TEXT: data, **arrays}
+            everything: dict[str, Any] = {_TEXT: data, **arrays}
+            everything[_CHECKSUM] = _checksum(everything)
             with replaced(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, **everything, **{_CHECKSUM: _checksum(everything)})
+                np.savez(file, **everything)
             self._make_room(path)
         except OSError as error:
             self.warn(

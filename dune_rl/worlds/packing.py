@@ -1,4 +1,4 @@
-"""Worlds as plain data: numbers and texts in a tree, and arrays of one type end to end; nothing is executed."""
+"""Worlds as plain data: numbers and texts in a tree, and arrays by their types; nothing is executed."""
 
 from collections.abc import Mapping
 from enum import Enum
@@ -46,7 +46,7 @@ class UnpackableError(ValueError):
 
 
 def pack(world: World) -> Packed:
-    """A tree for JSON, and flat arrays by the names of their types; `UnpackableError` where that cannot be."""
+    """A tree for JSON, and flat arrays by the names of their types; else `UnpackableError`."""
     packer = _Packer()
     root = packer.pack(world)
     arrays = {kind: np.concatenate(parts) for kind, parts in packer.parts.items()}
@@ -146,6 +146,6 @@ class _Unpacker:
         if packed["class"] == HeightField.__name__:
             return HeightField(**state)
         kind = self._classes[packed["class"]]
-        made = kind.__new__(kind)
+        made = object.__new__(kind)
         vars(made).update(state)
         return made

@@ -5,12 +5,12 @@ import subprocess
 import sys
 import weakref
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
-import dune_rl
+from dune_rl.paths import package_folder
 
-# A line of the pipe that is no longer than this is written whole or not at all (POSIX's least PIPE_BUF is 512,
-# Linux's 4,096).
+# A pipe takes a line of this length whole or not at all: PIPE_BUF, as Linux has it.
 _LONGEST_LINE = 4096
 _GRACE_S = 5.0
 
@@ -62,7 +62,7 @@ class Preparation:
         if not sys.executable:
             return False
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-        package = str(Path(dune_rl.__file__).resolve().parent.parent)
+        package = str(package_folder().parent)
         path = os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])])
         try:
             child = subprocess.Popen(
@@ -95,10 +95,8 @@ class Preparation:
 
 def _end(child: subprocess.Popen[bytes], owner: int) -> None:
     assert child.stdin is not None
-    try:
+    with suppress(BrokenPipeError):
         child.stdin.close()
-    except BrokenPipeError:
-        pass
     if os.getpid() != owner:
         return
     try:

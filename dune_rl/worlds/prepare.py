@@ -1,4 +1,4 @@
-"""`python -m dune_rl.worlds.prepare PARENT`: builds into the cache the worlds whose settings are on its input.
+"""`python -m dune_rl.worlds.prepare PARENT`: builds the worlds whose settings come in into the cache.
 
 A line of JSON each. It ends with its input, with the process PARENT, or after a minute without work.
 """

@@ -1,4 +1,4 @@
-"""Worlds kept on disk by content: what took long to make is read back in milliseconds, the same in every byte."""
+"""Worlds kept on disk by content: what took long to make is read back in milliseconds."""
 
 import hashlib
 import json
@@ -9,17 +9,17 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
-import dune_rl
 from dune_rl.errors import ConfigError
-from dune_rl.paths import cache_folder
+from dune_rl.paths import cache_folder, package_folder
 from dune_rl.worlds.cache_folder import CacheFolder
 from dune_rl.worlds.families import QUICK, WorldConf, build
-from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.sdf_files import RESOURCE_VARIABLE
 from dune_rl.worlds.importing.heightmap import HeightmapConf
+from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.imported_mesh import MeshConf
 from dune_rl.worlds.importing.sdf import SdfConf
+from dune_rl.worlds.importing.sdf_files import RESOURCE_VARIABLE
 from dune_rl.worlds.importing.sources import Sources, recorded
 from dune_rl.worlds.packing import UnpackableError, pack, unpack
 from dune_rl.worlds.preparation import Preparation
@@ -62,6 +62,11 @@ class WorldStore:
         missing = [c for c in missing if not self.cache.entry(world_key(c)).exists()]
         if missing:
             self._preparation.ask(conf.model_dump_json() for conf in missing)
+
+    @property
+    def preparing(self) -> int | None:
+        """The number of the process that builds worlds ahead, while it runs."""
+        return None if self._preparation is None else self._preparation.pid
 
     def close(self) -> None:
         """End the process that builds worlds ahead, if there is one."""
@@ -140,7 +145,7 @@ def _store_in(folder: Path | None, gigabytes: str) -> WorldStore:
 
 def world_key(conf: WorldConf) -> str:
     """Names the world of `conf`, as it would be built now: hexadecimal, and safe as a file's name."""
-    key = {"code": _code(), "settings": conf.model_dump(mode="json")}
+    key: dict[str, Any] = {"code": _code(), "settings": conf.model_dump(mode="json")}
     if isinstance(conf, MeshConf | HeightmapConf | SdfConf):
         path = Path(conf.path).expanduser().absolute()
         key |= {"path": str(path), "bytes": _digest(path), "resources": os.environ.get(RESOURCE_VARIABLE, "")}
@@ -156,7 +161,7 @@ def _code() -> str:
             sums.update(f" {library} {version(library)}".encode())
         except PackageNotFoundError:
             sums.update(f" {library} unknown".encode())
-    package = Path(dune_rl.__file__).resolve().parent
+    package = package_folder()
     for name in _SOURCES:
         for path in sorted((package / name).rglob("*.py")) if "." not in name else [package / name]:
             sums.update(f" {path.relative_to(package).as_posix()} ".encode() + path.read_bytes())

@@ -13,10 +13,14 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import MEADOW, Ground
+from dune_rl.worlds.queries import NearestObstacle, ObstacleSearch, RoughnessField
 
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
+
+# A robot's length or so, wheels included: what its wheels stand on at once.
+ROUGHNESS_RADIUS_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +121,30 @@ class World:
         (or over a drivable deck); 0 inside one, inf in a world without any.
         """
         return self.clearance_field(xy)
+
+    @cached_property
+    def _obstacle_search(self) -> ObstacleSearch:
+        return ObstacleSearch(self.clearance_field)
+
+    def nearest_obstacle(self, xy: ArrayLike) -> NearestObstacle:
+        """Clearance [m], (...), of points (..., 2), and the points (..., 2) of the obstacles it is to.
+
+        These lie within two cells of `clearance_field` (0.1 m) of the true ones.
+        """
+        return self._obstacle_search(xy)
+
+    @cached_property
+    def _roughness_fields(self) -> dict[float, RoughnessField]:
+        return {}
+
+    def roughness(self, xy: ArrayLike, radius_m: float = ROUGHNESS_RADIUS_M) -> Array:
+        """RMS height [m], (...), of the ground about its plane within `radius_m` of points (..., 2).
+
+        See `RoughnessField`; the first question about a radius takes longer.
+        """
+        if radius_m not in self._roughness_fields:
+            self._roughness_fields[radius_m] = RoughnessField(self.terrain, radius_m)
+        return self._roughness_fields[radius_m](xy)
 
 
 def _join(parts: Sequence[tuple[int, Array, NDArray[np.int32]]]) -> SolidMesh:
