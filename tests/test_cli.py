@@ -219,7 +219,7 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
         assert sensors[name] > 0
     for name in ("height", "normal", "slope", "roughness", "nearest_obstacle"):
         assert terrain[f"terrain_{name}_mpoints_per_s"] > 0
-    assert min(new_world[f"{name}_ms"] for name in ("build", "load", "ready")) > 0
+    assert min(new_world[f"{name}_ms"] for name in ("build", "fresh", "load", "kept")) > 0
     assert together["processes"] == 1
     assert together["core_steps_per_s"] > 0
 

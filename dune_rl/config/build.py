@@ -37,9 +37,9 @@ def build_world(conf: WorldConf) -> World:
     return shared_store().get(conf)
 
 
-def prepare_worlds(confs: Iterable[WorldConf]) -> None:
+def prepare_worlds(confs: Iterable[WorldConf], *, seen: bool = False) -> None:
     """Have worlds built in the background that `build_world` will be asked for (`WorldStore.prepare`)."""
-    shared_store().prepare(confs)
+    shared_store().prepare(confs, seen=seen)
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:

@@ -5,7 +5,7 @@ import json
 import time
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,30 @@ class CacheFolder:
         if kind not in self._warned:
             self._warned.add(kind)
             warnings.warn(f"cache: {text}", CacheWarning, stacklevel=3)
+
+
+class Shelf:
+    """What follows from one thing that `key` (hexadecimal) tells from all others: arrays by name."""
+
+    def __init__(self, cache: CacheFolder, key: str) -> None:
+        self._cache, self._key = cache, key
+
+    def holds(self, name: str) -> bool:
+        """Whether something has been kept under that name."""
+        return self._cache.entry(self._entry(name)).exists()
+
+    def _entry(self, name: str) -> str:
+        return hashlib.sha256(f"{self._key} {name}".encode()).hexdigest()
+
+    def keep(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """What `make` gives, read back if it has been kept."""
+        key = self._entry(name)
+        found = self._cache.read(key)
+        if found is not None and found[0] == [self._key, name] and "value" in found[1]:
+            return found[1]["value"]
+        made = make()
+        self._cache.write(key, [self._key, name], {"value": made})
+        return made
 
 
 def _read(file: Any, size: int) -> tuple[Any, Arrays]:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter
 
 from dune_rl.worlds.construction import ConstructionConf, build_construction
 from dune_rl.worlds.flat import FlatConf, build_flat
@@ -26,8 +26,18 @@ WorldConf = Annotated[
     Field(discriminator="name"),
 ]
 
-# What is built as fast as it is read back.
-QUICK = (FlatConf,)
+# Of the others' code nothing is known that would tell when a kept world is out of date; and a plane is built
+# faster than it is read.
+KEPT = (InspectionConf, ConstructionConf, RubiconConf, IslandConf, MeshConf, HeightmapConf, SdfConf)
+# Those whose looks are worth keeping.
+SHELVED = (*KEPT, FlatConf)
+
+_SETTINGS: TypeAdapter[WorldConf] = TypeAdapter(WorldConf)
+
+
+def from_json(text: bytes) -> WorldConf:
+    """The settings of a world that were written as JSON; `ValueError` where they are not valid."""
+    return _SETTINGS.validate_json(text)
 
 
 def build(conf: WorldConf) -> World:

@@ -38,6 +38,8 @@ _SETTINGS: tuple[type[Settings], ...] = (LightConf,)
 _ENUMS: tuple[type[Enum], ...] = (Segment,)
 # Worked out on first use, and yet worth keeping.
 _KEPT = ("clearance_field",)
+# Held by a world, and none of what it is.
+_LEFT_OUT = ("shelf", "_kept")
 _TYPES = ("float64", "float32", "int64", "int32", "uint8", "bool")
 
 
@@ -71,7 +73,7 @@ def state_of(value: object) -> dict[str, Any]:
         for name, attribute in vars(kind).items()
         if isinstance(attribute, cached_property) and name not in _KEPT
     }
-    return {name: held for name, held in vars(value).items() if name not in derived}
+    return {name: held for name, held in vars(value).items() if name not in {*derived, *_LEFT_OUT}}
 
 
 class _Packer:
@@ -146,6 +148,6 @@ class _Unpacker:
         if packed["class"] == HeightField.__name__:
             return HeightField(**state)
         kind = self._classes[packed["class"]]
-        made = object.__new__(kind)
+        made: Any = object.__new__(kind)
         vars(made).update(state)
         return made

@@ -22,23 +22,23 @@ def main() -> None:
     # Before the long imports, so that the end of the parent is noticed in them.
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
-    from pydantic import TypeAdapter
-
-    from dune_rl.worlds.families import WorldConf
-    from dune_rl.worlds.store import shared_store, world_key
+    from dune_rl.worlds.appearance import work_out
+    from dune_rl.worlds.store import requested, shared_store
 
     warnings.simplefilter("ignore")
-    settings: TypeAdapter[WorldConf] = TypeAdapter(WorldConf)
     store = shared_store()
     while True:
         try:
-            conf = settings.validate_json(lines.get(timeout=_IDLE_S))
+            line = lines.get(timeout=_IDLE_S)
         except queue.Empty:
             # An ordinary end would wait for the thread that reads.
             os._exit(0)
         try:
-            if store.cache is not None and not store.cache.entry(world_key(conf)).exists():
-                store.get(conf)
+            conf, seen = requested(line)
+            if not store.is_kept(conf, seen=seen):
+                world = store.get(conf)
+                if seen:
+                    work_out(world)
         # Who needs the world meets the fault, and is told of it.
         except Exception:
             continue

@@ -13,8 +13,9 @@ from typing import Any
 
 from dune_rl.errors import ConfigError
 from dune_rl.paths import cache_folder, package_folder
-from dune_rl.worlds.cache_folder import CacheFolder
-from dune_rl.worlds.families import QUICK, WorldConf, build
+from dune_rl.worlds.appearance import is_worked_out
+from dune_rl.worlds.cache_folder import CacheFolder, Shelf
+from dune_rl.worlds.families import KEPT, SHELVED, WorldConf, build, from_json
 from dune_rl.worlds.importing.heightmap import HeightmapConf
 from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.imported_mesh import MeshConf
@@ -24,6 +25,8 @@ from dune_rl.worlds.importing.sources import Sources, recorded
 from dune_rl.worlds.packing import UnpackableError, pack, unpack
 from dune_rl.worlds.preparation import Preparation
 from dune_rl.worlds.world import World
+
+_IMPORTED = (MeshConf, HeightmapConf, SdfConf)
 
 LIMIT_BYTES = 2 * 2**30
 
@@ -46,22 +49,36 @@ class WorldStore:
 
     def get(self, conf: WorldConf) -> World:
         """The world of `conf`, read or else built and kept; it warns and raises as building it does."""
-        if self.cache is None or isinstance(conf, QUICK):
+        if self.cache is None or not isinstance(conf, SHELVED):
             return build(conf)
         key = world_key(conf)
+        if not isinstance(conf, KEPT):
+            world = build(conf)
+            world.shelf = _shelf(self.cache, key, {}, [])
+            return world
         return self._kept(self.cache, key) or self._built(self.cache, key, conf)
 
-    def prepare(self, confs: Iterable[WorldConf]) -> None:
+    def prepare(self, confs: Iterable[WorldConf], *, seen: bool = False) -> None:
         """Have the worlds that are not kept built by another process, at low priority and in this order.
 
-        Returns at once. `get` does not wait for it: both make the same bytes, and the first is kept.
+        With `seen`, what cameras need is worked out there, too. Returns at once. `get` does not wait for
+        it: both make the same bytes, and whoever is last to keep them changes nothing.
         """
-        if self.cache is None or self._preparation is None:
+        if self._preparation is None:
             return
-        missing = [c for c in confs if not isinstance(c, QUICK)]
-        missing = [c for c in missing if not self.cache.entry(world_key(c)).exists()]
+        missing = [conf for conf in confs if not self.is_kept(conf, seen=seen)]
         if missing:
-            self._preparation.ask(conf.model_dump_json() for conf in missing)
+            self._preparation.ask(request(conf, seen) for conf in missing)
+
+    def is_kept(self, conf: WorldConf, *, seen: bool = False) -> bool:
+        """Whether there is an entry for `get`, and for cameras if `seen`, or none is wanted."""
+        if self.cache is None or not isinstance(conf, SHELVED):
+            return True
+        key = world_key(conf)
+        if isinstance(conf, KEPT) and not self.cache.entry(key).exists():
+            return False
+        # Which shelf is an imported world's can only be told with the world.
+        return not seen or isinstance(conf, _IMPORTED) or is_worked_out(_shelf(self.cache, key, {}, []))
 
     @property
     def preparing(self) -> int | None:
@@ -87,6 +104,7 @@ class WorldStore:
         except Exception as error:
             cache.warn("damaged", f"{cache.entry(key)} is foreign ({type(error).__name__}) and made anew")
             return None
+        world.shelf = _shelf(cache, key, text["files"], text["absent"])
         for said in told:
             warnings.warn(said, WorldWarning, stacklevel=3)
         return world
@@ -100,6 +118,8 @@ class WorldStore:
         told = [str(w.message) for w in caught if issubclass(w.category, WorldWarning)]
         if sources.complete and len(told) == len(caught):
             self._keep(cache, key, conf, world, sources, told)
+        if sources.complete:
+            world.shelf = _shelf(cache, key, sources.read, sorted(sources.absent))
         for warning in caught:
             warnings.warn(warning.message, stacklevel=3)
         return world
@@ -129,6 +149,23 @@ class WorldStore:
         cache.write(key, text, arrays)
 
 
+def _shelf(cache: CacheFolder, key: str, files: dict[str, str], absent: list[str]) -> Shelf:
+    # An imported world is told from what it was before a texture of it changed.
+    known = json.dumps([key, sorted(files.items()), absent])
+    return Shelf(cache, hashlib.sha256(known.encode()).hexdigest())
+
+
+def request(conf: WorldConf, seen: bool) -> str:
+    """A line for the process that builds worlds ahead (`requested`)."""
+    return json.dumps({"world": conf.model_dump(mode="json"), "seen": seen})
+
+
+def requested(line: bytes) -> tuple[WorldConf, bool]:
+    """What a line asks for; `ValueError` or `KeyError` where it makes no sense."""
+    asked = json.loads(line)
+    return from_json(json.dumps(asked["world"]).encode()), bool(asked["seen"])
+
+
 def shared_store() -> WorldStore:
     """The store in `cache_folder()`, of DUNE_RL_CACHE_GB (default 2); the same one each time."""
     return _store_in(cache_folder(), os.environ.get("DUNE_RL_CACHE_GB", ""))
@@ -146,7 +183,7 @@ def _store_in(folder: Path | None, gigabytes: str) -> WorldStore:
 def world_key(conf: WorldConf) -> str:
     """Names the world of `conf`, as it would be built now: hexadecimal, and safe as a file's name."""
     key: dict[str, Any] = {"code": _code(), "settings": conf.model_dump(mode="json")}
-    if isinstance(conf, MeshConf | HeightmapConf | SdfConf):
+    if isinstance(conf, _IMPORTED):
         path = Path(conf.path).expanduser().absolute()
         key |= {"path": str(path), "bytes": _digest(path), "resources": os.environ.get(RESOURCE_VARIABLE, "")}
     return hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()

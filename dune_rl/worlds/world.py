@@ -1,15 +1,16 @@
 """A world: terrain, and the props that stand on it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
+from dune_rl.worlds.cache_folder import Shelf
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import MEADOW, Ground
@@ -67,8 +68,10 @@ class World:
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
     ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like; `grass` is what grows on it.
+    looks like; `grass` is what grows on it. `shelf` is where a `WorldStore` keeps what is worked out from it.
     """
+
+    shelf: Shelf | None = None
 
     def __init__(
         self,
@@ -90,6 +93,10 @@ class World:
         self.ground = ground
         self.texture_seed = texture_seed
         self.grass = grass
+
+    def lasting(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """What `make` gives, read back from `shelf` if there is one: what follows from the world alone."""
+        return make() if self.shelf is None else self.shelf.keep(name, make)
 
     @property
     def extent(self) -> Rectangle:
