@@ -13,8 +13,9 @@ from world_digest import digest
 
 from dune_rl.worlds.families import build
 from dune_rl.worlds.flat import FlatConf
+from dune_rl.worlds.importing.imported_mesh import MeshConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.store import WorldStore, world_key
+from dune_rl.worlds.store import WorldStore
 
 CONFS = [IslandConf(seed=seed) for seed in range(3)]
 PATIENCE_S = 60.0
@@ -36,8 +37,7 @@ def alive(pid: int) -> bool:
 
 
 def kept(store: WorldStore) -> int:
-    assert store.cache is not None
-    return sum(store.cache.entry(world_key(conf)).exists() for conf in CONFS)
+    return sum(store.is_kept(conf) for conf in CONFS)
 
 
 def test_another_process_fills_the_cache_and_ends_with_the_store(tmp_path: Path) -> None:
@@ -59,9 +59,17 @@ def test_another_process_fills_the_cache_and_ends_with_the_store(tmp_path: Path)
     assert store.preparing is None
 
 
-def test_what_cannot_be_built_does_not_stop_the_rest(tmp_path: Path) -> None:
-    from dune_rl.worlds.importing.imported_mesh import MeshConf
+def test_what_cameras_need_is_worked_out_if_asked(tmp_path: Path) -> None:
+    store, plane = WorldStore(tmp_path), FlatConf(size_m=20.0)
+    wanted = [plane, CONFS[0]]
+    store.get(CONFS[0])
+    store.prepare(wanted, seen=True)
+    wait_for(lambda: all(store.is_kept(conf, seen=True) for conf in wanted))
+    assert not any(store.is_kept(conf, seen=True) for conf in CONFS[1:])
+    store.close()
 
+
+def test_what_cannot_be_built_does_not_stop_the_rest(tmp_path: Path) -> None:
     store = WorldStore(tmp_path)
     store.prepare([MeshConf(path=str(tmp_path / "missing.obj")), MeshConf(path="x" * 5000), *CONFS])
     wait_for(lambda: kept(store) == len(CONFS))

@@ -16,7 +16,9 @@ from world_files import write_yard
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.paths import cache_folder
+from dune_rl.rendering.light import LightConf
 from dune_rl.worlds import store as module
+from dune_rl.worlds.appearance import baked, work_out
 from dune_rl.worlds.cache_folder import CacheFolder, CacheWarning
 from dune_rl.worlds.construction import ConstructionConf
 from dune_rl.worlds.families import WorldConf, build
@@ -112,6 +114,23 @@ def test_a_kept_world_is_the_built_one(tmp_path: Path, name: str, counted: list[
         assert second.grass is not None and second.grass.terrain is second.terrain
         ground = np.column_stack([points, np.zeros(len(points))])
         np.testing.assert_array_equal(second.grass.drag(ground, 0.3), fresh.grass.drag(ground, 0.3))
+
+
+@pytest.mark.parametrize("conf", [QUICK, FlatConf(size_m=20.0)], ids=lambda conf: conf.name)
+def test_looks_are_kept_beside_worlds(
+    tmp_path: Path, conf: WorldConf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    light = LightConf(sun_bearing_rad=1.0)
+    fresh = baked(build(conf), light)
+    store = WorldStore(tmp_path)
+    assert not store.is_kept(conf, seen=True)
+    work_out(store.get(conf))
+    assert store.is_kept(conf, seen=True)
+    monkeypatch.setattr("dune_rl.rendering.baked.sky_share", None)
+    monkeypatch.setattr("dune_rl.worlds.appearance.ground_texture", None)
+    kept = baked(store.get(conf), light)
+    for name in ("sky_share", "things_sky_share", "ground", "faces", "segments"):
+        assert list(parts(getattr(kept, name))) == list(parts(getattr(fresh, name)))
 
 
 def truncated(data: bytes) -> bytes:
@@ -277,8 +296,11 @@ def test_an_imported_world_follows_its_files(tmp_path: Path, counted: list[World
         # The mesh changes, then the file itself.
         data = (tmp_path / "crate.stl").read_bytes()
         (tmp_path / "crate.stl").write_bytes(data[:-2] + b"\1\1")
-        store.get(conf)
+        other = store.get(conf)
         assert len(counted) == 3
+        assert full.lasting("look", lambda: np.zeros(1)) == 0.0
+        assert other.lasting("look", lambda: np.ones(1)) == 1.0
+        assert store.get(conf).lasting("look", lambda: np.zeros(1)) == 1.0
         key = world_key(conf)
         (tmp_path / "w.sdf").write_text(SDF.format(shape=BOX))
         store.get(conf)
