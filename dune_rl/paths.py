@@ -1,8 +1,14 @@
-"""Where the packaged configurations and assets lie, in a checkout and in an installed wheel."""
+"""Where the packaged configurations and assets lie, in a checkout and in a wheel, and the cache."""
 
+import os
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
+
+
+def package_folder() -> Path:
+    """The source text of dune_rl, absolute."""
+    return _PACKAGE
 
 
 def _data_folder(name: str) -> Path:
@@ -18,3 +24,19 @@ def conf_folder() -> Path:
 def assets_folder() -> Path:
     """Robot descriptions and their meshes, absolute."""
     return _data_folder("assets")
+
+
+def cache_folder() -> Path | None:
+    """Where what can be made anew is kept: $DUNE_RL_CACHE (None for "off" or nothing), or ~/.cache/dune_rl.
+
+    As the XDG base directory specification has it, $XDG_CACHE_HOME stands for ~/.cache if it is absolute.
+    """
+    named = os.environ.get("DUNE_RL_CACHE")
+    if named is not None:
+        return None if named.strip().lower() in ("", "off") else Path(named).expanduser().absolute()
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "dune_rl"
+    except RuntimeError:
+        # No home folder is known.
+        return None

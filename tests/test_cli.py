@@ -208,13 +208,18 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
     assert call(benchmark.main, *words) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    alone, cameras, sensors, together = lines
-    assert [line["benchmark"] for line in lines] == ["environment", "cameras", "sensors", "processes"]
+    alone, cameras, sensors, terrain, new_world, together = lines
+    assert [line["benchmark"] for line in lines] == [
+        *("environment", "cameras", "sensors", "terrain", "new_world", "processes"),
+    ]
     for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
     assert cameras["overhead_ratio_camera"] > 1 and cameras["overhead_ratio_depth"] > 1
     for name in ("lidar_speedup", "camera_speedup", "camera_speedup_heightfield", "picture_1280x720_s"):
         assert sensors[name] > 0
+    for name in ("height", "normal", "slope", "roughness", "nearest_obstacle"):
+        assert terrain[f"terrain_{name}_mpoints_per_s"] > 0
+    assert min(new_world[f"{name}_ms"] for name in ("build", "fresh", "load", "kept")) > 0
     assert together["processes"] == 1
     assert together["core_steps_per_s"] > 0
 

@@ -36,7 +36,7 @@ def plain(*props: Prop, region: Any = (-5, 5, -5, 5), friction: float = 1.0) -> 
 
 class DishConf(Settings):
     depth_m: float = Field(1.0, gt=0.0)
-    posts_m: list[float] = [1.0, 2.0]
+    posts_m: list[float] = Field([1.0, 2.0])
 
 
 def dish(conf: DishConf) -> World:

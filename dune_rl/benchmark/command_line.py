@@ -7,7 +7,9 @@ from typing import Any
 
 from dune_rl import command
 from dune_rl.benchmark.environment import measure, measure_overhead, measure_processes
+from dune_rl.benchmark.new_world import measure_new_world
 from dune_rl.benchmark.sensors import measure_sensors
+from dune_rl.benchmark.terrain import measure_terrain
 from dune_rl.command import Page
 from dune_rl.config.compose import compose_benchmark
 
@@ -19,7 +21,7 @@ SETTINGS = (
     ("scenes=N", "stepped as one batch"),
     ("rounds=N", "in each, everything that is compared takes its turn"),
     ("steps=N", "of every scene in a turn"),
-    ("parts=[environment]", "what to measure: environment, cameras, sensors, processes"),
+    ("parts=[environment]", "what to measure: environment, cameras, sensors, terrain, new_world, processes"),
     ("processes=[1,2]", "how many batch cores to run at once, one after the other"),
 )
 CLOSING = "Ratios compare things within one run, so that they hold on a busy machine too."
@@ -47,6 +49,10 @@ def _main(parsed: Namespace) -> None:
         )
     if "sensors" in conf.parts:
         _emit(benchmark="sensors", **place, **measure_sensors(conf))
+    if "terrain" in conf.parts:
+        _emit(benchmark="terrain", world=conf.world.name, **measure_terrain(conf))
+    if "new_world" in conf.parts:
+        _emit(benchmark="new_world", **place, **measure_new_world(conf))
     if "processes" in conf.parts:
         for processes in conf.processes:
             _emit(benchmark="processes", world=conf.world.name, **measure_processes(conf, processes))

@@ -1,5 +1,6 @@
 """Environments built from settings: the one place that names concrete classes."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 
 from dune_rl.config.schema import EnvConf, SingleAgentConf
@@ -9,8 +10,8 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.rover_zero import RoverZero
-from dune_rl.worlds import registry
 from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
 
 
@@ -34,7 +35,12 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
 @lru_cache(maxsize=4)
 def build_world(conf: WorldSettings) -> World:
     """The world; equal settings share one, which nothing ever changes."""
-    return registry.build(conf)
+    return shared_store().get(conf)
+
+
+def prepare_worlds(confs: Iterable[WorldSettings], *, seen: bool = False) -> None:
+    """Have worlds built in the background that `build_world` will be asked for (`WorldStore.prepare`)."""
+    shared_store().prepare(confs, seen=seen)
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:

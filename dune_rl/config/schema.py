@@ -94,10 +94,12 @@ class Conf(SingleAgentConf):
 class BenchmarkConf(SingleAgentConf):
     """A measurement of what a step costs."""
 
-    parts: tuple[Literal["environment", "cameras", "sensors", "processes"], ...] = (
+    parts: tuple[Literal["environment", "cameras", "sensors", "terrain", "new_world", "processes"], ...] = (
         "environment",
         "cameras",
         "sensors",
+        "terrain",
+        "new_world",
         "processes",
     )
     scenes: int = Field(16, ge=1)

@@ -1,5 +1,7 @@
 """Scenery with its light worked out beforehand, so that a small picture costs little more than its rays."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -21,13 +23,25 @@ _SKY_RAYS = 24
 _SKY_STEPS = 64
 
 
+# What is asked of `keep` last.
+LAST_KEPT = "sky share of things"
+
+Keep = Callable[[str, Callable[[], Floats]], Floats]
+
+
+def _made(_: str, make: Callable[[], Floats]) -> Floats:
+    return make()
+
+
 class Baked:
     """Colours and segments of everything in a `Scenery` by where a ray meets it.
 
     `rays` is what to cast against: the ground's faces first, then the things'.
+    `keep(name, make)` gives what `make` does, or has given before for this
+    scenery in any light.
     """
 
-    def __init__(self, scenery: Scenery, light: Light) -> None:
+    def __init__(self, scenery: Scenery, light: Light, keep: Keep = _made) -> None:
         self.scenery, self.light = scenery, light
         self.terrain = scenery.terrain
         ground_vertices, ground_faces = self.terrain.mesh()
@@ -43,7 +57,8 @@ class Baked:
         self.ground_faces = len(ground_faces)
         # Index -1, a miss, finds the last entry.
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
-        self.sky_share = self._ground_sky_share()
+        self.sky_share = keep("sky share of the ground", self._ground_sky_share)
+        self.things_sky_share = keep(LAST_KEPT, self._find_things_sky_share)
         self.ground = self._bake_ground()
         self.faces = np.concatenate(
             [np.zeros((self.ground_faces, 3), np.uint8), self._bake_things(), np.zeros((1, 3), np.uint8)]
@@ -85,19 +100,21 @@ class Baked:
         return encoded(lit).reshape(albedo.shape)
 
     def _bake_things(self) -> NDArray[np.uint8]:
-        things = self.things
-        self.things_sky_share = np.zeros(0, np.float32)
-        if not len(things.faces):
+        if not len(self.things.faces):
             return np.zeros((0, 3), np.uint8)
-        corners = things.vertices[things.faces]
+        points, normals = self._on_things()
+        sun = sunlit(self.rays, self.light, points, normals)
+        return encoded(self.light.on(self.things.albedo, normals, sun, self.things_sky_share))
+
+    def _find_things_sky_share(self) -> Floats:
+        return sky_share(self.rays, *self._on_things())
+
+    def _on_things(self) -> tuple[Array, Floats]:
+        """Middles and unit normals (F, 3) of the things' faces."""
+        corners = self.things.vertices[self.things.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        normals32 = normals.astype(np.float32)
-        points = corners.mean(axis=1)
-        share = self.things_sky_share = sky_share(self.rays, points, normals32)
-        return encoded(
-            self.light.on(things.albedo, normals32, sunlit(self.rays, self.light, points, normals32), share)
-        )
+        return corners.mean(axis=1), normals.astype(np.float32)
 
 
 def encoded(colour: Floats) -> NDArray[np.uint8]:

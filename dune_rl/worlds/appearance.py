@@ -5,10 +5,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.baked import Baked
+from dune_rl.rendering.baked import LAST_KEPT, Baked
 from dune_rl.rendering.light import Light, LightConf, linear
 from dune_rl.rendering.scenery import GroundTexture, Scenery, Shape, joined
 from dune_rl.rendering.weather import Haze, WeatherConf, light_in
+from dune_rl.worlds.cache_folder import Shelf
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import ground_texture
 from dune_rl.worlds.world import Prop, World
@@ -16,16 +17,14 @@ from dune_rl.worlds.world import Prop, World
 
 def scenery(world: World) -> Scenery:
     """Ground and props, those included that only can be seen (water)."""
-    ground = ground_texture(world.terrain, world.ground, world.texture_seed)
-    if world.grass is not None:
-        ground = GroundTexture(_in_shade(ground.albedo, world.grass))
+    ground = GroundTexture(world.lasting("albedo of the ground", lambda: _ground_albedo(world)))
     return Scenery(world.terrain, ground, joined([_shape(prop) for prop in world.props]))
 
 
 @lru_cache(maxsize=4)
 def baked(world: World, light: LightConf) -> Baked:
     """The world in that light and clear air; equal worlds and lights share one."""
-    return Baked(scenery(world), Light.of(light))
+    return Baked(scenery(world), Light.of(light), world.lasting)
 
 
 @lru_cache(maxsize=4)
@@ -33,7 +32,22 @@ def in_weather(world: World, weather: WeatherConf) -> Baked:
     """The world in the light of a weather; what its haze does on the way to an eye is not in it."""
     if Haze.of(weather) is None:
         return baked(world, weather.sunlight)
-    return Baked(scenery(world), light_in(weather))
+    return Baked(scenery(world), light_in(weather), world.lasting)
+
+
+def work_out(world: World) -> None:
+    """Have what every picture of a world needs worked out, and kept where it has a shelf."""
+    Baked(scenery(world), Light.of(LightConf()), world.lasting)
+
+
+def is_worked_out(shelf: Shelf) -> bool:
+    """Whether `work_out` has been done for the world of that shelf."""
+    return shelf.holds(LAST_KEPT)
+
+
+def _ground_albedo(world: World) -> NDArray[np.float32]:
+    ground = ground_texture(world.terrain, world.ground, world.texture_seed)
+    return ground.albedo if world.grass is None else _in_shade(ground.albedo, world.grass)
 
 
 def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:

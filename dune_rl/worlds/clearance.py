@@ -71,6 +71,17 @@ class ClearanceField:
             near[bottom:top, left:right] = True
         return near
 
+    @property
+    def origin(self) -> Array:
+        """The first grid point (2,) [m]: lowest x and y."""
+        return self._origin
+
+    def nearest_cell(self, xy: ArrayLike) -> NDArray[np.intp]:
+        """Index (...) in `distance` of the grid point nearest to points (..., 2)."""
+        at = (np.asarray(xy, dtype=np.float64) - self._origin) * self._inverse_cell
+        at = np.fmin(np.fmax(at, 0.0), self._last)
+        return (at + 0.5).astype(np.intp) @ self._strides
+
     def __call__(self, xy: ArrayLike) -> Array:
         """Clearance [m], shape (...), at points (..., 2); beyond the edge, that of the edge."""
         points = np.asarray(xy, dtype=np.float64)

@@ -13,6 +13,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage
 from dune_rl.seeding import stream
+from dune_rl.worlds.props import merge
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -112,25 +113,28 @@ def _covered(terrain: HeightField, standing: Sequence[Mesh], rows: int, columns:
     # Twice as fine as the cells, so that walls do not slip through, and every surface point besides.
     x = xmin + (np.arange(2 * columns) + 0.5) * (xmax - xmin) / (2 * columns)
     y = ymin + (np.arange(2 * rows) + 0.5) * (ymax - ymin) / (2 * rows)
-    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    height = terrain.height(xy)
-    origins = np.column_stack([xy, height - _CLEARED_BELOW_M]).astype(np.float32)
+    near = np.zeros((2 * rows, 2 * columns), bool)
+    for vertices, _ in standing:
+        low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+        (left, right), (bottom, top) = (
+            (np.searchsorted(axis, low[k]), np.searchsorted(axis, high[k], side="right"))
+            for k, axis in enumerate((x, y))
+        )
+        near[bottom:top, left:right] = True
+    row, column = np.nonzero(near)
+    under = np.column_stack([x[column], y[row]])
+    origins = np.column_stack([under, terrain.height(under) - _CLEARED_BELOW_M]).astype(np.float32)
     upward = np.zeros_like(origins)
     upward[:, 2] = 1.0
-    for vertices, faces in standing:
-        low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-        near = ((xy >= low) & (xy <= high)).all(axis=1)
-        under = np.flatnonzero(near)
-        met = RayScene(vertices, faces).hits(
-            origins[under], upward[under], np.full(len(under), _HIGHEST_M, np.float32)
-        )
-        points = xy[under[met.face >= 0]]
-        cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
-        surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)
-        over = surface[:, 2] > terrain.height(surface[:, :2]) - _CLEARED_BELOW_M
-        points = np.concatenate([points, surface[over, :2]])
-        column = ((points[:, 0] - xmin) * columns / (xmax - xmin)).astype(np.intp)
-        row = ((points[:, 1] - ymin) * rows / (ymax - ymin)).astype(np.intp)
-        covered[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True
+    # As one mesh: hundreds of small ones take a hundred times as long.
+    vertices, faces = merge(standing)
+    met = RayScene(vertices, faces).hits(origins, upward, np.full(len(under), _HIGHEST_M, np.float32))
+    cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
+    surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)
+    over = surface[:, 2] > terrain.height(surface[:, :2]) - _CLEARED_BELOW_M
+    points = np.concatenate([under[met.face >= 0], surface[over, :2]])
+    column = ((points[:, 0] - xmin) * columns / (xmax - xmin)).astype(np.intp)
+    row = ((points[:, 1] - ymin) * rows / (ymax - ymin)).astype(np.intp)
+    covered[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True
     # Density is interpolated between cells: with their neighbours bare, nothing reaches into these.
     return ndimage.binary_dilation(covered, np.ones((3, 3), bool))

@@ -1,5 +1,6 @@
 """The worlds there are, by name: ours, those of installed packages, and those that a program registers."""
 
+import json
 import warnings
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -90,6 +91,13 @@ def settings_class(name: str) -> type[WorldSettings] | None:
             ) from error
         _remember(name, function, origin)
     return _USERS[name].settings
+
+
+def ours(values: dict[str, Any]) -> WorldSettings:
+    """Settings of a world of ours, from their JSON; `ValueError` where they are not valid."""
+    if values.get("name") not in _OURS:
+        raise ValueError(f"no world of ours: {values.get('name')!r}")
+    return _OURS[values["name"]][0].model_validate_json(json.dumps(values))
 
 
 def register(function: Build, name: str | None = None) -> None:

@@ -1,22 +1,27 @@
 """A world: terrain, and the props that stand on it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
+from dune_rl.worlds.cache_folder import Shelf
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import MEADOW, Ground
+from dune_rl.worlds.queries import NearestObstacle, ObstacleSearch, RoughnessField
 
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
+
+# A robot's length or so, wheels included: what its wheels stand on at once.
+ROUGHNESS_RADIUS_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +68,10 @@ class World:
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
     ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like; `grass` is what grows on it.
+    looks like; `grass` is what grows on it. `shelf` is where a `WorldStore` keeps what is worked out from it.
     """
+
+    shelf: Shelf | None = None
 
     def __init__(
         self,
@@ -86,6 +93,10 @@ class World:
         self.ground = ground
         self.texture_seed = texture_seed
         self.grass = grass
+
+    def lasting(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """What `make` gives, read back from `shelf` if there is one: what follows from the world alone."""
+        return make() if self.shelf is None else self.shelf.keep(name, make)
 
     @property
     def extent(self) -> Rectangle:
@@ -117,6 +128,30 @@ class World:
         (or over a drivable deck); 0 inside one, inf in a world without any.
         """
         return self.clearance_field(xy)
+
+    @cached_property
+    def _obstacle_search(self) -> ObstacleSearch:
+        return ObstacleSearch(self.clearance_field)
+
+    def nearest_obstacle(self, xy: ArrayLike) -> NearestObstacle:
+        """Clearance [m], (...), of points (..., 2), and the points (..., 2) of the obstacles it is to.
+
+        These lie within two cells of `clearance_field` (0.1 m) of the true ones.
+        """
+        return self._obstacle_search(xy)
+
+    @cached_property
+    def _roughness_fields(self) -> dict[float, RoughnessField]:
+        return {}
+
+    def roughness(self, xy: ArrayLike, radius_m: float = ROUGHNESS_RADIUS_M) -> Array:
+        """RMS height [m], (...), of the ground about its plane within `radius_m` of points (..., 2).
+
+        See `RoughnessField`; the first question about a radius takes longer.
+        """
+        if radius_m not in self._roughness_fields:
+            self._roughness_fields[radius_m] = RoughnessField(self.terrain, radius_m)
+        return self._roughness_fields[radius_m](xy)
 
 
 def _join(parts: Sequence[tuple[int, Array, NDArray[np.int32]]]) -> SolidMesh:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.sources import note_absent, note_read, note_untraced
 
 MAX_FILE_BYTES = 256 * 2**20
 MAX_FACES = 4_000_000
@@ -56,6 +57,10 @@ class Report:
 class OutsideFolderError(WorldError):
     """A name that leads out of the folder that a world may be read from."""
 
+    def __init__(self, message: str) -> None:
+        super().__init__(message)
+        note_untraced()
+
 
 class Folder:
     """The files of a world: those under `root`, wherever links lead; names are seen from `base` in it."""
@@ -82,6 +87,7 @@ class Folder:
                     "Copy what the world needs into that folder."
                 )
             if not real.is_file():
+                note_absent(path)
                 raise FileNotFoundError(name)
         except (OSError, ValueError) as error:
             if isinstance(error, FileNotFoundError):
@@ -114,9 +120,11 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
                 "export it with fewer triangles or pixels."
             )
         with path.open("rb") as file:
-            return file.read(limit)
+            data = file.read(limit)
     except OSError as error:
         raise WorldError(f"{path} cannot be read: {error.strerror or error}.") from None
+    note_read(path, data)
+    return data
 
 
 class _Shallow(_TreeBuilder):

@@ -14,6 +14,7 @@ from dune_rl.worlds.importing.import_files import (
     read_xml,
     shown,
 )
+from dune_rl.worlds.importing.sources import note_absent, note_untraced
 
 RESOURCE_VARIABLE = "GZ_SIM_RESOURCE_PATH"
 
@@ -63,7 +64,7 @@ class Library:
             raise OutsideFolderError(f"model://{shown(rest)} names no model: write model://NAME/FILE.")
         own = [self.folder.root] if self.folder.root.name == name else []
         for root in (*own, self.folder.root / name, self.folder.root / "models" / name):
-            if root.is_dir():
+            if _is_folder(root):
                 if not root.resolve().is_relative_to(self.folder.root):
                     raise OutsideFolderError(
                         f"{root} is a link that leads out of {self.folder.root}: it is not read."
@@ -73,7 +74,7 @@ class Library:
                     return found
         for resource in self._resources:
             # What a user put there may be a link itself.
-            if (resource / name).is_dir():
+            if _is_folder(resource / name):
                 found = _inside(Folder(resource / name), inner)
                 if found is not None:
                     return found
@@ -93,7 +94,9 @@ class Library:
         """The SDF file of a model's or world's folder: what model.config names last, or the usual names."""
         names: list[str] = []
         config = folder / "model.config"
-        if config.is_file():
+        if not config.is_file():
+            note_absent(config)
+        else:
             within.at(folder).find("model.config")
             root = read_xml(read_bytes(config, _MODEL_FILE_BYTES), config.name)
             listed = [(_version(element), (element.text or "").strip()) for element in root.iter("sdf")]
@@ -103,6 +106,7 @@ class Library:
                 return within.at(folder).find(name)
             except FileNotFoundError:
                 continue
+        note_untraced()
         found = sorted(p for ending in ("*.sdf", "*.world") for p in folder.glob(ending))
         if len(found) == 1:
             return within.at(folder).find(found[0].name)
@@ -124,9 +128,19 @@ def _inside(folder: Folder, inner: str) -> tuple[Path, Folder] | None:
             )
         if real.is_dir():
             return base, Folder(real)
-        return (base, folder) if real.is_file() else None
+        if real.is_file():
+            return base, folder
     except (OSError, ValueError):
-        return None
+        pass
+    note_absent(base)
+    return None
+
+
+def _is_folder(path: Path) -> bool:
+    if path.is_dir():
+        return True
+    note_absent(path)
+    return False
 
 
 def _version(element: Element) -> tuple[int, ...]:

@@ -1,0 +1,153 @@
+"""Worlds as plain data: numbers and texts in a tree, and arrays by their types; nothing is executed."""
+
+from collections.abc import Mapping
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.scenery import Segment
+from dune_rl.settings import Settings
+from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.grass import Grass
+from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.importing.imported import ImportedWorld
+from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
+from dune_rl.worlds.importing.things import ImportedProp
+from dune_rl.worlds.world import Prop, World
+
+Packed = tuple[dict[str, Any], dict[str, NDArray[Any]]]
+
+# Only these are made when a file names them. What a world comes to hold beside them is to be added here:
+# until then, worlds with it are built anew each time.
+_PLAIN: tuple[type, ...] = (
+    ClearanceField,
+    Grass,
+    Ground,
+    ImportedProp,
+    ImportedWorld,
+    Prop,
+    SurfaceClearance,
+    World,
+)
+_SETTINGS: tuple[type[Settings], ...] = (LightConf,)
+_ENUMS: tuple[type[Enum], ...] = (Segment,)
+# Worked out on first use, and yet worth keeping.
+_KEPT = ("clearance_field",)
+# Held by a world, and none of what it is.
+_LEFT_OUT = ("shelf", "_kept")
+_TYPES = ("float64", "float32", "int64", "int32", "uint8", "bool")
+
+
+class UnpackableError(ValueError):
+    """A world that holds something which is not known here."""
+
+
+def pack(world: World) -> Packed:
+    """A tree for JSON, and flat arrays by the names of their types; else `UnpackableError`."""
+    packer = _Packer()
+    root = packer.pack(world)
+    arrays = {kind: np.concatenate(parts) for kind, parts in packer.parts.items()}
+    return {"root": root, "objects": packer.objects}, arrays
+
+
+def unpack(tree: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> World:
+    """The world that was packed; its arrays are views of `arrays`. Any error where these are not what was."""
+    world = _Unpacker(tree["objects"], arrays).unpack(tree["root"])
+    if not isinstance(world, World):
+        raise ValueError("no world")
+    return world
+
+
+def state_of(value: object) -> dict[str, Any]:
+    """The attributes that make `value`, without those it works out from them."""
+    if isinstance(value, HeightField):
+        return {"heights": value.heights, "spacing_m": value.spacing_m, "origin": value.origin}
+    derived = {
+        name
+        for kind in type(value).__mro__
+        for name, attribute in vars(kind).items()
+        if isinstance(attribute, cached_property) and name not in _KEPT
+    }
+    return {name: held for name, held in vars(value).items() if name not in {*derived, *_LEFT_OUT}}
+
+
+class _Packer:
+    def __init__(self) -> None:
+        self.objects: list[dict[str, Any]] = []
+        self.parts: dict[str, list[NDArray[Any]]] = {}
+        self._sizes: dict[str, int] = {}
+        # Things that are one stay one. They are held, so that no other gets their id.
+        self._known: dict[int, tuple[object, Any]] = {}
+
+    def pack(self, value: Any) -> Any:
+        if value is None or type(value) in (bool, int, float, str):
+            return value
+        if isinstance(value, _ENUMS):
+            return {"enum": type(value).__name__, "value": value.value}
+        if type(value) in (tuple, list):
+            return {type(value).__name__: [self.pack(item) for item in value]}
+        if id(value) not in self._known:
+            self._known[id(value)] = (value, self._pack_once(value))
+        return self._known[id(value)][1]
+
+    def _pack_once(self, value: Any) -> Any:
+        if type(value) is np.ndarray:
+            return self._array(value)
+        if type(value) in _SETTINGS:
+            return {"settings": type(value).__name__, "values": value.model_dump(mode="json")}
+        if type(value) is HeightField or type(value) in _PLAIN:
+            state = [[name, self.pack(held)] for name, held in state_of(value).items()]
+            self.objects.append({"class": type(value).__name__, "state": state})
+            return {"object": len(self.objects) - 1}
+        raise UnpackableError(f"{type(value).__name__} is not known to dune_rl.worlds.packing")
+
+    def _array(self, value: NDArray[Any]) -> dict[str, Any]:
+        kind = value.dtype.name
+        if kind not in _TYPES:
+            raise UnpackableError(f"arrays of {kind} are not known to dune_rl.worlds.packing")
+        start = self._sizes.get(kind, 0)
+        self._sizes[kind] = start + value.size
+        self.parts.setdefault(kind, []).append(value.reshape(-1))
+        return {"array": kind, "start": start, "shape": list(value.shape)}
+
+
+class _Unpacker:
+    def __init__(self, objects: list[dict[str, Any]], arrays: Mapping[str, NDArray[Any]]) -> None:
+        self._objects, self._arrays = objects, arrays
+        self._made: dict[int, Any] = {}
+        self._classes: dict[str, type] = {kind.__name__: kind for kind in _PLAIN}
+        self._settings = {kind.__name__: kind for kind in _SETTINGS}
+        self._enums = {kind.__name__: kind for kind in _ENUMS}
+
+    def unpack(self, packed: Any) -> Any:
+        if not isinstance(packed, dict):
+            return packed
+        if "array" in packed:
+            start, shape = packed["start"], packed["shape"]
+            return self._arrays[packed["array"]][start : start + int(np.prod(shape))].reshape(shape)
+        if "object" in packed:
+            number = packed["object"]
+            if number not in self._made:
+                self._made[number] = self._object(self._objects[number])
+            return self._made[number]
+        if "enum" in packed:
+            return self._enums[packed["enum"]](packed["value"])
+        if "settings" in packed:
+            return self._settings[packed["settings"]].model_validate(packed["values"])
+        if "tuple" in packed:
+            return tuple(self.unpack(item) for item in packed["tuple"])
+        return [self.unpack(item) for item in packed["list"]]
+
+    def _object(self, packed: dict[str, Any]) -> Any:
+        state = {name: self.unpack(held) for name, held in packed["state"]}
+        if packed["class"] == HeightField.__name__:
+            return HeightField(**state)
+        kind = self._classes[packed["class"]]
+        made: Any = object.__new__(kind)
+        vars(made).update(state)
+        return made
