@@ -13,9 +13,11 @@ from dune_rl.seeding import stream
 from dune_rl.settings import Settings
 from dune_rl.worlds.grass import Grass, grow
 from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.plan import Plan
 from dune_rl.worlds.props import bearing, upright_box
 from dune_rl.worlds.roughness import rough_field, smooth_step
+from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import Colour, Prop, World
 
 Array = NDArray[np.float64]
@@ -46,6 +48,12 @@ _PAINTS: tuple[Colour, ...] = (
     (0.45, 0.46, 0.48),
 )
 
+_SURFACES = (
+    Part("sand", 0.55, high=-1.5),
+    Part("rock", 0.2, steep=1.0),
+    Part("mud", 0.25, steep=-0.5, high=1.0),
+)
+
 
 class IslandConf(Settings):
     """Settings of `build_island`.
@@ -66,6 +74,8 @@ class IslandConf(Settings):
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the land in tall grass")
     grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
     @model_validator(mode="after")
     def _region_on_land(self) -> Self:
@@ -102,6 +112,7 @@ def build_island(conf: IslandConf) -> World:
         ground=_SAND,
         texture_seed=conf.seed,
         grass=_grass(conf, terrain, boxes),
+        surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )
 
 
