@@ -16,7 +16,7 @@ from dune_rl.worlds.world import Prop, World
 
 def scenery(world: World) -> Scenery:
     """Ground and props, those included that only can be seen (water)."""
-    ground = ground_texture(world.terrain, world.ground, world.texture_seed)
+    ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
     if world.grass is not None:
         ground = GroundTexture(_in_shade(ground.albedo, world.grass))
     return Scenery(world.terrain, ground, joined([_shape(prop) for prop in world.props]))

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.settings import Settings
 from dune_rl.worlds.importing.height_files import read_heights
 from dune_rl.worlds.importing.heightmap import grid_of
 from dune_rl.worlds.importing.import_files import Folder, Report, existing
@@ -16,6 +15,7 @@ from dune_rl.worlds.importing.parts import Part, without_faults
 from dune_rl.worlds.importing.sdf_files import Library
 from dune_rl.worlds.importing.sdf_reader import Found, HeightMap, SdfReader
 from dune_rl.worlds.importing.sdf_shapes import plane
+from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.things import is_single_sheet, things_on
 from dune_rl.worlds.world import Rectangle
 
@@ -26,7 +26,7 @@ _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
 _TERRAIN_M, _TERRAIN_M2 = 15.0, 100.0
 
 
-class SdfConf(Settings):
+class SdfConf(SurfaceFileConf):
     """Settings of `build_sdf`."""
 
     name: Literal["sdf"] = "sdf"
@@ -78,6 +78,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             region=region,
             light=found.light,
         )
+    world.surfaces = read_surfaces(conf, world.extent)
     report.tell()
     return world
 
