@@ -58,7 +58,7 @@ class Rig:
         self._sense()
 
     def _sense(self) -> None:
-        self.motion.update(np.array([self.engine.body_state()]))
+        self.motion.update(np.array([self.engine.body_state()]), np.array([self.engine.drive_state()]))
 
     def step(self, wheels: float = 0.0, count: int = 1, substeps: int | None = None) -> None:
         for _ in range(count):

@@ -143,7 +143,7 @@ class Batch:
             physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
             self.traction.begin(scene, self.world, physics, position, quaternion)
             physics.step(settle, still, self.actors.poses[scene])
-            drive = physics.drive_state() if self.senses.needs_wheels else None
+            drive = physics.drive_state() if self._needs_wheels else None
             self.motion.set_row(scene, physics.body_state(), drive)
         self.motion.begin(mask)
         self.senses.begin(mask, self._moment())
@@ -197,7 +197,7 @@ class Batch:
     def _advance_physics(self, commands: list[list[float]]) -> None:
         substeps, poses = self.physics.substeps, self.actors.poses
         self._touches = []
-        needs_wheels = self.senses.needs_wheels
+        needs_wheels = self._needs_wheels
         states, drives = [], []
         force = self.traction.update(self._scenes, self.motion)
         if self.world.grass is not None:
@@ -213,6 +213,10 @@ class Batch:
                 drives.append(scene.drive_state())
             self._touches += [(index, body) for body in scene.touched()]
         self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
+
+    @property
+    def _needs_wheels(self) -> bool:
+        return self.senses.needs_wheels or self.traction.needs_wheels
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""

@@ -60,18 +60,24 @@ class Traction:
         self.surfaces[scene], _ = world.underfoot(self._bottoms(position_w, rotation))
         self._set(scene, world, engine)
 
+    @property
+    def needs_wheels(self) -> bool:
+        """Whether `update` is to know the wheels' speeds."""
+        return bool(self._mapped())
+
     def update(self, engines: Sequence[PhysicsScene], motion: Motion) -> Array | None:
         """Let the contacts follow the rovers, and give the rolling resistance (M, 3) [N], world frame.
 
         None where no scene's world has a map. The force is meant to act over
         one control step.
         """
-        if self._groups is None:
-            self._groups = self._grouped()
-        if not self._groups:
+        groups = self._mapped()
+        if not groups:
             return None
+        speeds = motion.wheel_speeds
+        assert speeds is not None, "rolling resistance needs the wheels' speeds"
         force = np.zeros((len(engines), 3))
-        for world, scenes, rolling in self._groups:
+        for world, scenes, rolling in groups:
             rotation = motion.rotation[scenes]
             bottoms = self._bottoms(motion.position_w[scenes], rotation)
             numbers, height = world.underfoot(bottoms)
@@ -79,25 +85,26 @@ class Traction:
             self.surfaces[scenes] = numbers
             for scene in scenes[changed].tolist():
                 self._set(scene, world, engines[scene])
-            loaded = bottoms[..., 2] - height < _OFF_GROUND_M
-            held = self._held(
-                rolling[numbers] * loaded, rotation, motion.velocity_b[scenes, 0], motion.angular_b[scenes, 2]
-            )
-            force[scenes] = held[:, None] * rotation[:, :, 0]
+            coefficients = rolling[numbers] * (bottoms[..., 2] - height < _OFF_GROUND_M)
+            yaw_rates = motion.angular_b[scenes, 2, None]
+            ahead = motion.velocity_b[scenes, 0, None] - yaw_rates * self._wheels_b[:, 1]
+            held = self._held(coefficients, ahead, speeds[scenes] * self._robot.standing_height_m)
+            load = self._share_n * np.maximum(rotation[:, 2, 2], 0.0)
+            force[scenes] = (load * held)[:, None] * rotation[:, :, 0]
         return force
 
-    def _held(self, coefficients: Array, rotation: Array, ahead: Array, yaw_rate: Array) -> Array:
-        """Force [N] along each rover's nose, (N,), of the rolling resistance of its wheels.
+    def _held(self, coefficients: Array, ahead: Array, rims: Array) -> Array:
+        """Resistance along each rover's nose over a wheel's load, (N,), of wheels with `coefficients` (N, W).
 
-        A wheel's is its coefficient (N, W) times its share of the weight, less
-        by the slope, against the speed at which it rolls. Below the speed that
-        it takes away within a control step it goes with the speed, so that it
-        stops a rover and never turns it round.
+        `ahead` (N, W) is how fast the wheels go [m/s] and `rims` how fast they
+        turn; the lesser is how fast they roll: a locked wheel and one that
+        spins on the spot do not. Below the speed that resistance takes away
+        within a control step it goes with the speed, so that it stops a rover
+        and never turns it round.
         """
-        rolls = ahead[:, None] - yaw_rate[:, None] * self._wheels_b[:, 1]
-        load = self._share_n * np.maximum(rotation[:, 2, 2], 0.0)
-        against: Array = np.clip(rolls / self._slowest, -coefficients, coefficients).sum(axis=1)
-        return -load * against
+        rolls = np.where(ahead * rims > 0.0, np.minimum(np.abs(ahead), np.abs(rims)), 0.0)
+        held: Array = np.minimum(rolls / self._slowest, coefficients) * np.sign(ahead)
+        return -held.sum(axis=1)
 
     def _bottoms(self, position_w: Array, rotation: Array) -> Array:
         """Lowest points (..., W, 3) [m] of the wheels."""
@@ -118,6 +125,12 @@ class Traction:
     def _table(self, surfaces: SurfaceMap) -> tuple[Array, Array]:
         wheel = WheelLoad(self._share_n, 2 * self._robot.standing_height_m, self._robot.wheel_width_m)
         return _table(surfaces.surfaces, wheel, surfaces.sinkage)
+
+    def _mapped(self) -> list[tuple[World, NDArray[np.intp], Array]]:
+        # The worlds with a map, the scenes that are in each, and the rolling resistance of its surfaces.
+        if self._groups is None:
+            self._groups = self._grouped()
+        return self._groups
 
     def _grouped(self) -> list[tuple[World, NDArray[np.intp], Array]]:
         scenes: dict[int, list[int]] = {}

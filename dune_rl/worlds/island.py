@@ -48,10 +48,11 @@ _PAINTS: tuple[Colour, ...] = (
     (0.45, 0.46, 0.48),
 )
 
+# Of all the ground, half of which lies under the sea.
 _SURFACES = (
-    Part("sand", 0.55, high=-1.5),
-    Part("rock", 0.2, steep=1.0),
-    Part("mud", 0.25, steep=-0.5, high=1.0),
+    Part("sand", 0.72, high=-0.5),
+    Part("rock", 0.13, steep=0.7),
+    Part("mud", 0.15, steep=-0.5, high=0.3),
 )
 
 

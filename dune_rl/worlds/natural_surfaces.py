@@ -15,7 +15,7 @@ from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice, SurfaceName
 
 Array = NDArray[np.float64]
 
-_PATCH_M = 6.0
+_PATCH_M = 4.5
 _SHARE_ROUNDS = 30
 
 
