@@ -71,35 +71,51 @@ def test_the_steepest_climb_is_what_friction_leaves_over_rolling_resistance(back
 @pytest.mark.parametrize("sinkage", [False, True])
 @pytest.mark.parametrize("name", ["concrete", "gravel", "grass", "sand"])
 def test_a_rover_coasts_as_far_as_rolling_resistance_lets_it(backend, name, sinkage):
-    # Down a ramp, and along level ground.
-    x = np.arange(-8, 17) * 2.0
-    terrain = HeightField(np.tile(np.tan(0.3) * np.maximum(-x, 0.0), (17, 1)), 2.0, (-16.0, -16.0))
+    # Down a ramp, and along level ground within one large triangle: edges take some of a wheel's speed.
+    x = np.arange(-2, 3) * 8.0
+    terrain = HeightField(np.tile(np.tan(0.3) * np.maximum(-x, 0.0), (3, 1)), 8.0, (-16.0, 0.0))
     surface = named(name)
     surfaces = SurfaceMap([[0]], terrain.extent, [surface], sinkage=sinkage)
     world = World("ramp", terrain, region=(-1, 1, -1, 1), surfaces=surfaces)
-    rig = Rig(backend, world, at=(-4.5, 0.7), conf=FREE_WHEELS)
-    while rig.position[0] < 0.5:
+    rig = Rig(backend, world, at=(-3.0, 7.0), conf=FREE_WHEELS)
+    while rig.position[0] < 0.6:
         rig.step()
-    speed, steps = rig.speed, 0
-    while steps < 10:
+    speeds = []
+    while rig.position[0] < 4.5 and rig.speed > 0.3:
         rig.step()
-        steps += 1
+        speeds.append(rig.speed)
     coefficient = surface.rolling_resistance
     if sinkage and surface.soil is not None:
         wheel = LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.wheel_width_m
         coefficient = 0.015 + surface.soil.compaction_n(*wheel) / LOAD_N
     expected = coefficient * GRAVITY_MPS2 * MASS_KG / ROLLING_MASS_KG
-    # Edges of triangles, which yielding wheels meet twice, take and give a little.
-    assert (speed - rig.speed) / (steps * 0.05) == pytest.approx(expected, rel=0.05, abs=0.03)
+    # What lands from the ramp bounces at first.
+    speeds = speeds[len(speeds) // 2 :]
+    assert (speeds[0] - speeds[-1]) / ((len(speeds) - 1) * 0.05) == pytest.approx(expected, rel=0.05)
 
 
 @every_backend
-def test_a_rover_that_coasts_comes_to_rest_and_stays_there(backend):
-    rig = Rig(backend, slope_world(named("sand"), 0.1), conf=FREE_WHEELS)
-    start = rig.position.copy()
-    rig.step(count=60)
-    # Steeper than no resistance holds, less steep than sand's: it creeps by what one step adds.
-    assert np.linalg.norm(rig.position - start) < 0.1
+@pytest.mark.parametrize("name", ["concrete", "grass", "sand"])
+def test_a_rover_rolls_down_a_slope_as_fast_as_rolling_resistance_lets_it(backend, name):
+    surface = named(name)
+    rig = Rig(backend, slope_world(surface, 0.3), conf=FREE_WHEELS)
+    rig.step(count=4)
+    speed = rig.speed
+    rig.step(count=10)
+    pull = np.sin(0.3) - surface.rolling_resistance * np.cos(0.3)
+    expected = GRAVITY_MPS2 * pull * MASS_KG / ROLLING_MASS_KG
+    assert (speed - rig.speed) / 0.5 == pytest.approx(expected, rel=0.03)
+
+
+@every_backend
+def test_rolling_resistance_stops_a_rover_and_never_drives_it(backend):
+    for slope in (0.0, 0.1):
+        rig = Rig(backend, slope_world(named("sand"), slope), conf=FREE_WHEELS)
+        for _ in range(60):
+            rig.step()
+            # Below what sand holds, a rover creeps by what gravity adds in one control step, and no more.
+            creep = GRAVITY_MPS2 * np.sin(slope) * 0.05
+            assert -1.05 * creep - 1e-4 < rig.speed < 1e-3
     free = Rig(backend, slope_world(named("concrete"), 0.1), conf=FREE_WHEELS)
     free.step(count=60)
     assert free.speed < -1.5
@@ -169,13 +185,13 @@ def test_grip_on_one_side_turns_a_rover(backend):
     terrain = slope_world(None, 0.1).terrain
     rows = np.zeros((8, 1), int)
     world = World("split", terrain, region=(-1, 1, -1, 1))
+    # Rows run along y, so that the left wheels stand on the upper half; number 1 is ice.
     for slippery, sign in ((0, -1.0), (1, 1.0)):
-        # Rows run along y: the left wheels stand on the upper half.
-        rows[:4], rows[4:] = slippery, 1 - slippery
+        rows[4:], rows[:4] = slippery, 1 - slippery
         world.surfaces = SurfaceMap(rows, terrain.extent, [named("concrete"), ice])
         rig = Rig(backend, world, at=(-1.5, 0.0))
-        rig.step(0.5 / WHEEL_RADIUS_M, count=15)
-        assert sign * rig.motion.roll_pitch_yaw[0, 2] < -0.1
+        rig.step(0.5 / WHEEL_RADIUS_M, count=20)
+        assert sign * rig.motion.roll_pitch_yaw[0, 2] > 0.05
 
 
 class Witness:
@@ -260,13 +276,19 @@ NATURAL = {"surfaces": "natural", "sinkage": True}
 
 @pytest.mark.parametrize("world", ["flat", "island"])
 def test_natural_worlds_repeat_themselves(world):
-    settings = {"num_scenes": 2, "task": {"termination": {"max_steps": 25}}}
-    first = golden(real_batch({"name": world} | NATURAL, **settings), 40)
-    batch = real_batch({"name": world} | NATURAL, **settings)
-    assert golden(batch, 40) == first
-    batch.reseed(0)
-    assert golden(batch, 40) == first
-    assert golden(real_batch({"name": world} | NATURAL | {"sinkage": False}, **settings), 40) != first
+    def rollout(**other: bool) -> str:
+        batch = real_batch(
+            {"name": world} | NATURAL | other, num_scenes=2, task={"termination": {"max_steps": 25}}
+        )
+        digests = []
+        for _ in range(2):
+            batch.reseed(0)
+            digests.append(golden(batch, 30))
+        assert digests[0] == digests[1], "a reset leaves something behind"
+        return digests[0]
+
+    assert rollout() == rollout()
+    assert rollout(sinkage=False) != rollout()
 
 
 def test_a_restored_batch_goes_on_alike():
