@@ -77,7 +77,8 @@ TYRE_RESISTANCE = 0.015
 # Stiffness of soils: a rigid disc of the contact patch's radius a = 20 mm (chosen) on an elastic half-space,
 # 2 E a / (1 - nu^2) with nu = 0.3 (Johnson, Contact Mechanics, 1985, section 3.4). Damping: 20 ms times the
 # stiffness, the time in which the engine lets go of a penetration of its own; with less, springs ring and
-# drown the restitution (mud, which has none, takes 40 ms). That tyres give way by a millimetre themselves is left out.
+# drown the restitution (mud, which has none, takes 40 ms). That tyres themselves give way by a millimetre
+# is left out.
 _WONG = "Wong, Theory of Ground Vehicles, table of road adhesion after Taborek (1957)"
 _LLL = "Land Locomotion Laboratory, in Wong"
 _TOOLBOX = "The Engineering ToolBox, Rolling Resistance"
