@@ -44,10 +44,10 @@ GRAVEL = Ground(
 # How surfaces look where a world has a map of them: earth shows through grass alone.
 SURFACE_LOOKS: dict[str, Ground] = {
     "grass": MEADOW,
-    "gravel": Ground((0.50, 0.49, 0.47), (0.62, 0.60, 0.57), (0.52, 0.50, 0.48), 0.6, contrast=0.9),
+    "gravel": Ground((0.43, 0.415, 0.39), (0.53, 0.51, 0.48), (0.46, 0.44, 0.41), 0.6, contrast=0.9),
     "mud": Ground((0.22, 0.165, 0.12), (0.31, 0.24, 0.18), (0.26, 0.20, 0.15), 0.6, contrast=0.6),
     "sand": Ground((0.70, 0.61, 0.44), (0.80, 0.72, 0.55), (0.72, 0.63, 0.47), 0.6, contrast=0.6),
-    "rock": Ground((0.37, 0.36, 0.36), (0.49, 0.47, 0.45), (0.42, 0.41, 0.40), 0.6, contrast=0.8),
+    "rock": Ground((0.30, 0.295, 0.30), (0.40, 0.39, 0.38), (0.35, 0.34, 0.335), 0.6, contrast=0.8),
     "concrete": Ground((0.63, 0.63, 0.62), (0.70, 0.70, 0.68), (0.66, 0.65, 0.63), 0.6, contrast=0.3),
     "wood": Ground((0.45, 0.30, 0.17), (0.56, 0.40, 0.24), (0.48, 0.33, 0.20), 0.6, contrast=0.5),
 }
