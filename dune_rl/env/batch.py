@@ -14,6 +14,7 @@ from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import Motion
 from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.env.senses import Senses
+from dune_rl.env.traction import Traction
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
@@ -84,6 +85,7 @@ class Batch:
         self.actors = self._new_actors(seed)
         self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes, weather)
         self.motion = Motion(num_scenes, self.robot)
+        self.traction = Traction(self.robot, physics, num_scenes)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
         self._metrics = EpisodeMetrics(metrics, num_scenes)
@@ -139,8 +141,9 @@ class Batch:
             self.actors.reset(scene, stream(self.seed, "actors", episode), position[:2])
             physics = self._scenes[scene]
             physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
+            self.traction.begin(scene, self.world, physics, position, quaternion)
             physics.step(settle, still, self.actors.poses[scene])
-            drive = physics.drive_state() if self.senses.needs_wheels else None
+            drive = physics.drive_state() if self._needs_wheels else None
             self.motion.set_row(scene, physics.body_state(), drive)
         self.motion.begin(mask)
         self.senses.begin(mask, self._moment())
@@ -194,10 +197,13 @@ class Batch:
     def _advance_physics(self, commands: list[list[float]]) -> None:
         substeps, poses = self.physics.substeps, self.actors.poses
         self._touches = []
-        needs_wheels = self.senses.needs_wheels
+        needs_wheels = self._needs_wheels
         states, drives = [], []
+        force = self.traction.update(self._scenes, self.motion)
         if self.world.grass is not None:
-            force = grass_force(self.world.grass, self.motion, self.robot)
+            held = grass_force(self.world.grass, self.motion, self.robot)
+            force = held if force is None else force + held
+        if force is not None:
             for scene, pushed in zip(self._scenes, force.tolist(), strict=True):
                 scene.push(pushed)
         for index, scene in enumerate(self._scenes):
@@ -207,6 +213,10 @@ class Batch:
                 drives.append(scene.drive_state())
             self._touches += [(index, body) for body in scene.touched()]
         self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
+
+    @property
+    def _needs_wheels(self) -> bool:
+        return self.senses.needs_wheels or self.traction.needs_wheels
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""

@@ -83,6 +83,11 @@ class Motion:
         self.velocity_b = to_body(self.rotation, self.velocity_w)
         self.angular_b = to_body(self.rotation, self.angular_w)
 
+    @property
+    def wheel_speeds(self) -> Array | None:
+        """Speeds of the drive joints [rad/s], (M, W), where they are given."""
+        return None if self._drives is None else np.split(self._drives, 3, axis=1)[1]
+
     def tilt(self) -> Array:
         """Angle between the body's z and the world's [rad], (M,)."""
         return np.arccos(within(self.rotation[:, 2, 2], -1.0, 1.0))

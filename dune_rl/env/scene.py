@@ -19,11 +19,15 @@ _DROP_M = 0.005
 def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsConf) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, actors and the robot."""
     vertices, faces = world.terrain.mesh()
-    statics = [StaticBody("terrain", vertices, faces, world.friction, ground=True)]
+    # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
+    neutral = world.surfaces is not None
+    friction, restitution = (1.0, 1.0) if neutral else (world.friction, 0.0)
+    statics = [StaticBody("terrain", vertices, faces, friction, ground=True, restitution=restitution)]
     # Every static body costs the engine a third of a microsecond a step; what is ground needs no name.
     decks = [(prop.vertices, prop.faces) for prop in world.props if prop.solid and prop.drivable]
     if decks:
-        statics.append(StaticBody("drivable props", *merge(decks), world.friction, ground=True))
+        deck = merge(decks)
+        statics.append(StaticBody("drivable props", *deck, friction, ground=True, restitution=restitution))
     statics += [
         StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=False)
         for prop in world.props

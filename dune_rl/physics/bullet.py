@@ -59,6 +59,7 @@ class BulletScene:
         self._robot: int | None = None
         self._push: Sequence[float] | None = None
         self._drive_joints: list[int] = []
+        self._contacts: list[tuple[float, ...]] = []
         self._torques = [spec.robot.max_torque_nm] * len(spec.robot.drive_joints)
 
     def _add_static(self, body: StaticBody) -> int:
@@ -76,7 +77,11 @@ class BulletScene:
         mask = _WHEEL | _HULL if body.ground else _HULL
         pybullet.setCollisionFilterGroupMask(handle, -1, group, mask, physicsClientId=self._client)
         pybullet.changeDynamics(
-            handle, -1, lateralFriction=body.friction, restitution=0.0, physicsClientId=self._client
+            handle,
+            -1,
+            lateralFriction=body.friction,
+            restitution=body.restitution,
+            physicsClientId=self._client,
         )
         return handle
 
@@ -104,6 +109,7 @@ class BulletScene:
             self._move(index, kinematic_poses[index].tolist())
         self._poses[:] = kinematic_poses
         self._push = None
+        self._contacts = [() for _ in self._drive_joints]
 
     def _load_robot(self, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
         client, spec = self._client, self._spec.robot
@@ -209,6 +215,30 @@ class BulletScene:
         pybullet.applyExternalForce(
             self._robot, -1, force_w, centre, pybullet.WORLD_FRAME, physicsClientId=self._client
         )
+
+    def set_wheel_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        # Negative ones are left as they are.
+        rigid = [-1.0] * len(self._drive_joints)
+        rows = zip(friction, restitution, stiffness or rigid, damping or rigid, strict=True)
+        for wheel, row in enumerate(rows):
+            if row == self._contacts[wheel]:
+                continue
+            self._contacts[wheel] = row
+            pybullet.changeDynamics(
+                self._robot,
+                self._drive_joints[wheel],
+                lateralFriction=row[0],
+                restitution=row[1],
+                contactStiffness=row[2],
+                contactDamping=row[3],
+                physicsClientId=self._client,
+            )
 
     def coast(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation

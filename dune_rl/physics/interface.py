@@ -47,6 +47,7 @@ class StaticBody:
     """Triangles that never move: vertices (V, 3) [m] in the world frame, faces (F, 3).
 
     A robot may drive on `ground`; to touch any other body is a collision.
+    Friction and restitution multiply with those of what touches it.
     """
 
     name: str
@@ -54,6 +55,7 @@ class StaticBody:
     faces: NDArray[np.int32]
     friction: float
     ground: bool
+    restitution: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,22 @@ class PhysicsScene(Protocol):
         """Set the force (3) [N], world frame, that acts on the base link's centre throughout the next `step`.
 
         Without a call before it, a step has none.
+        """
+        ...
+
+    def set_wheel_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        """Set how the W wheels, in the order of the drive joints, meet the ground from now until `place`.
+
+        `friction` takes the place of the robot's `wheel_friction`; it and
+        `restitution` multiply with the ground's. Contacts yield as springs of
+        `stiffness` [N/m] with `damping` [N s/m]; without these they yield as
+        they did before, which after `place` is as little as the engine can.
         """
         ...
 

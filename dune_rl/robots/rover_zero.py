@@ -36,6 +36,8 @@ class RoverZero:
     width_m = 0.44
     height_m = 0.254
     standing_height_m = 0.125
+    mass_kg = 11.0
+    wheel_width_m = 0.083
     # Contact points of the wheels in the body frame [m]: where the rover stands on the ground.
     wheel_positions_b = np.array(
         [[0.1415, 0.18, 0.0], [0.1415, -0.18, 0.0], [-0.145, 0.18, 0.0], [-0.145, -0.18, 0.0]]

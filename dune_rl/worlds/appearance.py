@@ -46,7 +46,7 @@ def is_worked_out(shelf: Shelf) -> bool:
 
 
 def _ground_albedo(world: World) -> NDArray[np.float32]:
-    ground = ground_texture(world.terrain, world.ground, world.texture_seed)
+    ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
     return ground.albedo if world.grass is None else _in_shade(ground.albedo, world.grass)
 
 

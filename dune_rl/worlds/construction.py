@@ -11,7 +11,9 @@ from dune_rl.seeding import stream
 from dune_rl.worlds.construction_layout import place_things
 from dune_rl.worlds.construction_walls import build_storey
 from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -26,6 +28,8 @@ _MOUND_RADII_M = (2.0, 2.85)
 _CONCRETE = Ground(
     low=(0.52, 0.51, 0.49), high=(0.60, 0.59, 0.56), bare=(0.47, 0.40, 0.32), bare_from_rad=0.16, contrast=0.5
 )
+
+_SURFACES = (Part("concrete", 0.7), Part("sand", 0.15, high=1.0), Part("gravel", 0.15))
 
 
 class ConstructionConf(WorldSettings):
@@ -45,6 +49,8 @@ class ConstructionConf(WorldSettings):
     mound_height_m: float = Field(default=0.15, ge=0.0, le=0.6)
     region_size_m: float = Field(default=8.0, ge=3.0, le=20.0, description="side of the spawn region")
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
     @model_validator(mode="after")
     def _doors_fit(self) -> Self:
@@ -79,6 +85,7 @@ def build_construction(conf: ConstructionConf) -> World:
         friction=conf.friction,
         ground=_CONCRETE,
         texture_seed=conf.seed,
+        surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )
 
 

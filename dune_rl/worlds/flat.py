@@ -8,11 +8,15 @@ from pydantic import Field
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.ground import GRAVEL
+from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice
 from dune_rl.worlds.world import World
 
 # Contact solvers lose precision on triangles much longer than the robot.
 _SPACING_M = 5.0
+
+_SURFACES = tuple(Part(name, 1.0 / len(SURFACE_NAMES)) for name in SURFACE_NAMES)
 
 
 class FlatConf(WorldSettings):
@@ -24,6 +28,8 @@ class FlatConf(WorldSettings):
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
     grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def build_flat(conf: FlatConf) -> World:
@@ -38,4 +44,5 @@ def build_flat(conf: FlatConf) -> World:
         friction=conf.friction,
         ground=GRAVEL,
         grass=grow(terrain, (), conf.grass_cover, conf.grass_height_m, seed=0),
+        surfaces=surface_map(conf.surfaces, terrain, 0, _SURFACES, sinkage=conf.sinkage),
     )

@@ -1,4 +1,4 @@
-"""What the ground looks like: grass, earth and stones mixed by noise and by slope."""
+"""What the ground looks like: grass, earth and stones mixed by noise and by slope, or its surfaces."""
 
 from dataclasses import dataclass
 
@@ -10,6 +10,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import linear
 from dune_rl.rendering.scenery import GroundTexture
 from dune_rl.seeding import stream
+from dune_rl.worlds.surface_map import SurfaceMap
 
 Floats = NDArray[np.float32]
 Colour = tuple[float, float, float]
@@ -40,9 +41,24 @@ GRAVEL = Ground(
     low=(0.55, 0.53, 0.49), high=(0.64, 0.61, 0.56), bare=(0.50, 0.46, 0.42), bare_from_rad=0.6, contrast=0.8
 )
 
+# How surfaces look where a world has a map of them: earth shows through grass alone.
+SURFACE_LOOKS: dict[str, Ground] = {
+    "grass": MEADOW,
+    "gravel": Ground((0.43, 0.415, 0.39), (0.53, 0.51, 0.48), (0.46, 0.44, 0.41), 0.6, contrast=0.9),
+    "mud": Ground((0.22, 0.165, 0.12), (0.31, 0.24, 0.18), (0.26, 0.20, 0.15), 0.6, contrast=0.6),
+    "sand": Ground((0.70, 0.61, 0.44), (0.80, 0.72, 0.55), (0.72, 0.63, 0.47), 0.6, contrast=0.6),
+    "rock": Ground((0.30, 0.295, 0.30), (0.40, 0.39, 0.38), (0.35, 0.34, 0.335), 0.6, contrast=0.8),
+    "concrete": Ground((0.63, 0.63, 0.62), (0.70, 0.70, 0.68), (0.66, 0.65, 0.63), 0.6, contrast=0.3),
+    "wood": Ground((0.45, 0.30, 0.17), (0.56, 0.40, 0.24), (0.48, 0.33, 0.20), 0.6, contrast=0.5),
+}
+# Surfaces run into each other over about this far.
+_BLEND_M = 0.12
 
-def ground_texture(terrain: HeightField, ground: Ground, seed: int) -> GroundTexture:
-    """The look of `ground` on `terrain`: the same for the same seed."""
+
+def ground_texture(
+    terrain: HeightField, ground: Ground, seed: int, surfaces: SurfaceMap | None = None
+) -> GroundTexture:
+    """The look of `ground` on `terrain`, or of the `surfaces` it is made of: the same for the same seed."""
     xmin, xmax, ymin, ymax = terrain.extent
     columns, rows = (
         int(np.clip(round(side / _TEXEL_M), 2, _MOST_TEXELS)) for side in (xmax - xmin, ymax - ymin)
@@ -54,16 +70,38 @@ def ground_texture(terrain: HeightField, ground: Ground, seed: int) -> GroundTex
     grain = _noise(rng, rows, columns, [0.5, 0.2, 0.1], texel_m)
     x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
     y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
-    slope = terrain.slope(np.stack(np.meshgrid(x, y), axis=-1))
+    xy = np.stack(np.meshgrid(x, y), axis=-1)
+    slope = terrain.slope(xy)
     slope = ndimage.gaussian_filter(slope, 0.5 / texel_m)
     growth = _step((patches + 0.8) / 1.6)[..., None]
-    bare = _step((slope - ground.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
-    low, high, earth = (linear(np.array(colour)) for colour in (ground.low, ground.high, ground.bare))
-    albedo = low + growth * (high - low)
-    albedo = albedo + bare * (earth - albedo)
-    # Grass is rougher than earth.
-    shade = 1.0 + ground.contrast * (0.16 * grain[..., None] + 0.10 * patches[..., None]) * (1.0 - 0.3 * bare)
-    return GroundTexture(np.clip(albedo * shade, 0.01, 0.95).astype(np.float32))
+    shown = [(ground, np.ones((rows, columns)))]
+    if surfaces is not None:
+        shown = _shares(surfaces, surfaces.at(xy), ground, _BLEND_M / texel_m)
+    texture = np.zeros((rows, columns, 3))
+    for look, share in shown:
+        bare = _step((slope - look.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
+        low, high, earth = (linear(np.array(colour)) for colour in (look.low, look.high, look.bare))
+        albedo = low + growth * (high - low)
+        albedo = albedo + bare * (earth - albedo)
+        # Grass is rougher than earth.
+        shade = 1.0 + look.contrast * (0.16 * grain[..., None] + 0.10 * patches[..., None]) * (
+            1.0 - 0.3 * bare
+        )
+        texture += share[..., None] * (albedo * shade)
+    return GroundTexture(np.clip(texture, 0.01, 0.95).astype(np.float32))
+
+
+def _shares(
+    surfaces: SurfaceMap, numbers: NDArray[np.uint8], ground: Ground, blend: float
+) -> list[tuple[Ground, NDArray[np.float64]]]:
+    """The looks that there are and the share (rows, columns) of each; `ground` where a surface has none."""
+    return [
+        (
+            SURFACE_LOOKS.get(surfaces.names[number], ground),
+            ndimage.gaussian_filter((numbers == number).astype(np.float64), blend),
+        )
+        for number in np.unique(numbers).tolist()
+    ]
 
 
 def _noise(

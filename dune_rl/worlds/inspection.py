@@ -7,8 +7,12 @@ from pydantic import Field
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.inspection_layout import place_props
 from dune_rl.worlds.inspection_terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
+from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
+
+_SURFACES = (Part("grass", 0.6), Part("gravel", 0.25, steep=0.5), Part("mud", 0.15, steep=-0.5, high=-1.0))
 
 
 class InspectionConf(WorldSettings):
@@ -26,6 +30,8 @@ class InspectionConf(WorldSettings):
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
     grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def build_inspection(conf: InspectionConf) -> World:
@@ -43,4 +49,5 @@ def build_inspection(conf: InspectionConf) -> World:
         friction=conf.friction,
         texture_seed=conf.seed,
         grass=grow(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed),
+        surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )

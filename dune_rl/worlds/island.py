@@ -12,10 +12,12 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
 from dune_rl.worlds.grass import Grass, grow
 from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.plan import Plan
 from dune_rl.worlds.props import bearing, upright_box
 from dune_rl.worlds.roughness import rough_field, smooth_step
 from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import Colour, Prop, World
 
 Array = NDArray[np.float64]
@@ -46,6 +48,13 @@ _PAINTS: tuple[Colour, ...] = (
     (0.45, 0.46, 0.48),
 )
 
+# Of all the ground, half of which lies under the sea.
+_SURFACES = (
+    Part("sand", 0.72, high=-0.5),
+    Part("rock", 0.13, steep=0.7),
+    Part("mud", 0.15, steep=-0.5, high=0.3),
+)
+
 
 class IslandConf(WorldSettings):
     """Settings of `build_island`.
@@ -66,6 +75,8 @@ class IslandConf(WorldSettings):
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the land in tall grass")
     grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
     @model_validator(mode="after")
     def _region_on_land(self) -> Self:
@@ -102,6 +113,7 @@ def build_island(conf: IslandConf) -> World:
         ground=_SAND,
         texture_seed=conf.seed,
         grass=_grass(conf, terrain, boxes),
+        surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )
 
 

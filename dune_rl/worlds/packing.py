@@ -18,6 +18,8 @@ from dune_rl.worlds.ground import Ground
 from dune_rl.worlds.importing.imported import ImportedWorld
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.importing.things import ImportedProp
+from dune_rl.worlds.surface_map import SurfaceMap
+from dune_rl.worlds.surfaces import Soil, Surface
 from dune_rl.worlds.world import Prop, World
 
 Packed = tuple[dict[str, Any], dict[str, NDArray[Any]]]
@@ -32,6 +34,9 @@ _PLAIN: tuple[type, ...] = (
     ImportedWorld,
     Prop,
     SurfaceClearance,
+    Soil,
+    Surface,
+    SurfaceMap,
     World,
 )
 _SETTINGS: tuple[type[Settings], ...] = (LightConf,)

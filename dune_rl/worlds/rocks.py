@@ -58,7 +58,7 @@ def rock(terrain: HeightField, name: str, xy: ArrayLike, width: float, rng: np.r
 def joined(name: str, kind: str, rocks: Sequence[Prop], *, drivable: bool = False) -> Prop:
     """Several rocks as one prop, in the colour of the first."""
     mesh = merge((rock.vertices, rock.faces) for rock in rocks)
-    return Prop(name, kind, *mesh, drivable=drivable, colour=rocks[0].colour)
+    return Prop(name, kind, *mesh, drivable=drivable, colour=rocks[0].colour, surface="rock")
 
 
 def gathered(rocks: Sequence[Prop]) -> list[Prop]:

@@ -10,10 +10,12 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.roughness import gradient, rough_field, smooth_step
 from dune_rl.worlds.rubicon_layout import place_props
 from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -32,6 +34,8 @@ _GLADE_HALF_M, _GLADE_EDGE_M = 4.5, 7.0
 FOREST_FLOOR = Ground(
     low=(0.30, 0.33, 0.17), high=(0.44, 0.41, 0.25), bare=(0.44, 0.36, 0.28), bare_from_rad=0.42
 )
+
+_SURFACES = (Part("grass", 0.6, steep=-0.5), Part("gravel", 0.2), Part("rock", 0.2, steep=1.0))
 
 
 class RubiconConf(WorldSettings):
@@ -57,6 +61,8 @@ class RubiconConf(WorldSettings):
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
     grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def build_rubicon(conf: RubiconConf) -> World:
@@ -82,6 +88,7 @@ def build_rubicon(conf: RubiconConf) -> World:
         grass=grow(
             terrain, [merge(solid)] if solid else (), conf.grass_cover, conf.grass_height_m, conf.seed
         ),
+        surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )
 
 

@@ -122,7 +122,7 @@ def bridge(
     for u in (-3.6, 0.0, 3.6):
         frame.append(beam(on_deck(u, -edge, -0.24), on_deck(u, edge, -0.24), 0.18, 0.2))
     return (
-        Prop(f"{name} deck", "bridge", *deck, drivable=True, colour=_WOOD),
+        Prop(f"{name} deck", "bridge", *deck, drivable=True, colour=_WOOD, surface="wood"),
         Prop(f"{name} frame", "bridge", *merge(frame), colour=(0.38, 0.25, 0.14)),
     )
 

@@ -15,6 +15,8 @@ from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import MEADOW, Ground
 from dune_rl.worlds.queries import NearestObstacle, ObstacleSearch, RoughnessField
+from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
+from dune_rl.worlds.surfaces import SurfaceName
 
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
@@ -33,6 +35,8 @@ class Prop:
     collision. `colour` is red, green, blue in [0, 1]. A solid prop is made of
     closed surfaces whose faces run counter-clockwise seen from outside.
     `segment` is what it is shown as where that does not follow from the rest.
+    `surface` is what a drivable one is made of where the world has a map of
+    surfaces; None: of what the ground below it is.
     """
 
     name: str
@@ -43,6 +47,7 @@ class Prop:
     drivable: bool = False
     colour: Colour = (0.6, 0.6, 0.6)
     segment: Segment | None = None
+    surface: SurfaceName | None = None
 
     @property
     def shown_as(self) -> Segment:
@@ -68,7 +73,10 @@ class World:
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
     ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like; `grass` is what grows on it. `shelf` is where a `WorldStore` keeps what is worked out from it.
+    looks like; `grass` is what grows on it. `surfaces`, where given, is what
+    the ground and what lies drivable on it are made of: wheels take it in place
+    of `friction`, which is then that of other things alone. `shelf` is where a
+    `WorldStore` keeps what is worked out from it.
     """
 
     shelf: Shelf | None = None
@@ -84,6 +92,7 @@ class World:
         ground: Ground = MEADOW,
         texture_seed: int = 0,
         grass: Grass | None = None,
+        surfaces: SurfaceMap | None = None,
     ) -> None:
         self.name = name
         self.terrain = terrain
@@ -93,6 +102,7 @@ class World:
         self.ground = ground
         self.texture_seed = texture_seed
         self.grass = grass
+        self.surfaces = surfaces
 
     def lasting(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """What `make` gives, read back from `shelf` if there is one: what follows from the world alone."""
@@ -109,6 +119,34 @@ class World:
         vertices, faces = self.terrain.mesh()
         parts = [(-1, vertices, faces), *((index, prop.vertices, prop.faces) for index, prop in solid)]
         return _join(parts)
+
+    @cached_property
+    def _decks(self) -> Decks | None:
+        assert self.surfaces is not None
+        decks = [
+            Deck(
+                prop.vertices,
+                prop.faces,
+                None if prop.surface is None else self.surfaces.number(prop.surface),
+            )
+            for prop in self.props
+            if prop.solid and prop.drivable
+        ]
+        return Decks(decks, self.terrain, self.surfaces) if decks else None
+
+    def underfoot(self, points_w: Array) -> tuple[NDArray[np.uint8], Array]:
+        """What is under the bottoms of wheels (..., 3) [m]: its number in `surfaces`, and its height [m].
+
+        Each is of shape (...). One over a deck is on it unless it is well
+        below its top, as under a bridge. For worlds with `surfaces` only.
+        """
+        assert self.surfaces is not None, "the world has no map of surfaces"
+        numbers = self.surfaces.at(points_w[..., :2])
+        height = self.terrain.height(points_w[..., :2])
+        if self._decks is not None:
+            on, deck, top = self._decks.under(points_w)
+            numbers, height = np.where(on, deck, numbers), np.where(on, top, height)
+        return numbers, height
 
     @cached_property
     def clearance_field(self) -> ClearanceField:

@@ -48,7 +48,7 @@ def read_heights(path: Path, report: Report) -> Heights:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             if kind == ".npy":
-                found = Heights(_npy(data), True, None)
+                found = Heights(load_npy(data), True, None)
             elif kind == ".png":
                 found = _picture(data, report)
             else:
@@ -69,7 +69,8 @@ def read_heights(path: Path, report: Report) -> Heights:
     return found._replace(samples=samples)
 
 
-def _npy(data: bytes) -> Array:
+def load_npy(data: bytes) -> Array:
+    """The numbers in an .npy file, of bounded size; `ValueError` where it holds none."""
     # The header is read first, since an array may claim any size; pickles are code and never read.
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)

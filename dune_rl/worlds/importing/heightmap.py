@@ -14,7 +14,7 @@ from dune_rl.worlds.importing.height_files import Heights, read_heights
 from dune_rl.worlds.importing.height_grid import MAX_POINTS, filled
 from dune_rl.worlds.importing.import_files import Report, existing
 from dune_rl.worlds.importing.imported import ImportedWorld, checked_region, with_region
-from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _LARGEST_M = 20_000.0
 
 
-class HeightmapConf(WorldSettings):
+class HeightmapConf(SurfaceFileConf):
     """Settings of `build_heightmap`. Row 0 of the map is its northern edge, at the greatest y."""
 
     name: Literal["heightmap"] = "heightmap"
@@ -64,6 +64,7 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
     terrain, known = grid_of(samples, size, conf.spacing_m, report)
     world = ImportedWorld("heightmap", terrain, (), region=terrain.extent, friction=conf.friction)
     with_region(world, checked_region(conf.region), report, known)
+    world.surfaces = read_surfaces(conf, world.extent)
     report.tell()
     return world
 

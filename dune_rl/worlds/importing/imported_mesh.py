@@ -11,14 +11,14 @@ from dune_rl.worlds.importing.import_files import Folder, Report, existing
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region
 from dune_rl.worlds.importing.mesh_files import UpAxis, mesh_parts
 from dune_rl.worlds.importing.parts import Part
-from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.world import Rectangle
 
 # Further out, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0
 
 
-class MeshConf(WorldSettings):
+class MeshConf(SurfaceFileConf):
     """Settings of `build_mesh`."""
 
     name: Literal["mesh"] = "mesh"
@@ -59,6 +59,7 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
         friction=conf.friction,
         region=checked_region(conf.region),
     )
+    world.surfaces = read_surfaces(conf, world.extent)
     report.tell()
     return world
 

@@ -15,8 +15,8 @@ from dune_rl.worlds.importing.parts import Part, without_faults
 from dune_rl.worlds.importing.sdf_files import Library
 from dune_rl.worlds.importing.sdf_reader import Found, HeightMap, SdfReader
 from dune_rl.worlds.importing.sdf_shapes import plane
+from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.things import is_single_sheet, things_on
-from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
 _TERRAIN_M, _TERRAIN_M2 = 15.0, 100.0
 
 
-class SdfConf(WorldSettings):
+class SdfConf(SurfaceFileConf):
     """Settings of `build_sdf`."""
 
     name: Literal["sdf"] = "sdf"
@@ -78,6 +78,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             region=region,
             light=found.light,
         )
+    world.surfaces = read_surfaces(conf, world.extent)
     report.tell()
     return world
 

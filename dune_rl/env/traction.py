@@ -1,0 +1,150 @@
+"""What the ground's surfaces do to wheels: grip, bounce, give and rolling resistance, wheel by wheel."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.env.motion import Motion
+from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.physics.interface import PhysicsConf, PhysicsScene
+from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.worlds.surface_map import SurfaceMap
+from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+
+_GRAVITY_MPS2 = 9.81
+# A wheel higher than this over what is below it bears no load.
+_OFF_GROUND_M = 0.05
+_NOWHERE = 255
+
+
+class Traction:
+    """The wheels' contacts in M scenes, which follow the surfaces under them where a world has a map.
+
+    `friction_factor` and `stiffness_factor` (M,) multiply those of all the
+    wheels' contacts in a scene; set them before the scene's `begin`. Worlds
+    without a map have the friction's alone: there, contacts are rigid, and
+    where the factor is 1 nothing is done.
+    """
+
+    def __init__(self, robot: RoverZero, physics: PhysicsConf, num_scenes: int) -> None:
+        self._robot = robot
+        self._wheels_b = robot.wheel_positions_b
+        wheels = len(self._wheels_b)
+        self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
+        self._slowest = _GRAVITY_MPS2 * physics.control_step_s
+        self.friction_factor = np.ones(num_scenes)
+        self.stiffness_factor = np.ones(num_scenes)
+        self._worlds: list[World | None] = [None] * num_scenes
+        self._groups: list[tuple[World, NDArray[np.intp], Array]] | None = None
+        self.surfaces = np.full((num_scenes, wheels), _NOWHERE, np.uint8)
+
+    def begin(
+        self, scene: int, world: World, engine: PhysicsScene, position_w: Array, quaternion: Array
+    ) -> None:
+        """Set the contacts of a scene's robot that has just been placed so in `engine`, in `world`."""
+        if self._worlds[scene] is not world:
+            self._worlds[scene], self._groups = world, None
+        self.surfaces[scene] = _NOWHERE
+        if world.surfaces is None:
+            factor = float(self.friction_factor[scene])
+            if factor != 1.0:
+                wheels = len(self._wheels_b)
+                engine.set_wheel_contacts([self._robot.body.wheel_friction * factor] * wheels, [0.0] * wheels)
+            return
+        rotation = rotation_matrices(quaternion)
+        self.surfaces[scene], _ = world.underfoot(self._bottoms(position_w, rotation))
+        self._set(scene, world, engine)
+
+    @property
+    def needs_wheels(self) -> bool:
+        """Whether `update` is to know the wheels' speeds."""
+        return bool(self._mapped())
+
+    def update(self, engines: Sequence[PhysicsScene], motion: Motion) -> Array | None:
+        """Let the contacts follow the rovers, and give the rolling resistance (M, 3) [N], world frame.
+
+        None where no scene's world has a map. The force is meant to act over
+        one control step.
+        """
+        groups = self._mapped()
+        if not groups:
+            return None
+        speeds = motion.wheel_speeds
+        assert speeds is not None, "rolling resistance needs the wheels' speeds"
+        force = np.zeros((len(engines), 3))
+        for world, scenes, rolling in groups:
+            rotation = motion.rotation[scenes]
+            bottoms = self._bottoms(motion.position_w[scenes], rotation)
+            numbers, height = world.underfoot(bottoms)
+            changed = (numbers != self.surfaces[scenes]).any(axis=1)
+            self.surfaces[scenes] = numbers
+            for scene in scenes[changed].tolist():
+                self._set(scene, world, engines[scene])
+            coefficients = rolling[numbers] * (bottoms[..., 2] - height < _OFF_GROUND_M)
+            yaw_rates = motion.angular_b[scenes, 2, None]
+            ahead = motion.velocity_b[scenes, 0, None] - yaw_rates * self._wheels_b[:, 1]
+            held = self._held(coefficients, ahead, speeds[scenes] * self._robot.standing_height_m)
+            load = self._share_n * np.maximum(rotation[:, 2, 2], 0.0)
+            force[scenes] = (load * held)[:, None] * rotation[:, :, 0]
+        return force
+
+    def _held(self, coefficients: Array, ahead: Array, rims: Array) -> Array:
+        """Resistance along each rover's nose over a wheel's load, (N,), of wheels with `coefficients` (N, W).
+
+        `ahead` (N, W) is how fast the wheels go [m/s] and `rims` how fast they
+        turn; the lesser is how fast they roll: a locked wheel and one that
+        spins on the spot do not. Below the speed that resistance takes away
+        within a control step it goes with the speed, so that it stops a rover
+        and never turns it round.
+        """
+        rolls = np.where(ahead * rims > 0.0, np.minimum(np.abs(ahead), np.abs(rims)), 0.0)
+        held: Array = np.minimum(rolls / self._slowest, coefficients) * np.sign(ahead)
+        return -held.sum(axis=1)
+
+    def _bottoms(self, position_w: Array, rotation: Array) -> Array:
+        """Lowest points (..., W, 3) [m] of the wheels."""
+        centres = position_w[..., None, :] + self._wheels_b @ np.swapaxes(rotation, -1, -2)
+        centres[..., 2] -= self._robot.standing_height_m
+        return centres
+
+    def _set(self, scene: int, world: World, engine: PhysicsScene) -> None:
+        assert world.surfaces is not None
+        contacts, _ = self._table(world.surfaces)
+        rows = contacts[self.surfaces[scene]]
+        friction = rows[:, 0] * (self._robot.body.wheel_friction * self.friction_factor[scene])
+        stiffness = rows[:, 2] * self.stiffness_factor[scene]
+        engine.set_wheel_contacts(
+            friction.tolist(), rows[:, 1].tolist(), stiffness.tolist(), rows[:, 3].tolist()
+        )
+
+    def _table(self, surfaces: SurfaceMap) -> tuple[Array, Array]:
+        wheel = WheelLoad(self._share_n, 2 * self._robot.standing_height_m, self._robot.wheel_width_m)
+        return _table(surfaces.surfaces, wheel, surfaces.sinkage)
+
+    def _mapped(self) -> list[tuple[World, NDArray[np.intp], Array]]:
+        # The worlds with a map, the scenes that are in each, and the rolling resistance of its surfaces.
+        if self._groups is None:
+            self._groups = self._grouped()
+        return self._groups
+
+    def _grouped(self) -> list[tuple[World, NDArray[np.intp], Array]]:
+        scenes: dict[int, list[int]] = {}
+        for scene, world in enumerate(self._worlds):
+            if world is not None and world.surfaces is not None:
+                scenes.setdefault(id(world), []).append(scene)
+        groups = []
+        for members in scenes.values():
+            world = self._worlds[members[0]]
+            assert world is not None and world.surfaces is not None
+            groups.append((world, np.array(members), self._table(world.surfaces)[1]))
+        return groups
+
+
+@lru_cache(maxsize=64)
+def _table(surfaces: tuple[Surface, ...], wheel: WheelLoad, sinkage: bool) -> tuple[Array, Array]:
+    return contact_table(surfaces, wheel, sinkage=sinkage, gravity_mps2=_GRAVITY_MPS2)

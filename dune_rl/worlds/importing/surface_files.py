@@ -1,0 +1,92 @@
+"""Maps of surfaces from files, for imported worlds: PNG or .npy of whole numbers with a legend."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import Field
+
+from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.height_files import load_npy
+from dune_rl.worlds.importing.import_files import open_image, read_bytes, unreadable
+from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.surface_map import Rectangle, SurfaceMap
+from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceName
+
+_FORMATS = (".png", ".npy")
+
+
+class SurfaceFileConf(WorldSettings):
+    """What the ground of an imported world is made of."""
+
+    surface_map: str | None = Field(
+        default=None,
+        min_length=1,
+        description="one surface's name, or a .png or .npy of surface numbers over the ground's rectangle, "
+        "its first row the north; None: friction is the same everywhere",
+    )
+    surface_legend: tuple[SurfaceName, ...] = Field(
+        default=SURFACE_NAMES, min_length=1, description="what the numbers 0, 1, ... mean"
+    )
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
+
+
+def read_surfaces(conf: SurfaceFileConf, extent: Rectangle) -> SurfaceMap | None:
+    """The map over `extent`, None where none is asked for; `WorldError` where it cannot be read."""
+    if conf.surface_map is None:
+        if conf.sinkage:
+            raise WorldError(
+                "world.sinkage=true needs to know what the ground is made of: "
+                f"set world.surface_map to a file, or to one of {', '.join(SURFACE_NAMES)}."
+            )
+        return None
+    if conf.surface_map in SURFACE_NAMES:
+        numbers = np.array([[SURFACE_NAMES.index(conf.surface_map)]])
+        return SurfaceMap(numbers, extent, sinkage=conf.sinkage)
+    numbers = _numbers(conf.surface_map)
+    unknown = np.setdiff1d(numbers, np.arange(len(conf.surface_legend)))
+    if len(unknown):
+        raise WorldError(
+            f"world.surface_map={conf.surface_map} has the number {unknown[0]}, and world.surface_legend "
+            f"names the numbers 0 to {len(conf.surface_legend) - 1} ({', '.join(conf.surface_legend)}): "
+            "add names, or change the file."
+        )
+    meaning = np.array([SURFACE_NAMES.index(name) for name in conf.surface_legend], np.uint8)
+    # The file's first row is the north, the map's first row the south.
+    return SurfaceMap(meaning[numbers[::-1]], extent, sinkage=conf.sinkage)
+
+
+def _numbers(name: str) -> NDArray[np.integer]:
+    path = Path(name).expanduser()
+    kind = path.suffix.lower()
+    if kind not in _FORMATS or not path.exists():
+        fault = "there is no such file" if kind in _FORMATS else "it is neither"
+        raise WorldError(
+            f"world.surface_map={name} must be one of {', '.join(SURFACE_NAMES)}, "
+            f"or a file that ends in {' or '.join(_FORMATS)}: {fault}."
+        )
+    data = read_bytes(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = load_npy(data) if kind == ".npy" else _picture(open_image(data))
+    except WorldError:
+        raise
+    except Exception as error:
+        unreadable(path.name, "map of surfaces", error)
+    whole = found.dtype.kind in "iu" or bool((found == np.round(found)).all())
+    if found.ndim != 2 or not found.size or not whole:
+        raise WorldError(
+            f"{path.name} holds {found.dtype} of shape {found.shape}: "
+            "a map of surfaces is rows and columns of whole numbers."
+        )
+    return found.astype(np.int64)
+
+
+def _picture(image: Image.Image) -> NDArray[np.integer]:
+    """A grey picture's values, or a coloured one's places in its palette."""
+    if image.mode not in ("L", "P", "1", "I", "I;16"):
+        raise ValueError(f"its pixels are {image.mode} colours; save it as grey or with a palette")
+    return np.asarray(image).astype(np.int64)

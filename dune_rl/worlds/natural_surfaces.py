@@ -1,0 +1,90 @@
+"""Maps of surfaces as they lie in nature: patches from noise, leaning to where each belongs."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.seeding import stream
+from dune_rl.worlds.surface_map import CELL_M, MOST_CELLS, SurfaceMap
+from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice, SurfaceName
+
+Array = NDArray[np.float64]
+
+_PATCH_M = 4.5
+_SHARE_ROUNDS = 30
+
+
+class Part(NamedTuple):
+    """A surface on a `share` of the ground, in patches that lean to steep (positive) or to high places.
+
+    The leanings are in deviations of noise for each deviation of slope and of height.
+    """
+
+    name: SurfaceName
+    share: float
+    steep: float = 0.0
+    high: float = 0.0
+
+
+def surface_map(
+    choice: SurfaceChoice, terrain: HeightField, seed: int, parts: Sequence[Part], *, sinkage: bool
+) -> SurfaceMap | None:
+    """The map of `choice` on `terrain`: None for "uniform", all of one surface, or "natural", of `parts`.
+
+    Raises WorldError where there is to be `sinkage` without a map.
+    """
+    if choice == "uniform":
+        if sinkage:
+            raise WorldError(
+                "world.sinkage=true needs to know what the ground is made of: "
+                f"set world.surfaces to natural, or to one of {', '.join(SURFACE_NAMES)}."
+            )
+        return None
+    if choice != "natural":
+        number = SURFACE_NAMES.index(choice)
+        return SurfaceMap(np.full((1, 1), number, np.uint8), terrain.extent, sinkage=sinkage)
+    return SurfaceMap(_patches(terrain, seed, parts), terrain.extent, sinkage=sinkage)
+
+
+def _patches(terrain: HeightField, seed: int, parts: Sequence[Part]) -> NDArray[np.uint8]:
+    """Numbers (rows, columns) of the surfaces, each on the share of the ground that is its."""
+    xmin, xmax, ymin, ymax = terrain.extent
+    columns, rows = (int(np.clip(round(side / CELL_M), 1, MOST_CELLS)) for side in (xmax - xmin, ymax - ymin))
+    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
+    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
+    xy = np.stack(np.meshgrid(x, y), axis=-1)
+    slope, height = (
+        _standardised(ndimage.gaussian_filter(field, 1.0 / CELL_M))
+        for field in (terrain.slope(xy), terrain.height(xy))
+    )
+    rng = stream(seed, "surfaces")
+    sigma = (_PATCH_M / 4 * rows / (ymax - ymin), _PATCH_M / 4 * columns / (xmax - xmin))
+    fields = np.stack(
+        [
+            _standardised(ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap"))
+            + part.steep * slope
+            + part.high * height
+            for part in parts
+        ]
+    )
+    shares = np.array([part.share for part in parts])
+    shares = shares / shares.sum()
+    # The highest field has the cell: raise each until it has its share. Every other cell tells enough.
+    lift = np.zeros(len(parts))
+    sample = fields[:, ::4, ::4].reshape(len(parts), -1)
+    for _ in range(_SHARE_ROUNDS):
+        winner = (sample + lift[:, None]).argmax(axis=0)
+        lift += shares - np.bincount(winner, minlength=len(parts)) / sample.shape[1]
+    numbers = np.array([SURFACE_NAMES.index(part.name) for part in parts], np.uint8)
+    return numbers[(fields + lift[:, None, None]).argmax(axis=0)]
+
+
+def _standardised(field: Array) -> Array:
+    spread = field.std()
+    # Level ground has no steep places.
+    return (field - field.mean()) / spread if spread > 1e-9 else np.zeros_like(field)

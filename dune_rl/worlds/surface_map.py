@@ -1,0 +1,124 @@
+"""Where which surface is: a map over the terrain, and the decks above it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
+from dune_rl.worlds.surfaces import SURFACES, Surface
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.uint8]
+Rectangle = tuple[float, float, float, float]
+
+CELL_M = 0.1
+MOST_CELLS = 1024
+# A wheel whose lowest point is no farther than this below a deck's top stands on the deck.
+_ON_DECK_M = 0.1
+_CAST_M = 1.0
+
+
+class SurfaceMap:
+    """Surfaces over the terrain's rectangle: `numbers` (rows, columns) are places in `surfaces`.
+
+    The grid's cells share out `extent` (xmin, xmax, ymin, ymax) [m], the first
+    at the lowest x and y. With `sinkage`, wheels sink in those that are soils.
+    """
+
+    def __init__(
+        self,
+        numbers: ArrayLike,
+        extent: Rectangle,
+        surfaces: Sequence[Surface] = SURFACES,
+        *,
+        sinkage: bool = False,
+    ) -> None:
+        grid = np.array(numbers)
+        if grid.ndim != 2 or not grid.size or grid.dtype.kind not in "iu":
+            raise ValueError(f"numbers must be a grid of whole numbers, not {grid.dtype} of {grid.shape}")
+        if grid.min() < 0 or grid.max() >= min(len(surfaces), 256):
+            raise ValueError(
+                f"numbers run from {grid.min()} to {grid.max()}, and there are {len(surfaces)} surfaces"
+            )
+        self.numbers: Numbers = grid.astype(np.uint8)
+        self.numbers.flags.writeable = False
+        self.extent = extent
+        self.surfaces = tuple(surfaces)
+        self.sinkage = sinkage
+        xmin, xmax, ymin, ymax = extent
+        rows, columns = grid.shape
+        self._low = np.array([xmin, ymin])
+        self._per_m = np.array([columns / (xmax - xmin), rows / (ymax - ymin)])
+        self._last = np.array([columns - 1, rows - 1])
+        self._flat = self.numbers.ravel()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the surfaces, in the order of their numbers."""
+        return tuple(surface.name for surface in self.surfaces)
+
+    def number(self, name: str) -> int:
+        """The number of the surface called `name`; `ValueError` where there is none."""
+        if name not in self.names:
+            raise ValueError(f"the map has no surface {name!r}; it has {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def at(self, xy: ArrayLike) -> Numbers:
+        """Number of the surface, shape (...), at points (..., 2); beyond the edge, that of the edge."""
+        cell = ((np.asarray(xy, np.float64) - self._low) * self._per_m).astype(np.intp)
+        np.clip(cell, 0, self._last, out=cell)
+        found: Numbers = self._flat[cell[..., 1] * (self._last[0] + 1) + cell[..., 0]]
+        return found
+
+
+class Deck(NamedTuple):
+    """What one may drive on above the ground: a mesh, (V, 3) [m] and (F, 3), and its surface's number."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    number: int | None
+
+
+class Decks:
+    """The tops of `decks` over `terrain`, on a grid; one without a number has that of the `ground` below."""
+
+    def __init__(self, decks: Sequence[Deck], terrain: HeightField, ground: SurfaceMap) -> None:
+        low = np.min([deck.vertices.min(axis=0) for deck in decks], axis=0)
+        high = np.max([deck.vertices.max(axis=0) for deck in decks], axis=0)
+        size = np.clip(np.ceil((high - low)[:2] / CELL_M), 1, MOST_CELLS).astype(int)
+        self._low, self._per_m, self._last = low[:2], size / np.maximum(high - low, 1e-9)[:2], size - 1
+        x, y = (low[k] + (np.arange(size[k]) + 0.5) * (high - low)[k] / size[k] for k in (0, 1))
+        xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        top = terrain.height(xy)
+        bare = top.copy()
+        numbers = ground.at(xy)
+        ceiling = float(high[2]) + _CAST_M
+        for deck in decks:
+            first, last = deck.vertices[:, :2].min(axis=0), deck.vertices[:, :2].max(axis=0)
+            near = np.flatnonzero(((xy >= first) & (xy <= last)).all(axis=1))
+            if not len(near):
+                continue
+            origins = np.column_stack([xy[near], np.full(len(near), ceiling)]).astype(np.float32)
+            down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(near), 1))
+            reach = np.full(len(near), high[2] - low[2] + 2 * _CAST_M, np.float32)
+            met = RayScene(deck.vertices, deck.faces).hits(origins, down, reach)
+            height = ceiling - met.range.astype(np.float64)
+            above = (met.face >= 0) & (height > top[near])
+            top[near[above]] = height[above]
+            if deck.number is not None:
+                numbers[near[above]] = deck.number
+        # The parts of a stone that lie in the ground carry nothing.
+        self._top, self._numbers = np.where(top > bare, top, np.inf), numbers
+
+    def under(self, points_w: Array) -> tuple[NDArray[np.bool_], Numbers, Array]:
+        """Which of the points (..., 3) stand on a deck, and its number and height [m] there, each (...)."""
+        cell = np.floor((points_w[..., :2] - self._low) * self._per_m).astype(np.intp)
+        inside = ((cell >= 0) & (cell <= self._last)).all(axis=-1)
+        np.clip(cell, 0, self._last, out=cell)
+        index = cell[..., 1] * (self._last[0] + 1) + cell[..., 0]
+        top = self._top[index]
+        on = inside & (points_w[..., 2] > top - _ON_DECK_M)
+        return on, self._numbers[index], top

@@ -1,0 +1,220 @@
+"""What ground is made of: friction, restitution, compliance, rolling resistance, and how soft soil sinks."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+SurfaceName = Literal["grass", "gravel", "mud", "sand", "rock", "concrete", "wood"]
+SurfaceChoice = Literal["uniform", "natural", "grass", "gravel", "mud", "sand", "rock", "concrete", "wood"]
+
+
+@dataclass(frozen=True)
+class Soil:
+    """Bekker's soil, whose pressure at a depth z is (k_c / b + k_phi) z^n under a strip b wide.
+
+    `k_c` is in N/m^(n+1), `k_phi` in N/m^(n+2). M. G. Bekker, Introduction to
+    Terrain-Vehicle Systems (1969); J. Y. Wong, Theory of Ground Vehicles,
+    chapter 2.
+    """
+
+    k_c: float
+    k_phi: float
+    n: float
+
+    def sinkage_m(self, load_n: float, diameter_m: float, width_m: float) -> float:
+        """Depth [m] to which a rigid wheel stands in it under `load_n` [N].
+
+        z^((2n+1)/2) = 3 W / ((3 - n) (k_c + b k_phi) sqrt(D)), which is meant
+        for n up to 1.3 and a sinkage that is small beside the diameter D
+        (Wong, chapter 2, after Bekker).
+        """
+        stiffness = self.k_c + width_m * self.k_phi
+        ratio = 3.0 * load_n / ((3.0 - self.n) * stiffness * np.sqrt(diameter_m))
+        return float(ratio ** (2.0 / (2.0 * self.n + 1.0)))
+
+    def compaction_n(self, load_n: float, diameter_m: float, width_m: float) -> float:
+        """Force [N] that presses a rut ahead of it: (k_c + b k_phi) z^(n+1) / (n + 1) (Wong, chapter 2)."""
+        depth = self.sinkage_m(load_n, diameter_m, width_m)
+        return (self.k_c + width_m * self.k_phi) * depth ** (self.n + 1.0) / (self.n + 1.0)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A kind of ground as a rubber wheel meets it.
+
+    `friction` and `restitution` are those of the pair; `stiffness_npm` [N/m]
+    and `damping_nspm` [N s/m] those of a wheel's contact; `rolling_resistance`
+    is a wheel's resistance over its load. `soil` is what it sinks in, by
+    option; `source` says where the figures are from.
+    """
+
+    name: str
+    friction: float
+    restitution: float
+    stiffness_npm: float
+    damping_nspm: float
+    rolling_resistance: float
+    soil: Soil | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("friction", "stiffness_npm"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} of surface {self.name!r} must be positive")
+        if not 0.0 <= self.restitution <= 1.0:
+            raise ValueError(f"restitution of surface {self.name!r} must be between 0 and 1")
+        for name in ("damping_nspm", "rolling_resistance"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} of surface {self.name!r} must not be negative")
+
+
+# A wheel's resistance from its own tyre, on ground that gives way by Bekker's law.
+TYRE_RESISTANCE = 0.015
+
+# Stiffness of soils: a rigid disc of the contact patch's radius a = 20 mm (chosen) on an elastic half-space,
+# 2 E a / (1 - nu^2) with nu = 0.3 (Johnson, Contact Mechanics, 1985, section 3.4). Damping: 20 ms times the
+# stiffness, the time in which the engine lets go of a penetration of its own; with less, springs ring and
+# drown the restitution (mud, which has none, takes 40 ms). That tyres themselves give way by a millimetre
+# is left out.
+_WONG = "Wong, Theory of Ground Vehicles, table of road adhesion after Taborek (1957)"
+_LLL = "Land Locomotion Laboratory, in Wong"
+_TOOLBOX = "The Engineering ToolBox, Rolling Resistance"
+_HOEK = "Hoek, Practical Rock Engineering, table of rockfall"
+_OBRZUD = "Obrzud and Truty, The Hardening Soil Model (2012), after Kezdi and Prat"
+
+SURFACES: tuple[Surface, ...] = (
+    Surface(
+        "grass",
+        friction=0.5,
+        restitution=0.30,
+        stiffness_npm=2.2e5,
+        damping_nspm=4.4e3,
+        rolling_resistance=0.07,
+        source=(
+            "friction: chosen between wet grass, 0.2 (Noon, Engineering Analysis of Vehicular "
+            f"Accidents, 1994), and a dry earth road, 0.65 to 0.68 ({_WONG}); restitution: soft soil "
+            f"with vegetation ({_HOEK}); stiffness: E = 5 MPa, soft silt ({_OBRZUD}); rolling: medium "
+            f"hard soil, 0.04 to 0.08 ({_TOOLBOX})"
+        ),
+    ),
+    Surface(
+        "gravel",
+        friction=0.6,
+        restitution=0.32,
+        stiffness_npm=1.3e6,
+        damping_nspm=2.6e4,
+        rolling_resistance=0.06,
+        source=(
+            f"friction: gravel, 0.6 at its peak ({_WONG}); restitution: talus ({_HOEK}); stiffness: E "
+            f"= 30 MPa, loose gravel ({_OBRZUD}); rolling: loose gravel, 0.06 (Moyer, in Marks' "
+            "Standard Handbook for Mechanical Engineers)"
+        ),
+    ),
+    Surface(
+        "mud",
+        friction=0.45,
+        restitution=0.0,
+        stiffness_npm=4.4e4,
+        damping_nspm=1.8e3,
+        rolling_resistance=0.15,
+        soil=Soil(k_c=2.56e3, k_phi=43.12e3, n=0.2),
+        source=(
+            f"friction: wet earth road, 0.4 to 0.5 sliding ({_WONG}); restitution: chosen, it flows; "
+            f"stiffness: E = 1 MPa, very soft clay ({_OBRZUD}); rolling: field, 0.1 to 0.35 (Wong, "
+            f"Theory of Ground Vehicles); soil: sandy loam with 22 % of water ({_LLL})"
+        ),
+    ),
+    Surface(
+        "sand",
+        friction=0.53,
+        restitution=0.05,
+        stiffness_npm=4.4e5,
+        damping_nspm=8.8e3,
+        rolling_resistance=0.2,
+        soil=Soil(k_c=0.99e3, k_phi=1528.43e3, n=1.1),
+        source=(
+            f"friction: tan 28 degrees, the angle of shearing of dry sand ({_LLL}), its small cohesion "
+            "left out; restitution: chosen, its grains take up the blow; stiffness: E = 10 MPa, loose "
+            f"uniform sand ({_OBRZUD}); rolling: loose sand, 0.2 to 0.4 ({_TOOLBOX}), 0.1 to 0.2 "
+            f"(Carvill, Mechanical Engineer's Data Handbook, 1993); soil: dry sand ({_LLL})"
+        ),
+    ),
+    Surface(
+        "rock",
+        friction=0.75,
+        restitution=0.53,
+        stiffness_npm=1e7,
+        damping_nspm=2e5,
+        rolling_resistance=0.03,
+        source=(
+            f"friction: chosen, as locked wheels on dry asphalt ({_WONG}); restitution: clean hard "
+            f"bedrock ({_HOEK}); stiffness: chosen, since tens of GPa are rigid to an engine; rolling: "
+            f"large worn cobbles, 0.03 ({_TOOLBOX})"
+        ),
+    ),
+    Surface(
+        "concrete",
+        friction=0.8,
+        restitution=0.40,
+        stiffness_npm=1e7,
+        damping_nspm=2e5,
+        rolling_resistance=0.015,
+        source=(
+            f"friction: dry concrete, 0.8 to 0.9 at its peak and 0.75 sliding ({_WONG}); restitution: "
+            f"asphalt ({_HOEK}); stiffness: chosen, since tens of GPa are rigid to an engine; rolling: "
+            f"0.010 to 0.015 ({_TOOLBOX})"
+        ),
+    ),
+    Surface(
+        "wood",
+        friction=0.6,
+        restitution=0.40,
+        stiffness_npm=5e6,
+        damping_nspm=1e5,
+        rolling_resistance=0.02,
+        source=(
+            "chosen: planks neither clean and dry nor wet, between concrete and gravel in grip and in "
+            "rolling, and nearly rigid, since no table for tyres on decks was found"
+        ),
+    ),
+)
+SURFACE_NAMES: tuple[SurfaceName, ...] = get_args(SurfaceName)
+
+
+@dataclass(frozen=True)
+class WheelLoad:
+    """What bears on the ground under one wheel: `load_n` [N], and the wheel's size [m]."""
+
+    load_n: float
+    diameter_m: float
+    width_m: float
+
+
+def contact_table(
+    surfaces: tuple[Surface, ...], wheel: WheelLoad, *, sinkage: bool, gravity_mps2: float = 9.81
+) -> tuple[Array, Array]:
+    """How wheels stand and roll on each of S surfaces.
+
+    The first, (S, 4), is friction, restitution, stiffness [N/m] and damping
+    [N s/m] of a contact; the second, (S,), the rolling resistance over the load.
+    With `sinkage` the contact on a soil gives way by Bekker's depth z under the
+    wheel's load W, a spring of W / z in series with the surface's own, damped
+    critically, since soil does not spring back; and the wheel is held back by
+    the tyre's own resistance and that of compaction, in place of the surface's
+    figure, which has both in it.
+    """
+    contacts = np.array([[s.friction, s.restitution, s.stiffness_npm, s.damping_nspm] for s in surfaces])
+    rolling = np.array([s.rolling_resistance for s in surfaces])
+    if sinkage:
+        size = wheel.load_n, wheel.diameter_m, wheel.width_m
+        for row, soil in enumerate(surface.soil for surface in surfaces):
+            if soil is None:
+                continue
+            stiffness = 1.0 / (1.0 / contacts[row, 2] + soil.sinkage_m(*size) / wheel.load_n)
+            contacts[row, 2] = stiffness
+            contacts[row, 3] = 2.0 * np.sqrt(stiffness * wheel.load_n / gravity_mps2)
+            rolling[row] = TYRE_RESISTANCE + soil.compaction_n(*size) / wheel.load_n
+    return contacts, rolling
