@@ -52,6 +52,7 @@ def site_of(conf: ViewConf, driven: list[Drive]) -> Site:
         world=world,
         spawner=spawner,
         max_slope_deg=conf.task.spawn.max_slope_deg,
+        goal_distance_m=conf.task.termination.goal_distance_m,
         things=things(world, len(OBSTACLES)),
         paths=_paths(conf, spawner),
         episodes=episodes,
@@ -94,7 +95,7 @@ def drives(conf: ViewConf, console: Console) -> list[Drive]:
                     episode = int(batch.episodes[scene])
                     metrics = dict(zip(batch.metric_names, batch.metrics()[scene].tolist(), strict=True))
                     if episode < conf.episodes:
-                        found[episode] = Drive(episode, np.array(tracks[scene]), ending(metrics))
+                        found[episode] = Drive(episode, _finite(tracks[scene]), ending(metrics))
                 now = env.maybe_reset(env.step_mdp(after))
                 for scene in np.flatnonzero(done).tolist():
                     tracks[scene] = [batch.motion.position_w[scene, :2].copy()]
@@ -102,6 +103,12 @@ def drives(conf: ViewConf, console: Console) -> list[Drive]:
     finally:
         env.close()
     return [found[episode] for episode in sorted(found)]
+
+
+def _finite(track: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    points = np.array(track)
+    # Where physics diverged, a track ends before its episode does.
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def title(conf: ViewConf) -> str:
@@ -114,7 +121,7 @@ def subtitle(conf: ViewConf) -> str:
     """Who drives, the seed of the episodes, and the settings of the world."""
     chosen = conf.world.model_dump(exclude={"name", "path"}, exclude_none=True)
     settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items())
-    who = conf.policy
+    who: str | None = conf.policy
     if conf.checkpoint is not None:
         path = Path(conf.checkpoint)
         who = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"

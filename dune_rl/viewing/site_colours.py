@@ -12,7 +12,7 @@ TOO_STEEP, TOO_STEEP_STRIPE = "#57386e", "#8f72a8"
 WATER, GREENERY, GRASS = "#a7d3ef", "#4f9d57", "#9cc24a"
 SPAWN, SPAWN_EDGE = "#2aa7c9", "#0b6d88"
 CONTOUR = "#6d5435"
-DRIVABLE = "#f1ede4"
+DRIVABLE, DRIVABLE_EDGE = "#f1ede4", "#7d766a"
 # Cool or dark, on warm ground.
 OBSTACLES = ("#2c3950", "#1d8a86", "#a3b6cc", "#b8437c", "#2c64b4", "#0c0c0e", "#e4e6ea")
 PATHS = ("#0072b2", "#c2367f", "#007f5f", "#5b3fa3", "#c2452d", "#0096c7")

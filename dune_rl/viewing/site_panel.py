@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.patches import Circle
 from matplotlib.patches import Rectangle as Box
 from matplotlib.path import Path
 from numpy.typing import NDArray
@@ -47,11 +48,15 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What a map is of: `episodes` are starts and goals by number, `paths` (P, 2) [m] are the actors'."""
+    """What a map is of: `episodes` are starts and goals by number, `paths` (P, 2) [m] the actors'.
+
+    Slopes over `max_slope_deg` are too steep, and within `goal_distance_m` a goal is reached.
+    """
 
     world: World
     spawner: Spawner
     max_slope_deg: float
+    goal_distance_m: float
     things: Sequence[Things]
     paths: Sequence[Array] = ()
     episodes: dict[int, Placement] = field(default_factory=dict)
@@ -135,7 +140,7 @@ def _contours(axes: Axes, world: World, rectangle: Rectangle, size_in: tuple[flo
     per_m = size_in[0] / (rectangle[1] - rectangle[0])
     kept = [_without_specks(path, _SHORTEST_CONTOUR_IN / per_m) for path in lines.get_paths()]
     lines.set_paths(kept)
-    labelled = [level for level, path in zip(levels, kept, strict=True) if len(path.vertices)]
+    labelled = [level for level, path in zip(levels, kept, strict=True) if np.size(path.vertices)]
     for text in axes.clabel(lines, labelled, fontsize=5.5, fmt=_metres, inline=True, inline_spacing=2):
         text.set_path_effects([patheffects.withStroke(linewidth=1.4, foreground="#ffffffb0")])
         text.set_zorder(1.5)
@@ -155,20 +160,19 @@ def draw_things(axes: Axes, found: Sequence[Things], tints: dict[str, str]) -> N
     """Things from above, each kind in its colour with an outline round all of it."""
     for number, each in enumerate(found):
         fill = colours.DRIVABLE if each.drivable else tints[each.kind]
-        edge = "#7d766a" if each.drivable else colours.INK
+        edge = colours.DRIVABLE_EDGE if each.drivable else colours.INK
         # First the edges of every triangle, then what lies between them: the outline is left.
-        axes.add_collection(
-            PolyCollection(
-                each.triangles, facecolors=edge, edgecolors=edge, linewidths=0.9, zorder=2 + 0.02 * number
-            ),
-            autolim=False,
-        )
-        axes.add_collection(
-            PolyCollection(
-                each.triangles, facecolors=fill, edgecolors=fill, linewidths=0.1, zorder=2.01 + 0.02 * number
-            ),
-            autolim=False,
-        )
+        for colour, width, order in ((edge, 0.9, 0.0), (fill, 0.1, 0.01)):
+            axes.add_collection(
+                PolyCollection(
+                    list(each.triangles),
+                    facecolors=colour,
+                    edgecolors=colour,
+                    linewidths=width,
+                    zorder=2 + 0.02 * number + order,
+                ),
+                autolim=False,
+            )
 
 
 def draw_region(axes: Axes, region: Rectangle, width: float) -> None:
@@ -209,7 +213,7 @@ def draw_drives(axes: Axes, drives: Sequence[Drive], width: float, marks: bool) 
         axes.plot(*each.track.T, color=colour, linewidth=width, zorder=5.1, solid_capstyle="round")
         if marks:
             x, y = each.track[-1]
-            axes.plot([x], [y], mark, color=colour, markersize=7, markeredgecolor=colours.PAPER, zorder=6.5)
+            axes.plot([x], [y], mark, color=colour, markersize=7, markeredgecolor=colours.PAPER, zorder=5.8)
 
 
 def draw_episodes(axes: Axes, site: Site, per_m: float, joined: bool) -> None:
@@ -221,6 +225,10 @@ def draw_episodes(axes: Axes, site: Site, per_m: float, joined: bool) -> None:
                 [each.x, each.goal_x], [each.y, each.goal_y], color=colours.INK, linewidth=0.7,
                 linestyle=(0, (1, 2)), zorder=5.5,
             )  # fmt: skip
+        axes.add_patch(
+            Circle((each.goal_x, each.goal_y), site.goal_distance_m, fill=False, edgecolor=colours.INK,
+                   linewidth=0.6, linestyle=(0, (3, 2)), zorder=5.6)
+        )  # fmt: skip
         nose = (each.x + reach * np.cos(each.yaw), each.y + reach * np.sin(each.yaw))
         axes.annotate(
             "", nose, (each.x, each.y), zorder=6,
