@@ -1,11 +1,14 @@
-"""What every test gets: one thread, so that figures repeat and tests can run side by side; and time."""
+"""What tests get: one thread, so that figures repeat and they run side by side; time; the command lines."""
 
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from collections.abc import Iterator
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -22,3 +25,27 @@ settings.load_profile("untimed")
 def _hydra_left_alone() -> Iterator[None]:
     yield
     assert not GlobalHydra.instance().is_initialized(), "a test left Hydra initialised for the next one"
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
+    """Runs a command line, `call(main, *words)`, in this process and gives its exit code."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+
+    def run(program: Callable[[], None], *words: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["dune_rl", *words])
+        with pytest.raises(SystemExit) as ended:
+            program()
+        return int(ended.value.code or 0)
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder that is the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -10,7 +10,7 @@ INK, FAINT, PAPER = "#1d1d1f", "#6b6b70", "#ffffff"
 SLOPES = ("#fbf9f1", "#f6ebcf", "#efdaab", "#e3c27f", "#cda258")
 TOO_STEEP, TOO_STEEP_STRIPE = "#57386e", "#8f72a8"
 WATER, GREENERY, GRASS = "#a7d3ef", "#4f9d57", "#9cc24a"
-SPAWN, SPAWN_EDGE = "#2aa7c9", "#0b6d88"
+SPAWN, SPAWN_EDGE, PASSAGE = "#2aa7c9", "#0b6d88", "#9fdcec"
 CONTOUR = "#6d5435"
 DRIVABLE, DRIVABLE_EDGE = "#f1ede4", "#7d766a"
 # Cool or dark, on warm ground.

@@ -100,7 +100,7 @@ def _numbered(face: str, ink: str) -> Swatch:
 
 def _dashed(many: Sequence[str]) -> Swatch:
     def draw(page: Axes, x: float, y: float) -> None:
-        pieces = many if len(many) > 1 else many * 4
+        pieces = list(many) if len(many) > 1 else 4 * list(many)
         width = _WIDE / len(pieces)
         for number, colour in enumerate(pieces):
             ends = [x + number * width, x + (number + 0.75) * width]

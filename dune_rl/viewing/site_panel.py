@@ -88,6 +88,18 @@ def ground_picture(site: Site, ground: Ground, stripe_px: float) -> Array:
     return picture
 
 
+def passage_picture(site: Site, ground: Ground, stripe_px: float) -> Array:
+    """Stripes (rows, columns, 4), sRGB and opacity, where episodes start under things: a solar array, say."""
+    chosen = at_points(site.spawner.free_space, spawn_mask(site.spawner), ground.points)
+    hidden = over_ground([prop for prop in site.world.props if prop.solid], ground)
+    rows, columns = chosen.shape
+    across, up = np.arange(columns), np.arange(rows)[:, None]
+    picture = np.zeros((rows, columns, 4))
+    picture[..., :3] = colours.rgb(colours.PASSAGE)
+    picture[..., 3] = 0.75 * (chosen & hidden & _stripes(across - up, 1.6 * stripe_px))
+    return picture
+
+
 def grass_at(world: World, ground: Ground) -> Flags:
     """Where tall grass grows, (rows, columns)."""
     assert world.grass is not None
@@ -112,7 +124,9 @@ def draw_ground(axes: Axes, site: Site, rectangle: Rectangle, size_in: tuple[flo
     columns, rows = (max(2, round(side * dpi)) for side in size_in)
     ground = Ground.of(site.world.terrain, rectangle, columns, rows)
     picture = ground_picture(site, ground, _STRIPE_IN * dpi)
-    axes.imshow(picture, extent=rectangle, origin="lower", interpolation="nearest", zorder=0)
+    under = passage_picture(site, ground, _STRIPE_IN * dpi)
+    for layer, order in ((picture, 0.0), (under, 3.0)):
+        axes.imshow(layer, extent=rectangle, origin="lower", interpolation="nearest", zorder=order)
     axes.set_xlim(rectangle[:2])
     axes.set_ylim(rectangle[2:])
     _contours(axes, site.world, rectangle, size_in)
