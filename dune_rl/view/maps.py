@@ -120,7 +120,7 @@ def title(conf: ViewConf) -> str:
 def subtitle(conf: ViewConf) -> str:
     """Who drives, the seed of the episodes, and the settings of the world."""
     chosen = conf.world.model_dump(exclude={"name", "path"}, exclude_none=True)
-    settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items())
+    settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items() if value not in ((), []))
     who: str | None = conf.policy
     if conf.checkpoint is not None:
         path = Path(conf.checkpoint)

@@ -26,7 +26,7 @@ from dune_rl.viewing.site_panel import (
 )
 from dune_rl.worlds.world import Rectangle
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.62, 12.85, 6.98, 0.52
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.62, 12.78, 6.98, 0.52
 _GAP, _BELOW_AXES = 0.74, 0.62
 # From this proportion on the legend stands below the site, not beside it.
 _WIDE_SHAPE = 1.45
