@@ -126,7 +126,7 @@ def subtitle(conf: ViewConf) -> str:
         path = Path(conf.checkpoint)
         who = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"
     head = f"{who}, " if who else ""
-    return f"{head}episodes of seed {conf.seed}; world: {settings}"
+    return f"{head}episodes of seed {conf.seed}" + (f"; world: {settings}" if settings else "")
 
 
 def _plain(value: object) -> str:

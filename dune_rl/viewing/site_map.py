@@ -34,7 +34,7 @@ _SITE_IN, _WIDE_SITE_IN = 6.6, 7.7
 _CLOSER_IN, _WIDE_CLOSER_IN = 3.2, 4.2
 # A region of less than this share of the world has a panel of its own.
 _LARGE_SHARE = 0.3
-_LONGEST_TEXT = 190
+_LONGEST_TEXT = 225
 
 
 def site_map(site: Site, title: str, settings: str, dpi: int) -> Figure:
