@@ -5,21 +5,37 @@ import logging
 import signal
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn, Protocol, TypeVar
 
+import yaml
 from hydra._internal.utils import get_args_parser
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from dune_rl import plugins
+from dune_rl.config.compose import given
+from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneError
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
 from dune_rl.paths import conf_folder
 
 Lines = Sequence[tuple[str, str]]
+Settings = Mapping[str, Any]
+ConfT = TypeVar("ConfT", bound=EnvConf, covariant=True)
+
+
+class Compose(Protocol[ConfT]):
+    """What composes a command's settings: from overrides, folders of options, and a run's settings."""
+
+    def __call__(
+        self, overrides: Sequence[str], config_dirs: Sequence[str], saved: Settings | None
+    ) -> ConfT: ...
+
 
 # What a user can mend about a folder or file; other operating system errors are faults of ours.
 _MENDABLE = {
@@ -115,6 +131,26 @@ def arguments(words: Sequence[str]) -> Namespace:
 def config_dirs(parsed: Namespace) -> list[str]:
     """Further folders of options, from `--config-dir`."""
     return [parsed.config_dir] if parsed.config_dir else []
+
+
+def settings_around_checkpoint(
+    parsed: Namespace, compose: Compose[ConfT], adapt: Callable[[Settings], Settings] = lambda saved: saved
+) -> ConfT | None:
+    """The settings of a command that may take `checkpoint=PATH`, which brings those of its run.
+
+    `adapt` changes the run's before the overrides change them. With `--cfg` the settings are shown, and
+    None is given: there is no more to do.
+    """
+    checkpoint = given(parsed.overrides, "checkpoint")
+    saved = None
+    if checkpoint is not None:
+        file = find(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+        saved = adapt(read(file, "policy", "checkpoint")["config"])
+    conf = compose(parsed.overrides, config_dirs(parsed), saved)
+    if not parsed.cfg:
+        return conf
+    print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+    return None
 
 
 def console() -> Console:

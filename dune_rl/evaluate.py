@@ -5,15 +5,13 @@ from argparse import Namespace
 from functools import partial
 from pathlib import Path
 
-import yaml
 from rich.progress import Progress, TaskID
 
 from dune_rl import command
 from dune_rl.command import Page
-from dune_rl.config.compose import compose_evaluation, given
+from dune_rl.config.compose import compose_evaluation
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
 from dune_rl.learning.evaluation import Row, evaluate, summary, write_csv
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal, Policy, UniformRandom, load_policy
@@ -45,16 +43,9 @@ def main() -> None:
 
 
 def _main(parsed: Namespace) -> None:
-    checkpoint = given(parsed.overrides, "checkpoint")
-    saved = None
-    if checkpoint is not None:
-        file = find(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
-        saved = read(file, "policy", "checkpoint")["config"]
-    conf = compose_evaluation(parsed.overrides, command.config_dirs(parsed), saved)
-    if parsed.cfg:
-        print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
-        return
-    _evaluate(conf)
+    conf = command.settings_around_checkpoint(parsed, compose_evaluation)
+    if conf is not None:
+        _evaluate(conf)
 
 
 def _evaluate(conf: EvaluateConf) -> None:

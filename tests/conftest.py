@@ -1,4 +1,4 @@
-"""What every test gets: one thread, so that figures repeat; a cache of its process's own; and time."""
+"""What tests get: one thread, so that figures repeat; a cache of their own; time; the command lines."""
 
 import atexit
 import os
@@ -10,7 +10,10 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 # Not the user's: tests neither fill that nor depend on it. Each process of a run that is shared out has one.
 os.environ["DUNE_RL_CACHE"] = tempfile.mkdtemp(prefix="dune_rl_cache_")
 
-from collections.abc import Iterator
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -28,3 +31,27 @@ settings.load_profile("untimed")
 def _hydra_left_alone() -> Iterator[None]:
     yield
     assert not GlobalHydra.instance().is_initialized(), "a test left Hydra initialised for the next one"
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
+    """Runs a command line, `call(main, *words)`, in this process and gives its exit code."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+
+    def run(program: Callable[[], None], *words: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["dune_rl", *words])
+        with pytest.raises(SystemExit) as ended:
+            program()
+        return int(ended.value.code or 0)
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder that is the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -4,8 +4,7 @@ import csv
 import json
 import os
 import signal
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -31,29 +30,6 @@ TINY = [
     "actors=none",
 ]
 Call = Callable[..., int]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch) -> Iterator[Call]:
-    """Runs a command line in this process and gives its exit code."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-
-    def run(program: Callable[[], None], *words: str) -> int:
-        monkeypatch.setattr(sys, "argv", ["dune_rl", *words])
-        with pytest.raises(SystemExit) as ended:
-            program()
-        return int(ended.value.code or 0)
-
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

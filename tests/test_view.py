@@ -1,8 +1,7 @@
 """The view command: the sheets, films and pictures that it makes, and what it refuses."""
 
-import signal
-import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import av
@@ -33,27 +32,9 @@ BLIND = "sensors=[lidar,goal]"
 Call = Callable[..., int]
 
 
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch) -> Iterator[Call]:
-    """Runs the command line in this process and gives its exit code."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-
-    def run(*words: str) -> int:
-        monkeypatch.setattr(sys, "argv", ["dune_rl", *words])
-        with pytest.raises(SystemExit) as ended:
-            view.main()
-        return int(ended.value.code or 0)
-
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+@pytest.fixture(name="call")
+def _call(call: Call) -> Call:
+    return partial(call, view.main)
 
 
 def frames_of(path: Path) -> tuple[np.ndarray, float]:
@@ -153,7 +134,7 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
     [
         (["width=127"], "width must be a multiple of 2 (got 127)"),
         (["height=32"], "height must be at least 64 (got 32)"),
-        (["view=film"], "view must be one of sheet, video, both, orbit (got 'film')"),
+        (["view=film"], "view must be one of sheet, video, both, orbit, map (got 'film')"),
         (["frames_per_s=0"], "frames_per_s must be above 0.0 (got 0)"),
         (["actors=external_walkers"],
          "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"),

@@ -115,6 +115,13 @@ class Actors:
             for index, conf in enumerate(self.confs)
         )
 
+    def paths(self, index: int) -> list[Array]:
+        """The paths that actor `index` may walk there and back, each (P, 2) [m] from one end to the other."""
+        bank = self._bank
+        assert bank is not None
+        starts, counts = bank.starts[self._choices[index]], bank.lengths[self._choices[index]] // 2 + 1
+        return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
+
     def reset(self, scene: int, rng: np.random.Generator, rover_xy: Array) -> None:
         """Start `scene` anew: each actor on a path drawn with `rng`, away from `rover_xy` (2,).
 

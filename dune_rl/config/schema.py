@@ -112,7 +112,7 @@ class BenchmarkConf(SingleAgentConf):
 class ViewConf(SingleAgentConf):
     """A look at an environment: pictures and a video."""
 
-    view: Literal["sheet", "video", "both", "orbit"] = "both"
+    view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
     checkpoint: str | None = None
     policy: Literal["go_to_goal", "random"] | None = None
     seed: int = Field(0, ge=0)
@@ -122,6 +122,8 @@ class ViewConf(SingleAgentConf):
     width: int = Field(960, ge=64, le=8192, multiple_of=2)
     height: int = Field(540, ge=64, le=8192, multiple_of=2)
     samples: int = Field(2, ge=1, le=4)
+    episodes: int = Field(5, ge=1, le=100)
+    dpi: int = Field(160, ge=72, le=600)
     out: str = Field("views", min_length=1)
 
     @model_validator(mode="after")

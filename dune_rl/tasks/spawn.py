@@ -135,6 +135,11 @@ class Spawner:
             )
         return self._cells[farthest >= reach]
 
+    @property
+    def cells(self) -> Array:
+        """Centres (K, 2) [m] of the cells of `free_space` that starts and goals are drawn from."""
+        return self._cells
+
     def sample(self, rng: np.random.Generator) -> Placement:
         """A start and a goal at least `min_goal_distance_m` from it, drawn from `rng` alone."""
         cell = self._starts[rng.integers(len(self._starts))]

@@ -1,0 +1,5 @@
+"""Look at a world, its rover and its sensors: `python -m dune_rl.view +world=inspection`."""
+
+from dune_rl.view.command_line import main
+
+__all__ = ["main"]
