@@ -1,5 +1,7 @@
 """Scenery with its light worked out beforehand, so that a small picture costs little more than its rays."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -8,6 +10,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import Light, srgb
 from dune_rl.rendering.scenery import Scenery, Segment, Shape, joined, subdivided
+from dune_rl.rendering.skin import SkinLook
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -25,6 +28,7 @@ class Baked:
     """Colours and segments of everything in a `Scenery` by where a ray meets it.
 
     `rays` is what to cast against: the ground's faces first, then the things'.
+    `skin` is the pictures on things, None where there are none.
     """
 
     def __init__(self, scenery: Scenery, light: Light) -> None:
@@ -43,6 +47,7 @@ class Baked:
         self.ground_faces = len(ground_faces)
         # Index -1, a miss, finds the last entry.
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
+        self.skin = None if self.things.skin is None else SkinLook(self.things.skin)
         self.sky_share = self._ground_sky_share()
         self.ground = self._bake_ground()
         self.faces = np.concatenate(
@@ -95,9 +100,15 @@ class Baked:
         normals32 = normals.astype(np.float32)
         points = corners.mean(axis=1)
         share = self.things_sky_share = sky_share(self.rays, points, normals32)
-        return encoded(
-            self.light.on(things.albedo, normals32, sunlit(self.rays, self.light, points, normals32), share)
-        )
+        sun = sunlit(self.rays, self.light, points, normals32)
+        if self.skin is not None:
+            self._light_on_things = self.light.on(np.ones_like(things.albedo), normals32, sun, share)
+        return encoded(self.light.on(things.albedo, normals32, sun, share))
+
+    def pictured(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
+        """Bytes (N, 3) at `points` (N, 3) on the things' textured faces `face` (N,), in pixels so wide."""
+        assert self.skin is not None
+        return encoded(self.skin.albedo(face, points, pixel_m) * self._light_on_things[face])
 
 
 def encoded(colour: Floats) -> NDArray[np.uint8]:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.skin import Skin
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import MEADOW, Ground
+from dune_rl.worlds.ground import MEADOW, Ground, GroundPicture
 
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
@@ -25,8 +27,10 @@ class Prop:
 
     `solid=False` is to look at only (water): neither physics nor rays meet it.
     `drivable=True` (a bridge's deck) counts as ground: touching it is no
-    collision. `colour` is red, green, blue in [0, 1]. A solid prop is made of
-    closed surfaces whose faces run counter-clockwise seen from outside.
+    collision. `colour` is red, green, blue in [0, 1], and `face_colours` (F, 3)
+    are those of its faces where they differ; `skin` is the pictures on them. A
+    solid prop is made of closed surfaces whose faces run counter-clockwise seen
+    from outside.
     `segment` is what it is shown as where that does not follow from the rest.
     """
 
@@ -38,6 +42,8 @@ class Prop:
     drivable: bool = False
     colour: Colour = (0.6, 0.6, 0.6)
     segment: Segment | None = None
+    face_colours: NDArray[np.float32] | None = None
+    skin: Skin | None = None
 
     @property
     def shown_as(self) -> Segment:
@@ -63,7 +69,8 @@ class World:
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
     ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like; `grass` is what grows on it.
+    looks like, with `picture` over it where there is one; `grass` is what grows
+    on it. `light` is its own sun, for weathers that do not say where theirs is.
     """
 
     def __init__(
@@ -77,6 +84,8 @@ class World:
         ground: Ground = MEADOW,
         texture_seed: int = 0,
         grass: Grass | None = None,
+        picture: GroundPicture | None = None,
+        light: LightConf | None = None,
     ) -> None:
         self.name = name
         self.terrain = terrain
@@ -86,6 +95,8 @@ class World:
         self.ground = ground
         self.texture_seed = texture_seed
         self.grass = grass
+        self.picture = picture
+        self.light = light
 
     @property
     def extent(self) -> Rectangle:

@@ -12,6 +12,7 @@ from dune_rl.errors import WorldError
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
+    Bytes,
     Folder,
     Report,
     first_line,
@@ -38,12 +39,17 @@ _SILENT = {
 
 @dataclass(eq=False)
 class HeightMap:
-    """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4)."""
+    """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4).
+
+    Its `colour`; and the `picture` (rows, columns, 3) that it shows in tiles `tile_m` wide, None for none.
+    """
 
     path: Path
     size: Array
     matrix: Array
     colour: Colour | None
+    picture: Bytes | None = None
+    tile_m: float = 1.0
 
 
 @dataclass(eq=False)
@@ -66,6 +72,7 @@ class SdfReader:
         self._library, self._report = library, report
         self._elements = self._includes = self._faces = 0
         self._meshes: dict[Path, list[Part]] = {}
+        self._pictures: dict[Path, Bytes] = {}
 
     def read(self, path: Path, folder: Folder) -> Found:
         """All of the file at `path`, which may name files in `folder`."""
@@ -217,8 +224,9 @@ class SdfReader:
             for part in self._meshes[real]:
                 about = f"{part.name} {path.stem} {part.about}"
                 colours = part.colours if look is None else look
+                skin = part.skin if look is None else None
                 yield Part.of(
-                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid
+                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid, skin=skin
                 ).moved(matrix @ scale)
         else:
             self._report.warn(f"<{shown(shape.tag, 40)}> as a shape is not supported and left out")
@@ -229,25 +237,32 @@ class SdfReader:
         found = self._library.find((shape.findtext("uri") or "").strip(), folder)
         if found is None:
             return
+        picture, tile_m = None, 10.0
         pictures = [shape, *(s for visual in visuals for s in visual.iter("heightmap"))]
         for texture in (t for s in pictures for t in s.findall("texture")):
             diffuse = self._picture((texture.findtext("diffuse") or "").strip(), folder)
-            look = look or diffuse
+            if picture is None and diffuse is not None:
+                picture, tile_m = diffuse, float(numbers(texture.find("size"), 1, (10.0,))[0])
             # Only its absence is told.
             self._picture((texture.findtext("normal") or "").strip(), folder)
+        if not 1e-3 <= tile_m <= 1e5:
+            self._report.warn(f"<size> of a <texture> is {tile_m:g} m; it is shown in its mean colour")
+            look = look or (None if picture is None else mean_colour(picture))
+            picture = None
         size = numbers(shape.find("size"), 3, (1, 1, 1))
         place = np.eye(4)
         place[:3, 3] = numbers(shape.find("pos"), 3, (0, 0, 0))
         if not ((size > 0) & (size < 1e5)).all():
             raise WorldError("<size> of a <heightmap> must be above 0.")
-        self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look))
+        self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look, picture, tile_m))
 
     def _look(self, visual: Element, folder: Folder) -> Colour | None:
         """A visual's one colour; None where it says none, or is a mesh with its own."""
         material = visual.find("material")
         if material is None:
             return None
-        found = self._picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        picture = self._picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        found = None if picture is None else mean_colour(picture)
         if found is None and material.find("diffuse") is not None:
             words = (material.findtext("diffuse") or "").split()[:4]
             try:
@@ -261,17 +276,19 @@ class SdfReader:
             found = likely_colour(script)
         return found
 
-    def _picture(self, uri: str, folder: Folder) -> Colour | None:
-        """The mean colour of a picture; None, with a warning, where it cannot be read."""
+    def _picture(self, uri: str, folder: Folder) -> Bytes | None:
+        """A picture; None, with a warning, where it cannot be read."""
         found = self._library.find(uri, folder) if uri else None
         if found is None:
             return None
+        real = found[0].resolve()
         try:
-            red, green, blue = read_image(read_bytes(found[0])).mean(axis=(0, 1))
+            if real not in self._pictures:
+                self._pictures[real] = self._report.kept(read_image(read_bytes(real)))
+            return self._pictures[real]
         except ValueError as error:
             self._report.warn(f"{shown(uri)} is left out: {first_line(error)}")
             return None
-        return float(red), float(green), float(blue)
 
     def _light(self, element: Element, matrix: Array) -> None:
         if element.get("type") != "directional":
@@ -293,7 +310,25 @@ class SdfReader:
             sun_bearing_rad=float(np.arctan2(to_sun[1], to_sun[0])),
             sun_elevation_rad=float(np.clip(np.arcsin(to_sun[2] / length), 0.02, np.pi / 2)),
             shadows=shadows,
+            sun_colour=self._sun_colour(element),
         )
+
+    def _sun_colour(self, element: Element) -> Colour:
+        words = (element.findtext("diffuse") or "1 1 1").split()
+        try:
+            red, green, blue = (float(np.clip(float(word), 0.0, 1.0)) for word in words[:3])
+            if np.isfinite([red, green, blue]).all() and max(red, green, blue) > 0.0:
+                return red, green, blue
+        except ValueError:
+            pass
+        self._report.warn(f"<diffuse> of its sun, {shown(' '.join(words), 40)!r}, is no colour of a light")
+        return 1.0, 1.0, 1.0
+
+
+def mean_colour(picture: Bytes) -> Colour:
+    """The mean in sRGB of a picture's bytes (rows, columns, 3)."""
+    red, green, blue = (picture.mean(axis=(0, 1)) / 255.0).tolist()
+    return red, green, blue
 
 
 def _path(name: str, own: str) -> str:
