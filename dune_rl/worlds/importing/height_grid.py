@@ -13,8 +13,8 @@ from dune_rl.rendering.skin import Skin
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Bullet takes no mesh with more than 524,288 indices, and the terrain is one mesh.
-MAX_POINTS = 87_000
+# A million points are a gigabyte of memory with all that is made of them, and half a minute to begin with.
+MAX_POINTS = 1_000_000
 
 _DEFAULT_POINTS = 80_000
 _FINEST_M = 0.05
