@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 PLANE = (
     '<model name="ground_plane"><static>true</static><link name="l"><collision name="c"><geometry><plane>'
     "<normal>0 0 1</normal><size>40 30</size></plane></geometry>{surface}</collision></link></model>"
@@ -11,11 +9,6 @@ PLANE = (
 
 
 GROUND = PLANE.format(surface="")
-
-
-@pytest.fixture(autouse=True)
-def _no_resources(monkeypatch):
-    monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
 
 
 def sdf(*models: str) -> str:

@@ -14,6 +14,11 @@ from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.sdf import SdfConf, build_sdf
 
 
+@pytest.fixture(autouse=True)
+def _no_resources(monkeypatch):
+    monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
+
+
 def refused(path: Path, match: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", WorldWarning)

@@ -20,6 +20,11 @@ from dune_rl.worlds.importing.sdf import SdfConf, build_sdf
 MU = "<surface><friction><ode><mu>{}</mu></ode></friction></surface>"
 
 
+@pytest.fixture(autouse=True)
+def _no_resources(monkeypatch):
+    monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
+
+
 def build(folder: Path, *models: str, **settings) -> ImportedWorld:
     (folder / "w.sdf").write_text(sdf(*models))
     return build_sdf(SdfConf(path=str(folder / "w.sdf"), **settings))
