@@ -24,6 +24,7 @@ from dune_rl.worlds.importing.mesh_files import mesh_parts
 from dune_rl.worlds.importing.parts import GREY, Part, likely_colour
 from dune_rl.worlds.importing.sdf_files import Library
 from dune_rl.worlds.importing.sdf_shapes import numbers, pose_of, simple_shape
+from dune_rl.worlds.importing.sdf_sun import sun_of
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
@@ -299,30 +300,7 @@ class SdfReader:
         if self.found.light is not None:
             self._report.warn("has several directional lights; the first is the sun")
             return
-        turn = (matrix @ self._pose(element))[:3, :3]
-        to_sun = -turn @ numbers(element.find("direction"), 3, (0, 0, -1))
-        length = float(np.linalg.norm(to_sun))
-        if length < 1e-9 or to_sun[2] / length < 0.02:
-            self._report.warn("its directional light does not come from above and is left out")
-            return
-        shadows = (element.findtext("cast_shadows") or "true").strip() in ("true", "1")
-        self.found.light = LightConf(
-            sun_bearing_rad=float(np.arctan2(to_sun[1], to_sun[0])),
-            sun_elevation_rad=float(np.clip(np.arcsin(to_sun[2] / length), 0.02, np.pi / 2)),
-            shadows=shadows,
-            sun_colour=self._sun_colour(element),
-        )
-
-    def _sun_colour(self, element: Element) -> Colour:
-        words = (element.findtext("diffuse") or "1 1 1").split()
-        try:
-            red, green, blue = (float(np.clip(float(word), 0.0, 1.0)) for word in words[:3])
-            if np.isfinite([red, green, blue]).all() and max(red, green, blue) > 0.0:
-                return red, green, blue
-        except ValueError:
-            pass
-        self._report.warn(f"<diffuse> of its sun, {shown(' '.join(words), 40)!r}, is no colour of a light")
-        return 1.0, 1.0, 1.0
+        self.found.light = sun_of(element, (matrix @ self._pose(element))[:3, :3], self._report)
 
 
 def mean_colour(picture: Bytes) -> Colour:
