@@ -16,7 +16,7 @@ from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
 from dune_rl.sensors.suite import SensorsConf, Surroundings, make_sensors
-from dune_rl.worlds.appearance import in_weather
+from dune_rl.worlds.appearance import in_weather, under_own_sun
 from dune_rl.worlds.solid_look import solid_look
 from dune_rl.worlds.world import World
 
@@ -102,7 +102,7 @@ class Senses:
 
 def air_of(world: World, weather: WeatherConf) -> Air:
     """What lies between sensors or pictures and what they show."""
-    return Air(Haze.of(weather), None if world.grass is None else world.grass.foliage)
+    return Air(Haze.of(under_own_sun(world, weather)), None if world.grass is None else world.grass.foliage)
 
 
 def _drive_geometry(robot: RoverZero) -> DriveGeometry:

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.interface import KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.quiet import silent_stderr
 
 with silent_stderr():
@@ -21,6 +23,9 @@ _GROUND, _WHEEL, _HULL, _OBSTACLE = 1, 2, 4, 8
 # step: it cannot touch the robot before the next one.
 _NEAR_M = 2.0
 _TOUCH_M = 1e-3
+
+# PyBullet's wheel takes no more vertices and indices in a mesh (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
+_MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
 
 
 class BulletScene:
@@ -48,9 +53,10 @@ class BulletScene:
         pybullet.setGravity(0.0, 0.0, -spec.gravity_mps2, physicsClientId=self._client)
         self._numbers: dict[int, int] = {}
         for number, body in enumerate(spec.statics):
-            handle = self._add_static(body)
-            if not body.ground:
-                self._numbers[handle] = number
+            for vertices, faces in mesh_pieces(body.vertices, body.faces, _MOST_VERTICES, _MOST_FACES):
+                handle = self._add_static(replace(body, vertices=vertices, faces=faces))
+                if not body.ground:
+                    self._numbers[handle] = number
         self._kinematics = [self._add_capsule(body) for body in spec.kinematics]
         self._centre_heights = [body.height_m / 2 for body in spec.kinematics]
         for number, handle in enumerate(self._kinematics, start=len(spec.statics)):

@@ -1,6 +1,7 @@
 """Scenery with its light worked out beforehand, so that a small picture costs little more than its rays."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import Light, srgb
 from dune_rl.rendering.scenery import Scenery, Segment, Shape, joined, subdivided
+from dune_rl.rendering.skin import SkinLook
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -37,6 +39,7 @@ class Baked:
     """Colours and segments of everything in a `Scenery` by where a ray meets it.
 
     `rays` is what to cast against: the ground's faces first, then the things'.
+    `skin` is the pictures on things, None where there are none.
     `keep(name, make)` gives what `make` does, or has given before for this
     scenery in any light.
     """
@@ -57,6 +60,7 @@ class Baked:
         self.ground_faces = len(ground_faces)
         # Index -1, a miss, finds the last entry.
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
+        self.skin = None if self.things.skin is None else SkinLook(self.things.skin)
         self.sky_share = keep("sky share of the ground", self._ground_sky_share)
         self.things_sky_share = keep(LAST_KEPT, self._find_things_sky_share)
         self.ground = self._bake_ground()
@@ -104,6 +108,9 @@ class Baked:
             return np.zeros((0, 3), np.uint8)
         points, normals = self._on_things()
         sun = sunlit(self.rays, self.light, points, normals)
+        if self.skin is not None:
+            white = np.ones_like(self.things.albedo)
+            self._light_on_things = self.light.on(white, normals, sun, self.things_sky_share)
         return encoded(self.light.on(self.things.albedo, normals, sun, self.things_sky_share))
 
     def _find_things_sky_share(self) -> Floats:
@@ -115,6 +122,11 @@ class Baked:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         return corners.mean(axis=1), normals.astype(np.float32)
+
+    def pictured(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
+        """Bytes (N, 3) at `points` (N, 3) on the things' textured faces `face` (N,), in pixels so wide."""
+        assert self.skin is not None
+        return encoded(self.skin.albedo(face, points, pixel_m) * self._light_on_things[face])
 
 
 def encoded(colour: Floats) -> NDArray[np.uint8]:

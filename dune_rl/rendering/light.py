@@ -1,6 +1,7 @@
 """Sun and sky: how bright and of what colour a surface appears, all in linear RGB."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from pydantic import Field
 from dune_rl.settings import Settings
 
 Floats = NDArray[np.float32]
+Channel = Annotated[float, Field(ge=0.0, le=1.0)]
 
 _SUN_HIGH, _SUN_LOW = np.array([2.05, 1.96, 1.80]), np.array([1.75, 0.95, 0.45])
 _ZENITH, _ZENITH_LOW = np.array([0.16, 0.32, 0.68]), np.array([0.12, 0.18, 0.38])
@@ -16,11 +18,15 @@ _HORIZON, _HORIZON_LOW = np.array([0.62, 0.74, 0.88]), np.array([0.85, 0.60, 0.4
 
 
 class LightConf(Settings):
-    """Where the sun stands: bearing from the world's x axis and height over the horizon."""
+    """Where the sun stands: bearing from the world's x axis and height over the horizon.
+
+    `sun_colour` tints its light: of red, green and blue only the ratios count, and equal ones are no tint.
+    """
 
     sun_bearing_rad: float = Field(2.2, ge=-2 * np.pi, le=2 * np.pi)
     sun_elevation_rad: float = Field(0.75, ge=0.02, le=np.pi / 2)
     shadows: bool = True
+    sun_colour: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -41,9 +47,10 @@ class Light:
         bearing = conf.sun_bearing_rad
         # How much air the sunlight has passed: none of its warmth is left above some 35 degrees.
         high = min(1.0, height / 0.55) ** 0.7
+        tint = np.array(conf.sun_colour) / max(*conf.sun_colour, 1e-6)
         return cls(
             np.array([level * np.cos(bearing), level * np.sin(bearing), height], np.float32),
-            (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW)).astype(np.float32),
+            (tint * (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW))).astype(np.float32),
             (_ZENITH_LOW + high * (_ZENITH - _ZENITH_LOW)).astype(np.float32),
             (_HORIZON_LOW + high * (_HORIZON - _HORIZON_LOW)).astype(np.float32),
             conf.shadows,
@@ -75,6 +82,13 @@ def srgb(linear: Floats) -> Floats:
     bright = 0.5 + 0.5 * (1.0 - np.exp(-(np.maximum(linear, 0.5) - 0.5) / 0.5))
     low = np.clip(np.where(linear > 0.5, bright, linear), 0.0, 1.0)
     encoded: Floats = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
+    return encoded.astype(np.float32)
+
+
+def srgb_exact(linear: Floats) -> Floats:
+    """Encoded (sRGB) values in [0, 1] of linear ones (...), none compressed: what `linear` undoes."""
+    value = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
+    encoded: Floats = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return encoded.astype(np.float32)
 
 

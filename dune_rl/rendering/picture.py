@@ -87,10 +87,11 @@ class Painter:
         """RGB (height, width, 3). `samples` > 1 smooths edges at the square of the cost."""
         directions = view.directions(width * samples, height * samples).reshape(-1, 3)
         eye = np.asarray(view.eye, np.float32)
+        pixel_rad = 2.0 * np.tan(view.fov_rad / 2) / (width * samples)
         colours = np.empty((len(directions), 3), np.float32)
         for start in range(0, len(directions), _RAYS_AT_ONCE):
             part = slice(start, start + _RAYS_AT_ONCE)
-            colours[part] = self._colours(eye, directions[part], bodies)
+            colours[part] = self._colours(eye, directions[part], bodies, pixel_rad)
         if samples > 1:
             # Tones are averaged as the eye does: after too bright ones have been cut.
             blocks = np.minimum(colours, _BRIGHTEST).reshape(height, samples, width, samples, 3)
@@ -98,8 +99,8 @@ class Painter:
         index = (colours * ((_TONES - 1) / _BRIGHTEST)).astype(np.int32)
         return self._tones.take(index, mode="clip").reshape(height, width, 3)
 
-    def _colours(self, eye: Floats, directions: Floats, bodies: Sequence[Body]) -> Floats:
-        """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3)."""
+    def _colours(self, eye: Floats, directions: Floats, bodies: Sequence[Body], pixel_rad: float) -> Floats:
+        """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3), `pixel_rad` apart."""
         baked = self.baked
         ranges = np.full(len(directions), _FAR_M, np.float32)
         face, ranges, normal = baked.rays.hits(eye[None], directions, ranges)
@@ -116,7 +117,7 @@ class Painter:
         colours = self._sky.colours(directions)
         seen = np.flatnonzero(face >= 0)
         if len(seen):
-            self._put_things(colours, eye, directions, seen, face, ranges, normal, body_of, bodies)
+            self._put_things(colours, eye, directions, seen, face, ranges, normal, body_of, bodies, pixel_rad)
             colours[seen] = self._far(colours[seen], ranges[seen])
         if self._air.foliage is not None:
             self._put_grass(self._air.foliage, colours, eye, directions, ranges, bodies)
@@ -140,11 +141,12 @@ class Painter:
         normal: Floats,
         body_of: NDArray[np.int32],
         bodies: Sequence[Body],
+        pixel_rad: float,
     ) -> None:
         """Put what rays `seen` have met into `colours` (N, 3), which change in place."""
         points = eye + directions[seen] * ranges[seen, None]
         albedo, normals, sky_share, gloss = self._surfaces(
-            points, face[seen], normal[seen], body_of[seen], ranges[seen], bodies
+            points, face[seen], normal[seen], body_of[seen], ranges[seen], bodies, pixel_rad
         )
         towards_eye = np.einsum("ij,ij->i", normals, directions[seen]) > 0.0
         normals[towards_eye] *= -1.0
@@ -182,6 +184,7 @@ class Painter:
         body_of: NDArray[np.int32],
         ranges: Floats,
         bodies: Sequence[Body],
+        pixel_rad: float,
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Albedo (N, 3), unit normals (N, 3), share of the sky (N,) and gloss (N,) at `points` (N, 3)."""
         baked = self.baked
@@ -198,9 +201,13 @@ class Painter:
         if len(thing):
             own = face[thing] - baked.ground_faces
             # A little of the ground's grain keeps large walls from looking like plastic.
-            albedo[thing] = baked.things.albedo[own] * (
-                1.0 + 0.4 * self._grain_at(points[thing], ranges[thing])
-            )
+            grained = 1.0 + 0.4 * self._grain_at(points[thing], ranges[thing])
+            albedo[thing] = baked.things.albedo[own] * grained
+            if baked.skin is not None:
+                pictured = baked.skin.textured[own]
+                seen = thing[pictured]
+                pixel_m = ranges[seen] * np.float32(pixel_rad)
+                albedo[seen] = baked.skin.albedo(own[pictured], points[seen], pixel_m, smooth=True)
             share[thing] = baked.things_sky_share[own]
             gloss[thing] = np.where(baked.things.segments[own] == Segment.WATER, 1.0, 0.0)
         for number in np.unique(body_of[body_of >= 0]):

@@ -8,6 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.skin import Skin, joined_skins
 
 Floats = NDArray[np.float32]
 
@@ -27,12 +28,16 @@ class Segment(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Triangles: `vertices` (V, 3) [m], `faces` (F, 3), `albedo` (F, 3) in linear RGB, `segments` (F,)."""
+    """Triangles: `vertices` (V, 3) [m], `faces` (F, 3), `albedo` (F, 3) in linear RGB, `segments` (F,).
+
+    Where faces have pictures, these are the `skin`, and `albedo` is their mean.
+    """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     albedo: Floats
     segments: NDArray[np.uint8]
+    skin: Skin | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,7 @@ def joined(shapes: list[Shape]) -> Shape:
         ),
         np.concatenate([shape.albedo for shape in shapes]),
         np.concatenate([shape.segments for shape in shapes]),
+        joined_skins([shape.skin for shape in shapes], [len(shape.faces) for shape in shapes]),
     )
 
 
@@ -79,5 +85,9 @@ def subdivided(shape: Shape, longest_m: float) -> Shape:
         shape.vertices, shape.faces, longest_m, return_index=True
     )
     return Shape(
-        np.asarray(vertices), np.asarray(faces, np.int32), shape.albedo[origin], shape.segments[origin]
+        np.asarray(vertices),
+        np.asarray(faces, np.int32),
+        shape.albedo[origin],
+        shape.segments[origin],
+        None if shape.skin is None else shape.skin.picked(origin),
     )

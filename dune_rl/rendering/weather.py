@@ -1,17 +1,15 @@
 """Fog, dust and the time of day: what the air does to light on its way."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.rendering.light import Light, LightConf, linear
+from dune_rl.rendering.light import Channel, Light, LightConf, linear
 from dune_rl.settings import Settings
 
 Floats = NDArray[np.float32]
-Channel = Annotated[float, Field(ge=0.0, le=1.0)]
 
 # Koschmieder (1924): something black is seen as far as it differs from the sky by 2 %; -ln 0.02 = 3.912.
 _KOSCHMIEDER = 3.912

@@ -85,6 +85,12 @@ class Camera:
         self._ground = _packed(baked.ground.reshape(-1, 3))
         self._faces = _packed(baked.faces)
         self._sky = _packed(baked.sky)
+        if baked.skin is not None:
+            # Index -1, a miss, finds the last entry.
+            ground = np.zeros(baked.ground_faces, bool)
+            self._pictured = np.concatenate([ground, baked.skin.textured, [False]])
+            steps = np.einsum("ij,ij->i", self._directions[1:], self._directions[:-1])
+            self._pixel_rad = np.float32(np.median(np.arccos(np.clip(steps, -1.0, 1.0))))
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the cameras are [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
@@ -149,11 +155,31 @@ class Camera:
         colour: NDArray[np.uint32] = np.where(
             on_ground, self._ground.take(index.ravel()), self._faces.take(face, mode="wrap")
         )
+        if self._baked.skin is not None:
+            self._put_pictures(colour, origin, directions, ranges, face)
         missed = face < 0
         if missed.any():
             up = (directions[..., 2].ravel()[missed] + 1.0) * (len(self._sky) / 2)
             colour[missed] = self._sky.take(up.astype(np.int32), mode="clip")
         return colour
+
+    def _put_pictures(
+        self,
+        colour: NDArray[np.uint32],
+        origin: Array,
+        directions: Floats,
+        ranges: Floats,
+        face: NDArray[np.int32],
+    ) -> None:
+        """Put the pictures on things into `colour` (M * P,), which changes in place."""
+        ray = np.flatnonzero(self._pictured.take(face, mode="wrap"))
+        if not len(ray):
+            return
+        scene = ray // len(self._directions_b)
+        along = ranges[ray]
+        points = origin[scene].astype(np.float32) + directions.reshape(-1, 3)[ray] * along[:, None]
+        own = face[ray] - self._baked.ground_faces
+        colour[ray] = _packed(self._baked.pictured(own, points, along * self._pixel_rad))
 
     def _draw_figures(
         self,

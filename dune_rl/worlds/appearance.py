@@ -11,7 +11,7 @@ from dune_rl.rendering.scenery import GroundTexture, Scenery, Shape, joined
 from dune_rl.rendering.weather import Haze, WeatherConf, light_in
 from dune_rl.worlds.cache_folder import Shelf
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import ground_texture
+from dune_rl.worlds.ground import ground_texture, pictured_ground
 from dune_rl.worlds.world import Prop, World
 
 
@@ -30,6 +30,7 @@ def baked(world: World, light: LightConf) -> Baked:
 @lru_cache(maxsize=4)
 def in_weather(world: World, weather: WeatherConf) -> Baked:
     """The world in the light of a weather; what its haze does on the way to an eye is not in it."""
+    weather = under_own_sun(world, weather)
     if Haze.of(weather) is None:
         return baked(world, weather.sunlight)
     return Baked(scenery(world), light_in(weather), world.lasting)
@@ -46,8 +47,18 @@ def is_worked_out(shelf: Shelf) -> bool:
 
 
 def _ground_albedo(world: World) -> NDArray[np.float32]:
-    ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
+    if world.picture is None:
+        ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
+    else:
+        ground = pictured_ground(world.terrain, world.ground, world.texture_seed, world.picture)
     return ground.albedo if world.grass is None else _in_shade(ground.albedo, world.grass)
+
+
+def under_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
+    """`weather`, with the world's own sun where it has one and the weather does not say where its is."""
+    if world.light is None or weather.time_of_day_h is not None or weather.light != LightConf():
+        return weather
+    return weather.model_copy(update={"light": world.light})
 
 
 def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
@@ -62,5 +73,6 @@ def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
 
 def _shape(prop: Prop) -> Shape:
     count = len(prop.faces)
-    albedo = np.broadcast_to(linear(np.array(prop.colour)), (count, 3))
-    return Shape(prop.vertices, prop.faces, albedo, np.full(count, prop.shown_as, np.uint8))
+    colours = np.array(prop.colour) if prop.face_colours is None else prop.face_colours
+    albedo = np.broadcast_to(linear(colours), (count, 3))
+    return Shape(prop.vertices, prop.faces, albedo, np.full(count, prop.shown_as, np.uint8), prop.skin)

@@ -55,14 +55,46 @@ SURFACE_LOOKS: dict[str, Ground] = {
 _BLEND_M = 0.12
 
 
+@dataclass(frozen=True, eq=False)
+class GroundPicture:
+    """Colours of a ground from a file: `colours` (rows, columns, 3) in sRGB over the terrain's rectangle.
+
+    Row 0 lies at its lowest y, column 0 at its lowest x. `detailed` (rows, columns) tells where they are
+    those of a picture, which is shown as it is; elsewhere they get the patches and the grain of a `Ground`.
+    """
+
+    colours: Floats
+    detailed: NDArray[np.bool_]
+
+
+def texels(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
+    """Rows and columns of a texture on `terrain`."""
+    xmin, xmax, ymin, ymax = terrain.extent
+    columns, rows = (
+        int(np.clip(round(side / texel_m), 2, _MOST_TEXELS)) for side in (xmax - xmin, ymax - ymin)
+    )
+    return rows, columns
+
+
+def pictured_ground(terrain: HeightField, ground: Ground, seed: int, picture: GroundPicture) -> GroundTexture:
+    """The look of a `picture` on `terrain`, grained like `ground` where it has no detail of its own."""
+    albedo = linear(picture.colours)
+    if picture.detailed.all():
+        return GroundTexture(np.clip(albedo, 0.01, 0.95))
+    rows, columns = albedo.shape[:2]
+    plain = ground_texture(terrain, ground, seed).albedo
+    zoom = (rows / plain.shape[0], columns / plain.shape[1], 1.0)
+    grain = ndimage.zoom(plain / plain.mean(axis=(0, 1)), zoom, order=1, mode="nearest", grid_mode=True)
+    grain[picture.detailed] = 1.0
+    return GroundTexture(np.clip(albedo * grain, 0.01, 0.95).astype(np.float32))
+
+
 def ground_texture(
     terrain: HeightField, ground: Ground, seed: int, surfaces: SurfaceMap | None = None
 ) -> GroundTexture:
     """The look of `ground` on `terrain`, or of the `surfaces` it is made of: the same for the same seed."""
     xmin, xmax, ymin, ymax = terrain.extent
-    columns, rows = (
-        int(np.clip(round(side / _TEXEL_M), 2, _MOST_TEXELS)) for side in (xmax - xmin, ymax - ymin)
-    )
+    rows, columns = texels(terrain)
     rng = stream(seed, "ground texture")
     texel_m = (xmax - xmin) / columns
     patches = _noise(rng, rows, columns, [9.0, 4.0, 1.6, 0.6], texel_m)

@@ -14,7 +14,7 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.settings import Settings
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.ground import Ground, GroundPicture
 from dune_rl.worlds.importing.imported import ImportedWorld
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.importing.things import ImportedProp
@@ -30,11 +30,13 @@ _PLAIN: tuple[type, ...] = (
     ClearanceField,
     Grass,
     Ground,
+    GroundPicture,
     ImportedProp,
     ImportedWorld,
     Prop,
     SurfaceClearance,
     Soil,
+    Skin,
     Surface,
     SurfaceMap,
     World,

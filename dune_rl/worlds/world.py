@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.skin import Skin
 from dune_rl.worlds.cache_folder import Shelf
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import MEADOW, Ground
+from dune_rl.worlds.ground import MEADOW, Ground, GroundPicture
 from dune_rl.worlds.queries import NearestObstacle, ObstacleSearch, RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
 from dune_rl.worlds.surfaces import SurfaceName
@@ -32,8 +34,10 @@ class Prop:
 
     `solid=False` is to look at only (water): neither physics nor rays meet it.
     `drivable=True` (a bridge's deck) counts as ground: touching it is no
-    collision. `colour` is red, green, blue in [0, 1]. A solid prop is made of
-    closed surfaces whose faces run counter-clockwise seen from outside.
+    collision. `colour` is red, green, blue in [0, 1], and `face_colours` (F, 3)
+    are those of its faces where they differ; `skin` is the pictures on them. A
+    solid prop is made of closed surfaces whose faces run counter-clockwise seen
+    from outside.
     `segment` is what it is shown as where that does not follow from the rest.
     `surface` is what a drivable one is made of where the world has a map of
     surfaces; None: of what the ground below it is.
@@ -48,6 +52,8 @@ class Prop:
     colour: Colour = (0.6, 0.6, 0.6)
     segment: Segment | None = None
     surface: SurfaceName | None = None
+    face_colours: NDArray[np.float32] | None = None
+    skin: Skin | None = None
 
     @property
     def shown_as(self) -> Segment:
@@ -73,10 +79,12 @@ class World:
     `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
     and set goals unless told otherwise; `friction` is the coefficient of the
     ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like; `grass` is what grows on it. `surfaces`, where given, is what
-    the ground and what lies drivable on it are made of: wheels take it in place
-    of `friction`, which is then that of other things alone. `shelf` is where a
-    `WorldStore` keeps what is worked out from it.
+    looks like, with `picture` over it where there is one; `grass` is what grows
+    on it. `surfaces`, where given, is what the ground and what lies drivable on
+    it are made of: wheels take it in place of `friction`, which is then that of
+    other things alone. `light` is its own sun, for weathers that do not say
+    where theirs is. `shelf` is where a `WorldStore` keeps what is worked out
+    from it.
     """
 
     shelf: Shelf | None = None
@@ -93,6 +101,8 @@ class World:
         texture_seed: int = 0,
         grass: Grass | None = None,
         surfaces: SurfaceMap | None = None,
+        picture: GroundPicture | None = None,
+        light: LightConf | None = None,
     ) -> None:
         self.name = name
         self.terrain = terrain
@@ -103,6 +113,8 @@ class World:
         self.texture_seed = texture_seed
         self.grass = grass
         self.surfaces = surfaces
+        self.picture = picture
+        self.light = light
 
     def lasting(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """What `make` gives, read back from `shelf` if there is one: what follows from the world alone."""

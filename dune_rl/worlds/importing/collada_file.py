@@ -14,6 +14,7 @@ from collada.triangleset import TriangleSet
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
+from dune_rl.rendering.skin import Skin
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
     Folder,
@@ -76,6 +77,7 @@ class _Reader:
     def __init__(self, name: str, folder: Folder, report: Report) -> None:
         self._name, self._folder, self._report = name, folder, report
         self._looks: dict[str, Any] = {}
+        self._pictures: dict[str, NDArray[np.uint8]] = {}
         self._nodes = self._faces = 0
 
     def parts(self, node: Any, matrix: Array, name: str, depth: int) -> Iterator[Part]:
@@ -111,13 +113,14 @@ class _Reader:
                 continue
             material = materials.get(primitive.material)
             about = shown(str(getattr(material, "name", None) or primitive.material or ""))
-            colours = self._colours(primitive, material)
+            colours, skin = self._colours(primitive, material)
             yield Part.of(
                 shown(name or str(node.geometry.name)),
                 primitive.vertex,
                 primitive.vertex_index,
                 colours,
                 about,
+                skin=skin,
             ).moved(matrix)
 
     def _count(self, faces: int) -> None:
@@ -127,27 +130,30 @@ class _Reader:
                 f"{self._name} has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece."
             )
 
-    def _colours(self, primitive: Any, material: Any) -> Any:
+    def _colours(self, primitive: Any, material: Any) -> tuple[Any, Skin | None]:
         if material is None:
-            return None
+            return None, None
         if material.id not in self._looks:
             self._looks[material.id] = self._look(material)
         look = self._looks[material.id]
         if look is None or look.ndim == 1:
-            return look
+            return look, None
         if not len(primitive.texcoordset):
-            return look.mean(axis=(0, 1))
-        return texture_colours(
-            look, np.asarray(primitive.texcoordset[0], np.float64)[primitive.texcoord_indexset[0]][..., :2]
-        )
+            return look.mean(axis=(0, 1)) / 255.0, None
+        uv = np.asarray(primitive.texcoordset[0], np.float64)[primitive.texcoord_indexset[0]][..., :2]
+        corners = np.asarray(primitive.vertex, np.float64)[primitive.vertex_index]
+        return texture_colours(look, uv), Skin.of(look, corners, uv)
 
-    def _look(self, material: Any) -> NDArray[np.float32] | None:
-        """A picture (rows, columns, 3), one colour (3,), or None where there is neither."""
+    def _look(self, material: Any) -> NDArray[Any] | None:
+        """A picture in bytes (rows, columns, 3), one colour in [0, 1] (3,), or None if it has neither."""
         diffuse = getattr(material.effect, "diffuse", None)
         if isinstance(diffuse, collada.material.Map):
             picture = diffuse.sampler.surface.image.path or ""
+            if picture in self._pictures:
+                return self._pictures[picture]
             try:
-                return read_image(self._folder.read(picture))
+                found = self._pictures[picture] = self._report.kept(read_image(self._folder.read(picture)))
+                return found
             except FileNotFoundError:
                 self._report.warn(f"{shown(picture)} is missing: what it colours has a plain colour")
             except WorldError as error:

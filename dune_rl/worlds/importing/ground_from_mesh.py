@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.skin import joined_skins
+from dune_rl.worlds.ground import GroundPicture
+from dune_rl.worlds.importing.ground_pictures import ground_picture
 from dune_rl.worlds.importing.height_grid import (
     Triangles,
     cast_down,
@@ -39,6 +42,7 @@ _ISLAND_SHARE, _ISLAND_M2 = 0.005, 4.0
 class Ground(NamedTuple):
     """Heights on a grid; where they were found, not filled in (rows, columns); and the colours there.
 
+    `picture` is what the ground shows between the grid's points, None where it has no textures.
     `faces` (F,) tells of every triangle, in the order of the parts, whether it is part of the ground.
     """
 
@@ -46,6 +50,7 @@ class Ground(NamedTuple):
     known: Mask
     colours: NDArray[np.float32]
     faces: Mask
+    picture: GroundPicture | None
 
 
 def find_ground(parts: Sequence[Part], spacing_m: float | None, report: Report) -> Ground:
@@ -74,7 +79,9 @@ def find_ground(parts: Sequence[Part], spacing_m: float | None, report: Report) 
     ground_heights = filled(heights, known)
     smooth = [filled(colours[..., channel].astype(np.float64), known) for channel in range(3)]
     colours = np.stack(smooth, axis=-1).astype(np.float32)
-    return Ground(HeightField(ground_heights, step, origin), known, colours, is_ground)
+    terrain = HeightField(ground_heights, step, origin)
+    picture = ground_picture(soup, is_ground, terrain, colours)
+    return Ground(terrain, known, colours, is_ground, picture)
 
 
 def _soup(parts: Sequence[Part]) -> Triangles:
@@ -95,6 +102,7 @@ def _soup(parts: Sequence[Part]) -> Triangles:
         np.concatenate(claims),
         doubled / np.maximum(length, 1e-30)[:, None],
         length / 2,
+        joined_skins([part.skin for part in parts], [len(part.faces) for part in parts]),
     )
 
 

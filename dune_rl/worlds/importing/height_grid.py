@@ -8,12 +8,13 @@ from scipy import ndimage
 
 from dune_rl.errors import WorldError
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.skin import Skin
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Bullet takes no mesh with more than 524,288 indices, and the terrain is one mesh.
-MAX_POINTS = 87_000
+# A million points are a gigabyte of memory with all that is made of them, and half a minute to begin with.
+MAX_POINTS = 1_000_000
 
 _DEFAULT_POINTS = 80_000
 _FINEST_M = 0.05
@@ -33,6 +34,7 @@ class Triangles(NamedTuple):
     claim: NDArray[np.int8]
     normals: Array
     areas: Array
+    skin: Skin | None = None
 
 
 def extent_of(soup: Triangles, ground: Mask) -> tuple[Array, Array]:

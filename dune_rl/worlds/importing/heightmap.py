@@ -20,6 +20,8 @@ from dune_rl.worlds.world import Rectangle
 Array = NDArray[np.float64]
 
 _LARGEST_M = 20_000.0
+# A file's own grid is kept up to here; a finer one must be asked for.
+_OWN_POINTS = 400_000
 
 
 class HeightmapConf(SurfaceFileConf):
@@ -43,7 +45,10 @@ class HeightmapConf(SurfaceFileConf):
         description="height of the lowest point; None: 0 or as the file says",
     )
     spacing_m: float | None = Field(
-        default=None, ge=0.01, le=100.0, description="of the grid; None: the file's"
+        default=None,
+        ge=0.01,
+        le=100.0,
+        description="of the grid; None: the file's, or one of 400,000 points where that has more",
     )
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     region: Rectangle | None = Field(
@@ -88,8 +93,8 @@ def grid_of(
     wanted = spacing_m
     if wanted is None:
         wanted = min(step_x, step_y)
-        if (width / wanted + 1) * (depth / wanted + 1) > MAX_POINTS:
-            wanted = 1.02 * float(np.sqrt(width * depth / MAX_POINTS))
+        if (width / wanted + 1) * (depth / wanted + 1) > _OWN_POINTS:
+            wanted = 1.02 * float(np.sqrt(width * depth / _OWN_POINTS))
     if (width / wanted + 1) * (depth / wanted + 1) > MAX_POINTS:
         least = 1.01 * float(np.sqrt(width * depth / MAX_POINTS))
         raise WorldError(

@@ -24,8 +24,11 @@ MAX_FACES = 4_000_000
 _MAX_XML_BYTES = 128 * 2**20
 _MAX_XML_DEPTH = 128
 _MAX_PIXELS = 64_000_000
-# Colours are taken a triangle at a time: more texels than this would not be seen.
-_TEXTURE_PIXELS = 1024
+# Along a side of a texture, and of one for which there is no room; and of all textures together.
+_TEXTURE_PIXELS, _COARSE_PIXELS = 1024, 32
+_MOST_TEXELS = 32_000_000
+
+Bytes = NDArray[np.uint8]
 
 
 class WorldWarning(UserWarning):
@@ -41,11 +44,22 @@ class Report:
     def __init__(self, source: str) -> None:
         self.source = source
         self.texts: list[str] = []
+        self._texels = 0
 
     def warn(self, text: str) -> None:
         """Note `text`, unless that has been said."""
         if text not in self.texts:
             self.texts.append(text)
+
+    def kept(self, picture: Bytes) -> Bytes:
+        """`picture` (rows, columns, 3), or a coarse copy where those before it have taken all the room."""
+        self._texels += picture.shape[0] * picture.shape[1]
+        if self._texels <= _MOST_TEXELS:
+            return picture
+        self.warn(f"has more than {_MOST_TEXELS:,} texels of textures; further ones are coarse")
+        image = Image.fromarray(picture)
+        image.thumbnail((_COARSE_PIXELS, _COARSE_PIXELS))
+        return np.asarray(image)
 
     def tell(self) -> None:
         """Give the warnings noted so far, with the file's name before each."""
@@ -167,8 +181,8 @@ def read_xml(data: bytes, name: str) -> Element:
     return root
 
 
-def read_image(data: bytes) -> NDArray[np.float32]:
-    """RGB (rows, columns, 3) in [0, 1] of a picture, smaller where large; `ValueError` for no picture."""
+def read_image(data: bytes) -> Bytes:
+    """RGB (rows, columns, 3) of a picture, smaller where large; `ValueError` for no picture."""
     return shrunk(open_image(data))
 
 
@@ -180,20 +194,37 @@ def open_image(data: bytes) -> Image.Image:
             image = Image.open(io.BytesIO(data))
     except Exception as error:
         raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
-    if image.width * image.height > _MAX_PIXELS:
-        raise ValueError(f"it has {image.width} by {image.height} pixels, more than {_MAX_PIXELS:,}")
+    _check_size(image)
     return image
 
 
-def shrunk(image: Image.Image) -> NDArray[np.float32]:
-    """RGB (rows, columns, 3) in [0, 1] of a picture, at most 1,024 pixels a side."""
+def _check_size(image: Image.Image) -> None:
+    if not image.width * image.height:
+        raise ValueError("it has no pixels")
     if image.width * image.height > _MAX_PIXELS:
         raise ValueError(f"it has {image.width} by {image.height} pixels, more than {_MAX_PIXELS:,}")
+
+
+def shrunk(image: Image.Image) -> Bytes:
+    """RGB (rows, columns, 3) of a picture, at most 1,024 pixels a side; `ValueError` where it is damaged.
+
+    Where it is transparent it has the mean colour of what is not.
+    """
+    _check_size(image)
     try:
         image.draft("RGB", (_TEXTURE_PIXELS, _TEXTURE_PIXELS))
-        image = image.convert("RGB")
+        see_through = "A" in image.getbands() or "transparency" in image.info
+        if image.mode.startswith("I;16"):
+            # Pillow would cut off all but the darkest of 65,536 tones.
+            image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+        image = image.convert("RGBA" if see_through else "RGB")
         image.thumbnail((_TEXTURE_PIXELS, _TEXTURE_PIXELS))
-        return np.asarray(image, np.float32) / 255.0
+        found = np.array(image)
+        opaque = found[..., 3] > 127 if see_through else np.zeros(1, bool)
+        colours = np.ascontiguousarray(found[..., :3])
+        if opaque.any():
+            colours[~opaque] = colours[opaque].mean(axis=0)
+        return colours
     except Exception as error:
         raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
 

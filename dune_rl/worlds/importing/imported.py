@@ -12,8 +12,9 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.free_space import FreeSpace
-from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.ground import Ground, GroundPicture
 from dune_rl.worlds.importing.ground_from_mesh import find_ground
+from dune_rl.worlds.importing.ground_pictures import coloured_ground
 from dune_rl.worlds.importing.import_files import Report
 from dune_rl.worlds.importing.parts import GREY, Part
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
@@ -28,14 +29,16 @@ _ROBOT_RADIUS_M, _SLOPE_DEG, _EDGE_M = 0.6, 20.0, 1.5
 _REGION_CELL_M = 0.25
 # At the edge of the world, half its width away, a square must be this much freer, halved.
 _FAR_COSTS = 0.4
+# Colours that differ by less are one.
+_EVEN = 0.02
 
 
 class ImportedWorld(World):
     """A world from a file.
 
     `ground_colours` (rows, columns, 3) are the ground's colours (sRGB) at the points of its grid, None where
-    the file has none; `light` is the file's sun, None where it has none. The colours of each prop's faces are
-    in its `face_colours`.
+    the file has none; `picture` is what it shows between them; `light` is the file's sun, None where it has
+    none. The colours of each prop's faces are in its `face_colours`, the pictures on them in its `skin`.
     """
 
     def __init__(
@@ -47,11 +50,26 @@ class ImportedWorld(World):
         region: Rectangle,
         friction: float = 1.0,
         ground_colours: Floats | None = None,
+        picture: GroundPicture | None = None,
         light: LightConf | None = None,
     ) -> None:
-        super().__init__(name, terrain, props, region=region, friction=friction, ground=_look(ground_colours))
+        if (
+            picture is None
+            and ground_colours is not None
+            and np.ptp(ground_colours, axis=(0, 1)).max() > _EVEN
+        ):
+            picture = coloured_ground(terrain, ground_colours)
+        super().__init__(
+            name,
+            terrain,
+            props,
+            region=region,
+            friction=friction,
+            ground=_look(ground_colours),
+            picture=picture,
+            light=light,
+        )
         self.ground_colours = ground_colours
-        self.light = light
 
     @cached_property
     def clearance_field(self) -> ClearanceField:
@@ -85,6 +103,7 @@ def assembled(
             region=ground.terrain.extent,
             friction=friction,
             ground_colours=ground.colours,
+            picture=ground.picture,
             light=light,
         ),
         region,
@@ -151,6 +170,10 @@ def _window_sums(grid: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
     total = np.zeros((grid.shape[0] + 1, grid.shape[1] + 1), np.int64)
     total[1:, 1:] = grid.cumsum(axis=0).cumsum(axis=1)
     return total[size:, size:] - total[:-size, size:] - total[size:, :-size] + total[:-size, :-size]
+
+
+def _differ(colours: Floats) -> bool:
+    return bool(np.ptp(colours, axis=(0, 1)).max() > _EVEN)
 
 
 def _look(colours: Floats | None) -> Ground:

@@ -1,5 +1,6 @@
 """A world from a mesh file: .dae, .obj, .stl, .ply or .glb."""
 
+from dataclasses import replace
 from fnmatch import fnmatch
 from typing import Literal
 
@@ -71,10 +72,7 @@ def _claimed(parts: list[Part], patterns: tuple[str, ...]) -> list[Part]:
     if not any(known):
         names = ", ".join(sorted({part.name for part in parts})[:12])
         raise WorldError(f"world.ground={list(patterns)} names none of the file's parts; it has {names}.")
-    return [
-        Part(part.name, part.vertices, part.faces, part.colours, part.about, claim, part.solid)
-        for part, claim in zip(parts, known, strict=True)
-    ]
+    return [replace(part, ground=claim) for part, claim in zip(parts, known, strict=True)]
 
 
 def _near_origin(parts: list[Part], report: Report) -> list[Part]:

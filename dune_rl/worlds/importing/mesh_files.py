@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from trimesh.resolvers import Resolver
 
 from dune_rl.errors import WorldError
+from dune_rl.rendering.skin import Skin
 from dune_rl.worlds.importing.collada_file import collada_parts
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
+    Bytes,
     Folder,
     Report,
     first_line,
@@ -31,6 +33,7 @@ from dune_rl.worlds.importing.parts import Part, texture_colours, without_faults
 
 Array = NDArray[np.float64]
 UpAxis = Literal["y", "z"]
+Pictures = dict[tuple[float, ...], Bytes]
 
 FORMATS = (".dae", ".obj", ".stl", ".ply", ".glb")
 
@@ -132,6 +135,7 @@ def _loaded(data: bytes, name: str, kind: str, folder: Folder, report: Report) -
 
 def _parts(scene: Any, kind: str, report: Report) -> Iterator[Part]:
     count = 0
+    pictures: Pictures = {}
     for node in scene.graph.nodes_geometry:
         matrix, geometry = scene.graph[node]
         mesh = scene.geometry[geometry]
@@ -143,13 +147,13 @@ def _parts(scene: Any, kind: str, report: Report) -> Iterator[Part]:
             raise WorldError(f"it has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece.")
         own_name = str(mesh.metadata.get("name") or geometry)
         name = str(node) if kind == ".glb" else own_name
-        colours, about = _colours(mesh, report)
-        part = Part.of(shown(name), mesh.vertices, faces, colours, f"{own_name} {shown(about)}")
+        colours, about, skin = _colours(mesh, pictures, report)
+        part = Part.of(shown(name), mesh.vertices, faces, colours, f"{own_name} {shown(about)}", skin=skin)
         yield part.moved(np.asarray(matrix, np.float64))
 
 
-def _colours(mesh: Any, report: Report) -> tuple[Any, str]:
-    """Colours, None for a guess, and the material's name."""
+def _colours(mesh: Any, pictures: Pictures, report: Report) -> tuple[Any, str, Skin | None]:
+    """Colours, None for a guess; the material's name; and the pictures on the faces."""
     visual = mesh.visual
     if visual.kind == "texture":
         material = visual.material
@@ -160,19 +164,29 @@ def _colours(mesh: Any, report: Report) -> tuple[Any, str]:
         tint = None if factor is None else np.asarray(factor, np.float32)[:3] / 255.0
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         if image is not None and visual.uv is not None and len(visual.uv) == len(mesh.vertices):
+            tinted = tint is not None and hasattr(material, "baseColorFactor")
+            shades = np.clip(tint, 0.0, 1.0) if tinted and tint is not None else np.ones(3, np.float32)
             try:
-                found = texture_colours(shrunk(image), np.asarray(visual.uv, np.float64)[mesh.faces])
+                found = _picture(image, shades, pictures, report)
             except ValueError as error:
                 report.warn(f"the texture of {shown(name)!r} is left out: {error}")
             else:
-                if tint is not None and hasattr(material, "baseColorFactor"):
-                    found = found * tint
-                return found, name
+                uv = np.asarray(visual.uv, np.float64)[mesh.faces]
+                corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
+                return texture_colours(found, uv), name, Skin.of(found, corners, uv)
         has_default = tint is None or np.allclose(tint, 0.4, atol=0.01) or np.allclose(tint, 1.0)
-        return (None if has_default else tint), name
+        return (None if has_default else tint), name, None
     if visual.kind in ("vertex", "face"):
-        return np.asarray(visual.face_colors, np.float32)[:, :3] / 255.0, ""
-    return None, ""
+        return np.asarray(visual.face_colors, np.float32)[:, :3] / 255.0, "", None
+    return None, "", None
+
+
+def _picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report: Report) -> Bytes:
+    """A picture in bytes, each colour darkened by its shade; once for all who have the same."""
+    key = (id(image), *shades.tolist())
+    if key not in pictures:
+        pictures[key] = report.kept((shrunk(image) * shades + 0.5).astype(np.uint8))
+    return pictures[key]
 
 
 def _check_stl(data: bytes, name: str) -> None:

@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dune_rl.rendering.skin import Skin
 from dune_rl.worlds.importing.import_files import Report
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Part:
     """Triangles of one thing in a file: `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3) in sRGB.
 
     `about` holds further words on what it is, such as its material. `ground` says whether it is ground, None
-    where that has yet to be found out. What is not `solid` can only be seen.
+    where that has yet to be found out. What is not `solid` can only be seen. `skin` is the pictures on it.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Part:
     about: str = ""
     ground: bool | None = None
     solid: bool = True
+    skin: Skin | None = None
 
     @classmethod
     def of(
@@ -70,13 +72,14 @@ class Part:
         *,
         ground: bool | None = None,
         solid: bool = True,
+        skin: Skin | None = None,
     ) -> "Part":
         """A part; `colours` is one (3,) for all, one a face (F, 3), or None for a guess by name."""
         corners = np.asarray(faces, np.int32).reshape(-1, 3)
         rgb = likely_colour(f"{name} {about}") if colours is None else colours
         each = np.broadcast_to(np.clip(np.asarray(rgb, np.float32), 0.0, 1.0), (len(corners), 3))
         points = np.asarray(vertices, np.float64).reshape(-1, 3)
-        return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid)
+        return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid, skin)
 
     def moved(self, matrix: Array) -> "Part":
         """The same part under a transform (4, 4); a mirrored one keeps its outside outside."""
@@ -84,7 +87,8 @@ class Part:
             return self
         vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         faces = self.faces[:, ::-1].copy() if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
-        return Part(self.name, vertices, faces, self.colours, self.about, self.ground, self.solid)
+        skin = None if self.skin is None else self.skin.moved(matrix)
+        return replace(self, vertices=vertices, faces=faces, skin=skin)
 
     @property
     def words(self) -> set[str]:
@@ -140,18 +144,16 @@ def without_faults(parts: Sequence[Part], report: Report) -> list[Part]:
 def _used(part: Part, faces: NDArray[np.bool_]) -> Part:
     # Only the vertices in use: others may be NaN, or far away.
     used, index = np.unique(part.faces[faces], return_inverse=True)
-    return Part(
-        part.name,
-        part.vertices[used],
-        index.reshape(-1, 3).astype(np.int32),
-        part.colours[faces],
-        part.about,
-        part.ground,
-        part.solid,
+    return replace(
+        part,
+        vertices=part.vertices[used],
+        faces=index.reshape(-1, 3).astype(np.int32),
+        colours=part.colours[faces],
+        skin=None if part.skin is None else part.skin.picked(faces),
     )
 
 
-def texture_colours(image: Floats, uv: Array) -> Floats:
+def texture_colours(image: NDArray[np.uint8], uv: Array) -> Floats:
     """Mean colours (F, 3) of triangles in a picture (rows, columns, 3), `uv` (F, 3, 2) from lower left."""
     rows, columns = image.shape[:2]
     # All inside, or the picture's other edge would show at the seams.
@@ -165,7 +167,7 @@ def texture_colours(image: Floats, uv: Array) -> Floats:
     # A triangle that repeats the picture has its mean, not that of a few texels.
     tiled = np.ptp(uv, axis=1).prod(axis=1) > 0.5
     colours[tiled] = image.mean(axis=(0, 1))
-    return colours.astype(np.float32)
+    return colours.astype(np.float32) / np.float32(255.0)
 
 
 def _words(text: str) -> list[str]:

@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.ground_pictures import tiled_ground
 from dune_rl.worlds.importing.height_files import read_heights
 from dune_rl.worlds.importing.heightmap import grid_of
 from dune_rl.worlds.importing.import_files import Folder, Report, existing
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region, with_region
 from dune_rl.worlds.importing.parts import Part, without_faults
 from dune_rl.worlds.importing.sdf_files import Library
-from dune_rl.worlds.importing.sdf_reader import Found, HeightMap, SdfReader
+from dune_rl.worlds.importing.sdf_reader import Found, HeightMap, SdfReader, mean_colour
 from dune_rl.worlds.importing.sdf_shapes import plane
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.things import is_single_sheet, things_on
@@ -112,8 +113,11 @@ def _on_height_map(
         terrain.heights + z, terrain.spacing_m, (terrain.origin[0] + x, terrain.origin[1] + y)
     )
     none = np.zeros(sum(len(part.faces) for part in parts), bool)
-    colours = None
-    if height_map.colour is not None:
+    colours, picture = None, None
+    if height_map.picture is not None:
+        picture = tiled_ground(moved, height_map.picture, height_map.tile_m)
+        colours = np.full((*terrain.heights.shape, 3), picture.colours.mean(axis=(0, 1)), np.float32)
+    elif height_map.colour is not None:
         colours = np.broadcast_to(np.array(height_map.colour, np.float32), (*terrain.heights.shape, 3))
     world = ImportedWorld(
         "sdf",
@@ -122,6 +126,7 @@ def _on_height_map(
         region=moved.extent,
         friction=friction,
         ground_colours=colours,
+        picture=picture,
         light=found.light,
     )
     return with_region(world, checked_region(conf.region), report, known)
@@ -131,7 +136,11 @@ def _as_part(height_map: HeightMap, report: Report) -> Part:
     samples = _in_metres(height_map, report)
     size = (float(height_map.size[0]), float(height_map.size[1]))
     terrain, _ = grid_of(samples, size, None, report)
-    return Part.of("heightmap", *terrain.mesh(), height_map.colour, ground=True).moved(height_map.matrix)
+    colour = height_map.colour
+    if colour is None and height_map.picture is not None:
+        report.warn("the textures of several height maps are shown in their mean colours")
+        colour = mean_colour(height_map.picture)
+    return Part.of("heightmap", *terrain.mesh(), colour, ground=True).moved(height_map.matrix)
 
 
 def _with_planes(found: Found, parts: list[Part], report: Report) -> list[Part]:

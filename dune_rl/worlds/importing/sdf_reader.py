@@ -12,6 +12,7 @@ from dune_rl.errors import WorldError
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
+    Bytes,
     Folder,
     Report,
     first_line,
@@ -23,6 +24,7 @@ from dune_rl.worlds.importing.mesh_files import mesh_parts
 from dune_rl.worlds.importing.parts import GREY, Part, likely_colour
 from dune_rl.worlds.importing.sdf_files import Library
 from dune_rl.worlds.importing.sdf_shapes import numbers, pose_of, simple_shape
+from dune_rl.worlds.importing.sdf_sun import sun_of
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
@@ -38,12 +40,17 @@ _SILENT = {
 
 @dataclass(eq=False)
 class HeightMap:
-    """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4)."""
+    """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4).
+
+    Its `colour`; and the `picture` (rows, columns, 3) that it shows in tiles `tile_m` wide, None for none.
+    """
 
     path: Path
     size: Array
     matrix: Array
     colour: Colour | None
+    picture: Bytes | None = None
+    tile_m: float = 1.0
 
 
 @dataclass(eq=False)
@@ -66,6 +73,7 @@ class SdfReader:
         self._library, self._report = library, report
         self._elements = self._includes = self._faces = 0
         self._meshes: dict[Path, list[Part]] = {}
+        self._pictures: dict[Path, Bytes] = {}
 
     def read(self, path: Path, folder: Folder) -> Found:
         """All of the file at `path`, which may name files in `folder`."""
@@ -217,8 +225,9 @@ class SdfReader:
             for part in self._meshes[real]:
                 about = f"{part.name} {path.stem} {part.about}"
                 colours = part.colours if look is None else look
+                skin = part.skin if look is None else None
                 yield Part.of(
-                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid
+                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid, skin=skin
                 ).moved(matrix @ scale)
         else:
             self._report.warn(f"<{shown(shape.tag, 40)}> as a shape is not supported and left out")
@@ -229,25 +238,32 @@ class SdfReader:
         found = self._library.find((shape.findtext("uri") or "").strip(), folder)
         if found is None:
             return
+        picture, tile_m = None, 10.0
         pictures = [shape, *(s for visual in visuals for s in visual.iter("heightmap"))]
         for texture in (t for s in pictures for t in s.findall("texture")):
             diffuse = self._picture((texture.findtext("diffuse") or "").strip(), folder)
-            look = look or diffuse
+            if picture is None and diffuse is not None:
+                picture, tile_m = diffuse, float(numbers(texture.find("size"), 1, (10.0,))[0])
             # Only its absence is told.
             self._picture((texture.findtext("normal") or "").strip(), folder)
+        if not 1e-3 <= tile_m <= 1e5:
+            self._report.warn(f"<size> of a <texture> is {tile_m:g} m; it is shown in its mean colour")
+            look = look or (None if picture is None else mean_colour(picture))
+            picture = None
         size = numbers(shape.find("size"), 3, (1, 1, 1))
         place = np.eye(4)
         place[:3, 3] = numbers(shape.find("pos"), 3, (0, 0, 0))
         if not ((size > 0) & (size < 1e5)).all():
             raise WorldError("<size> of a <heightmap> must be above 0.")
-        self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look))
+        self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look, picture, tile_m))
 
     def _look(self, visual: Element, folder: Folder) -> Colour | None:
         """A visual's one colour; None where it says none, or is a mesh with its own."""
         material = visual.find("material")
         if material is None:
             return None
-        found = self._picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        picture = self._picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        found = None if picture is None else mean_colour(picture)
         if found is None and material.find("diffuse") is not None:
             words = (material.findtext("diffuse") or "").split()[:4]
             try:
@@ -261,17 +277,19 @@ class SdfReader:
             found = likely_colour(script)
         return found
 
-    def _picture(self, uri: str, folder: Folder) -> Colour | None:
-        """The mean colour of a picture; None, with a warning, where it cannot be read."""
+    def _picture(self, uri: str, folder: Folder) -> Bytes | None:
+        """A picture; None, with a warning, where it cannot be read."""
         found = self._library.find(uri, folder) if uri else None
         if found is None:
             return None
+        real = found[0].resolve()
         try:
-            red, green, blue = read_image(read_bytes(found[0])).mean(axis=(0, 1))
+            if real not in self._pictures:
+                self._pictures[real] = self._report.kept(read_image(read_bytes(real)))
+            return self._pictures[real]
         except ValueError as error:
             self._report.warn(f"{shown(uri)} is left out: {first_line(error)}")
             return None
-        return float(red), float(green), float(blue)
 
     def _light(self, element: Element, matrix: Array) -> None:
         if element.get("type") != "directional":
@@ -282,18 +300,13 @@ class SdfReader:
         if self.found.light is not None:
             self._report.warn("has several directional lights; the first is the sun")
             return
-        turn = (matrix @ self._pose(element))[:3, :3]
-        to_sun = -turn @ numbers(element.find("direction"), 3, (0, 0, -1))
-        length = float(np.linalg.norm(to_sun))
-        if length < 1e-9 or to_sun[2] / length < 0.02:
-            self._report.warn("its directional light does not come from above and is left out")
-            return
-        shadows = (element.findtext("cast_shadows") or "true").strip() in ("true", "1")
-        self.found.light = LightConf(
-            sun_bearing_rad=float(np.arctan2(to_sun[1], to_sun[0])),
-            sun_elevation_rad=float(np.clip(np.arcsin(to_sun[2] / length), 0.02, np.pi / 2)),
-            shadows=shadows,
-        )
+        self.found.light = sun_of(element, (matrix @ self._pose(element))[:3, :3], self._report)
+
+
+def mean_colour(picture: Bytes) -> Colour:
+    """The mean in sRGB of a picture's bytes (rows, columns, 3)."""
+    red, green, blue = (picture.mean(axis=(0, 1)) / 255.0).tolist()
+    return red, green, blue
 
 
 def _path(name: str, own: str) -> str:

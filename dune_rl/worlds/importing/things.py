@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.skin import Skin, joined_skins
 from dune_rl.worlds.importing.import_files import Report
 from dune_rl.worlds.importing.parts import Part
 from dune_rl.worlds.importing.topology import closed, joined_faces, welded
@@ -33,7 +34,7 @@ _BACKDROP_M = 50.0
 
 @dataclass(frozen=True, eq=False)
 class ImportedProp(Prop):
-    """A prop from a file; `face_colours` (F, 3) in sRGB are those of its faces, `colour` their mean."""
+    """A prop from a file; `face_colours` (F, 3) in sRGB are those of all its faces, `colour` their mean."""
 
     face_colours: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
@@ -77,6 +78,7 @@ class _Piece:
     vertices: Array
     faces: NDArray[np.int32]
     colours: Floats
+    skin: Skin | None
 
 
 def _pieces(part: Part, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
@@ -96,7 +98,8 @@ def _pieces(part: Part, rest: NDArray[np.intp], terrain: HeightField) -> Iterato
         if part.solid and (over[faces] < _FLUSH_M).all():
             continue
         vertices, corners, source = closed(part.vertices, faces, height)
-        yield _Piece(vertices, corners, part.colours[piece][source])
+        skin = None if part.skin is None else part.skin.picked(piece[source])
+        yield _Piece(vertices, corners, part.colours[piece][source], skin)
 
 
 def _within_ground(
@@ -165,7 +168,7 @@ def _named(found: list[tuple[Part, list[_Piece]]]) -> list[ImportedProp]:
     props: list[ImportedProp] = []
     taken: dict[str, int] = {}
     for part, pieces in found:
-        for vertices, faces, colours in _in_bounds(pieces):
+        for vertices, faces, colours, skin in _in_bounds(pieces):
             number = taken[part.name] = taken.get(part.name, 0) + 1
             corners = vertices[faces]
             area = np.linalg.norm(
@@ -181,22 +184,25 @@ def _named(found: list[tuple[Part, list[_Piece]]]) -> list[ImportedProp]:
                     solid=part.solid and not part.is_named_water,
                     colour=(float(red), float(green), float(blue)),
                     face_colours=colours.astype(np.float32),
+                    skin=skin,
                 )
             )
     return props
 
 
-def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32], Floats]]:
+def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32], Floats, Skin | None]]:
     """The pieces as one mesh, or as several where an engine would not take it; together these are closed."""
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     vertices = np.concatenate([piece.vertices for piece in pieces])
     faces = np.concatenate([piece.faces + s for piece, s in zip(pieces, starts, strict=True)])
     colours = np.concatenate([piece.colours for piece in pieces])
+    skin = joined_skins([piece.skin for piece in pieces], [len(piece.faces) for piece in pieces])
     if len(faces) <= _MOST_FACES:
-        yield vertices, faces, colours
+        yield vertices, faces, colours, skin
         return
     along = int(np.ptp(vertices[:, :2], axis=0).argmax())
     order = np.argsort(vertices[faces, along].mean(axis=1), kind="stable")
     for chosen in np.array_split(order, int(np.ceil(len(faces) / _MOST_FACES))):
         used, index = np.unique(faces[chosen], return_inverse=True)
-        yield vertices[used], index.reshape(-1, 3).astype(np.int32), colours[chosen]
+        own = None if skin is None else skin.picked(chosen)
+        yield vertices[used], index.reshape(-1, 3).astype(np.int32), colours[chosen], own

@@ -1,0 +1,20 @@
+"""Worlds and bodies to paint, for tests of pictures."""
+
+import numpy as np
+
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.props import upright_box
+from dune_rl.worlds.world import Prop, World
+
+SIZE = (96, 72)
+
+
+def plain(*props: Prop, heights: np.ndarray | None = None) -> World:
+    """Ground, 20 by 20 m, level unless told otherwise, with things on it."""
+    ground = HeightField(np.zeros((11, 11)) if heights is None else heights, 2.0, (-10.0, -10.0))
+    return World("plain", ground, props, region=(-4, 4, -4, 4))
+
+
+def box(x: float, y: float, length: float, width: float, height: float, **settings) -> Prop:
+    kind = "box" if settings.get("solid", True) else "water"
+    return Prop("box", kind, *upright_box((x, y), 0.0, -0.1, height, length, width), **settings)

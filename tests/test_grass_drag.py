@@ -1,0 +1,95 @@
+"""Tall grass holds back what drives through it."""
+
+import numpy as np
+from batches import idle, real_batch
+from meadows import SMALL
+from planted.puppets import puppet_batch
+from scenes import Stage, every_backend
+
+from dune_rl.sensors.lidar import LidarConf
+
+
+@every_backend
+def test_a_push_accelerates_for_one_step(backend):
+    stage = Stage(backend)
+    stage.place([0.0, 0.0, 5.0])
+    stage.scene.push([22.0, -11.0, 0.0])
+    stage.step(10)
+    # Its wheels hang below the chassis' centre by nothing, so that 11 kg move as one.
+    np.testing.assert_allclose(stage.velocity[:2], [22 / 11 * 0.05, -0.05], rtol=0.02)
+    before = stage.velocity[:2].copy()
+    stage.step(10)
+    np.testing.assert_allclose(stage.velocity[:2], before, atol=1e-3)
+    stage.scene.push([22.0, 0.0, 0.0])
+    stage.place([0.0, 0.0, 5.0])
+    stage.step(10)
+    np.testing.assert_allclose(stage.velocity[:2], 0.0, atol=1e-9)
+
+
+@every_backend
+def test_a_push_of_nothing_keeps_the_bytes(backend):
+    states = []
+    for push in (False, True):
+        stage = Stage(backend)
+        stage.place()
+        for _ in range(5):
+            if push:
+                stage.scene.push([0.0, 0.0, 0.0])
+            stage.step(10, 4.0)
+        states.append(stage.state.tobytes())
+    assert states[0] == states[1]
+
+
+def test_the_force_is_against_the_motion_and_by_what_stands_in_grass():
+    cover = {"name": "flat", "grass_cover": 1.0, "grass_height_m": 2.0}
+    batch, (puppet,) = puppet_batch(world=cover)
+    grass = batch.world.grass
+    dense = np.unravel_index(grass.density.argmax(), grass.density.shape)
+    xmin, _, ymin, _ = batch.world.extent
+    x, y = (-xmin) * (2 * dense[1] + 1) / grass.density.shape[1], (-ymin) * (2 * dense[0] + 1) / 400
+    puppet.put(xmin + x, ymin + y)
+    puppet.state[7:10] = 0.5, -0.3, 0.1
+    batch.step(idle(batch))
+    batch.step(idle(batch))
+    # The first push comes from where the rover had been put at the start, at rest.
+    np.testing.assert_allclose(puppet.pushes[-1], -20.0 * np.array([0.5, -0.3, 0.1]), rtol=1e-4)
+    puppet.state[2] = 0.125 + 2.0 - 0.127
+    batch.step(idle(batch))
+    batch.step(idle(batch))
+    np.testing.assert_allclose(puppet.pushes[-1], -10.0 * np.array([0.5, -0.3, 0.1]), rtol=1e-3)
+    bare, (other,) = puppet_batch()
+    bare.step(idle(bare))
+    assert other.pushes == []
+
+
+def test_driving_through_it_takes_torque_and_costs_speed():
+    drive = {"drive": {"max_torque_nm": 0.25}}
+    speeds, torques = {}, {}
+    for strong in (True, False):
+        for cover in (0.0, 1.0):
+            world = {**SMALL, "grass_cover": cover}
+            settings = {} if strong else {"robot": drive}
+            batch = real_batch(world, 1, sensors=["imu", "goal"], **settings)
+            for _ in range(40):
+                batch.step(np.array([[0.8, 0.0]], np.float32))
+            speeds[strong, cover] = np.hypot(*batch.motion.velocity_w[0, :2])
+            torques[strong, cover] = np.sum(batch._scenes[0].drive_state()[8:])
+            batch.close()
+    # Strong drives hold their speed, at the cost of what the grass takes; weak ones do not.
+    assert speeds[True, 1.0] > 0.7
+    assert torques[True, 1.0] > torques[True, 0.0] + 0.3
+    assert 0.2 < speeds[False, 1.0] < speeds[False, 0.0] - 0.05
+
+
+def test_scenes_in_grass_are_independent_and_repeat():
+    settings = {"sensors": ["lidar", "camera", "imu", "goal"]}
+    world = {**SMALL, "grass_cover": 0.5}
+    seen = []
+    for scenes in (1, 2):
+        batch = real_batch(world, scenes, seed=3, **settings)
+        for _ in range(3):
+            batch.step(np.tile(np.array([[0.5, 0.2]], np.float32), (scenes, 1)))
+        seen.append({name: value[0].tobytes() for name, value in batch.observe().items()})
+        batch.close()
+    assert seen[0] == seen[1]
+    assert LidarConf().n_segments * 4 == len(seen[0]["lidar"])

@@ -1,0 +1,138 @@
+"""What sensors and pictures make of tall grass."""
+
+import numpy as np
+import pytest
+from instruments import moment
+from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
+
+from dune_rl.actors.actor import ActorConf
+from dune_rl.actors.shapes import figures
+from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.air import Air
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.picture import Painter, Viewpoint
+from dune_rl.rendering.scenery import Segment
+from dune_rl.sensors.camera import Camera, CameraConf
+from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
+from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
+from dune_rl.sensors.medium import InGrass
+from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.grass import Grass
+from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.world import World
+
+# Full grass where x > 2, from 2 cells before it on interpolated.
+AHEAD = FULL * (np.arange(80) >= 48)
+NOBODY = np.zeros((1, 0, 4))
+STANDING = np.array([[0.0, 0.0, 0.125]])
+LEVEL = np.eye(3)[None]
+
+
+def standing(episodes, steps, seed: int = 5):
+    now = moment(episodes, steps, seed)
+    now.position_w[:] = STANDING
+    return now
+
+
+def in_grass(beams: int = 2000) -> InGrass:
+    yaw = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    directions = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(beams)], axis=1)
+    return InGrass(EVERYWHERE, "lidar", directions, (0.0, 0.0, 0.2), 0.1)
+
+
+def test_beams_pass_by_chance_and_path_length():
+    seen = in_grass().applied(np.full((2, 2000), 1.5, np.float32), standing([0, 1], 0))
+    assert (seen == 1.5).mean() == pytest.approx(np.exp(-1.5 * BEAM_EXTINCTION), abs=0.012)
+    assert (seen > 0.5).mean() == pytest.approx(np.exp(-0.5 * BEAM_EXTINCTION), abs=0.025)
+    assert seen.min() == np.float32(0.1)
+
+
+def test_blades_flicker_as_the_moment_says():
+    effect, true = in_grass(), np.full((2, 2000), 3.0, np.float32)
+    seen = effect.applied(true, standing([4, 9], [1, 5]))
+    assert effect.applied(true, standing([4, 9], [1, 5])).tobytes() == seen.tobytes()
+    assert effect.applied(true[:1], standing([9], [5])).tobytes() == seen[1].tobytes()
+    for other in (standing([9], [6]), standing([8], [5]), standing([9], [5], seed=6)):
+        assert not np.array_equal(effect.applied(true[:1], other)[0], seen[1])
+
+
+def ahead_world() -> World:
+    return World("ahead", PLAIN, region=(-4, 4, -4, 4), grass=Grass(PLAIN, AHEAD, 1.0))
+
+
+def test_rings_tell_grass_from_ground():
+    world = ahead_world()
+    solid = world.solid_mesh()
+    conf = Lidar3dConf(n_rings=8, n_beams=64, range_m=8.0, outputs=("range", "intensity", "segmentation"))
+    lidar = Lidar3d(
+        conf,
+        RayScene(solid.vertices, solid.faces),
+        solid_look(world),
+        (),
+        1,
+        Air(foliage=world.grass.foliage),
+    )
+    lidar.begin(np.array([True]), standing([0], 0))
+    found = {name.removeprefix("lidar_3d_"): value[0, ..., 0] for name, value in lidar.read().items()}
+    green = found["segmentation"] == Segment.VEGETATION
+    bare = lidar.scan(STANDING, LEVEL, NOBODY)["lidar_3d_range"][0, ..., 0]
+    np.testing.assert_array_equal(green, found["range"] < bare)
+    # Half of the beams look back, where there is none.
+    assert green[:, 20:44].mean() > 0.5
+    assert not green[:, :16].any()
+    assert (found["intensity"][green] > 0.0).all()
+
+
+def camera_in(world: World, air: Air, actors: tuple[ActorConf, ...] = ()) -> Camera:
+    conf = CameraConf(width=16, height=16, range_m=50.0, outputs=("rgb", "depth", "segmentation", "normals"))
+    return Camera(conf, baked(world, LightConf()), figures(actors), air)
+
+
+def test_pixels_show_the_grass_that_takes_half_their_light():
+    world = ahead_world()
+    person = np.array([[[8.0, -0.26, 0.0, 0.0]]])
+    bare = camera_in(world, Air(), (ActorConf(),)).frames(STANDING, LEVEL, person)
+    seen = camera_in(world, Air(foliage=world.grass.foliage), (ActorConf(),)).frames(STANDING, LEVEL, person)
+    level = (0, 7, 8, 0)
+    assert bare["segmentation"][level] == Segment.ACTOR
+    assert seen["segmentation"][level] == Segment.VEGETATION
+    # Grass begins within a cell before x = 2; half the light is gone ln 2 / extinction later.
+    assert seen["depth"][level] == pytest.approx(2.0 - 0.2 + np.log(2) / EXTINCTION, abs=0.25)
+    green = seen["segmentation"] == Segment.VEGETATION
+    assert (seen["depth"][green] <= bare["depth"][green]).all()
+    untouched = (seen["depth"] == bare["depth"]) & ~green
+    np.testing.assert_array_equal(seen["segmentation"][untouched], bare["segmentation"][untouched])
+    np.testing.assert_array_equal(seen["normals"], bare["normals"])
+    greener = [
+        float((2.0 * each[..., 1] - each[..., 0] - each[..., 2]).mean())
+        for each in (bare["rgb"][green[..., 0]].astype(float), seen["rgb"][green[..., 0]].astype(float))
+    ]
+    assert greener[1] > greener[0] + 10.0
+    # High up there is sky as before.
+    np.testing.assert_array_equal(seen["rgb"][0, 0], bare["rgb"][0, 0])
+
+
+def test_a_depth_strip_ends_in_it():
+    world = ahead_world()
+    solid = world.solid_mesh()
+    static = RayScene(solid.vertices, solid.faces)
+    conf = DepthStripConf(fov_rad=6.28, columns=32)
+    bare, seen = (
+        DepthStrip(conf, static, (), 1, air).depths(STANDING, LEVEL, NOBODY)[0]
+        for air in (Air(), Air(foliage=world.grass.foliage))
+    )
+    assert (seen[12:20] < 3.0).all()
+    np.testing.assert_array_equal(seen[:6], bare[:6])
+
+
+def test_a_picture_shows_it():
+    world = ahead_world()
+    look = baked(world, LightConf())
+    view = Viewpoint((-1.0, 0.0, 0.8), (3.0, 0.0, 0.5))
+    bare, grown = (
+        Painter(look, air).paint(view, 80, 60) for air in (Air(), Air(foliage=world.grass.foliage))
+    )
+    np.testing.assert_array_equal(Painter(look).paint(view, 80, 60), bare)
+    assert (grown[:4] == bare[:4]).all()
+    # It stands over the horizon.
+    assert (grown[20:30, 20:60] != bare[20:30, 20:60]).all(axis=-1).mean() > 0.8

@@ -1,0 +1,193 @@
+"""Pictures of a rover in its scene, and environments that render them."""
+
+from copy import copy
+from functools import cache
+
+import gymnasium
+import numpy as np
+import pytest
+from batches import idle, real_batch
+from conformance import difference
+from painting import SIZE, box, plain
+from scanning import turned
+from scenes import about
+
+import dune_rl
+from dune_rl.actors.actor import ActorConf
+from dune_rl.env.batch import Batch
+from dune_rl.env.motion import Motion
+from dune_rl.env.pictures import Pictures
+from dune_rl.errors import ConfigError
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.picture import Viewpoint
+from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.world import World
+
+
+def pictures_in(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Pictures:
+    """Of a rover that stands at (`x`, `y`) in `world`, alone."""
+    batch = copy(flat_batch())
+    batch.world, batch.motion = world, Motion(1, batch.robot)
+    batch.goals_w = np.array([[3.0, 0.0]])
+    stand(batch, x, y, yaw)
+    return Pictures(batch)
+
+
+@cache
+def flat_batch() -> Batch:
+    """One rover alone; its physics is over, since nothing moves in a picture."""
+    batch = real_batch("flat", sensors=["goal"])
+    batch.close()
+    return batch
+
+
+def stand(batch: Batch, x: float, y: float, yaw: float) -> None:
+    z = float(batch.world.terrain.height([x, y])) + 0.125
+    batch.motion.set_row(0, (x, y, z, *about([0, 0, 1], yaw), *[0.0] * 6))
+    batch.motion.begin(np.array([True]))
+
+
+def eye_behind(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """Where the picture from behind is taken from, (3,)."""
+    views: list[Viewpoint] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(pictures, "seen", lambda view, *_: views.append(view))
+        pictures.from_behind()
+    return np.array(views[0].eye)
+
+
+def in_sight(pictures: Pictures, eye: np.ndarray, position: np.ndarray) -> bool:
+    """Whether nothing stands between `eye` and what is a little over the rover."""
+    rays = baked(pictures._batch.world, LightConf()).rays
+    towards = eye - position
+    length = float(np.linalg.norm(towards))
+    return bool(rays.first_hit(position[None], (towards / length)[None], length)[0][0] >= length - 1e-4)
+
+
+def test_the_view_from_behind_shows_the_rover_in_the_middle(monkeypatch):
+    pictures = pictures_in(plain(), 1.0, -2.0, 0.8)
+    picture = pictures.from_behind(0, *SIZE)
+    monkeypatch.setattr(pictures, "bodies", lambda scene: [])
+    changed = (picture != pictures.from_behind(0, *SIZE)).any(axis=-1)
+    rows, columns = np.nonzero(changed)
+    assert changed.sum() > 200
+    assert abs(np.median(columns) - SIZE[0] / 2) < SIZE[0] / 8
+    assert np.median(rows) > SIZE[1] / 2
+    # The top plate is orange.
+    red, _, blue = picture[changed].astype(int).T
+    assert (red - blue > 60).sum() > 30
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0, -1.3])
+def test_the_view_is_from_behind_and_above_and_looks_ahead(yaw, monkeypatch):
+    eye = eye_behind(pictures_in(plain(), 1.0, -2.0, yaw), monkeypatch)
+    back = turned(yaw).T @ (eye - [1.0, -2.0, 0.125])
+    assert back[0] < -2.0 and abs(back[1]) < 1e-6 and back[2] > 1.0
+
+
+@pytest.mark.parametrize(
+    "behind_m",
+    [
+        0.4,
+        0.8,
+        1.2,
+        2.0,
+        2.7,
+        4.0,
+    ],
+)
+def test_the_view_is_never_from_behind_a_wall(behind_m, monkeypatch):
+    pictures = pictures_in(plain(box(-behind_m - 0.1, 0.0, 0.2, 6.0, 3.0)))
+    eye = eye_behind(pictures, monkeypatch)
+    assert eye[0] > -behind_m
+    assert in_sight(pictures, eye, np.array([0.0, 0.0, 0.575]))
+    if behind_m > 3.0:
+        np.testing.assert_allclose(eye, eye_behind(pictures_in(plain()), monkeypatch))
+
+
+def test_the_view_is_never_from_inside_the_ground(monkeypatch):
+    rng = np.random.default_rng(3)
+    world = plain(heights=rng.normal(0.0, 0.8, (11, 11)))
+    pictures, nearest = pictures_in(world), []
+    for x, y, yaw in rng.uniform([-8, -8, -3], [8, 8, 3], (200, 3)):
+        stand(pictures._batch, x, y, yaw)
+        eye = eye_behind(pictures, monkeypatch)
+        nearest.append(eye[2] - float(world.terrain.height(eye[:2])))
+    assert min(nearest) > 0.3
+    # Some of them had to give way.
+    assert min(nearest) < 0.5
+
+
+def test_a_scene_shows_the_rover_its_actors_and_the_goal():
+    walk = ActorConf(waypoints=((-3.0, 3.0), (3.0, 3.0)))
+    batch = real_batch("flat", 2, actors=[walk.model_dump()], sensors=["goal"])
+    batch.step(idle(batch))
+    pictures = Pictures(batch)
+    for scene in (0, 1):
+        *rover, actor, flag = pictures.bodies(scene)
+        assert len(rover) == 5
+        np.testing.assert_allclose(rover[0].position, batch.motion.position_w[scene])
+        np.testing.assert_allclose(rover[0].rotation, batch.motion.rotation[scene])
+        x, y, z, yaw = batch.actors.poses[scene, 0]
+        np.testing.assert_allclose(actor.position, [x, y, z])
+        np.testing.assert_allclose(actor.rotation, turned(yaw), atol=1e-12)
+        np.testing.assert_allclose(flag.position, [*batch.goals_w[scene], 0.0])
+        view = Viewpoint((x - 3.0, y, 1.0), (x, y, 1.0))
+        orange = pictures.seen(view, scene, *SIZE)[30:42, 46:50].reshape(-1, 3).astype(int)
+        assert ((orange[:, 0] - orange[:, 2]) > 60).any()
+        assert (pictures.from_behind(scene, *SIZE) != pictures.from_behind(1 - scene, *SIZE)).any()
+    batch.close()
+
+
+def test_the_place_is_seen_whole_from_above():
+    pictures = pictures_in(plain(box(4.0, 4.0, 3.0, 3.0, 3.0, colour=(0.9, 0.1, 0.1))))
+    seen = pictures.of_the_place(0, *SIZE, samples=1)
+    assert seen.shape == (72, 96, 3) and seen.dtype == np.uint8
+    red = seen[..., 0].astype(int) - seen[..., 1] > 40
+    assert red.sum() > 20
+    # From the other side the box lies on the other hand.
+    other = pictures.of_the_place(0, *SIZE, samples=1, bearing_rad=-2.3 + np.pi)
+    assert (other != seen).any()
+    row = np.nonzero(other[..., 0].astype(int) - other[..., 1] > 40)[0].mean()
+    assert np.nonzero(red)[0].mean() < row - 5
+    assert seen[0, :, 2].mean() > seen[0, :, 0].mean()
+    assert pictures.of_the_place(0, *SIZE).shape == (72, 96, 3)
+
+
+@pytest.mark.parametrize("make", [dune_rl.parallel_env, dune_rl.gym_env])
+def test_render_gives_a_picture_where_it_was_asked_for(make):
+    env, blind = (make("flat", sensors=["goal"], render_mode=mode) for mode in ("rgb_array", None))
+    for each in (env, blind):
+        each.reset(seed=1)
+    first = env.render()
+    assert first.shape == (480, 640, 3) and first.dtype == np.uint8
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 1000
+    assert blind.render() is None
+    assert (env.render_mode, blind.render_mode) == ("rgb_array", None)
+    env.reset(seed=2)
+    assert (env.render() != first).any()
+    # Looking changes nothing.
+    env.reset(seed=1)
+    np.testing.assert_array_equal(env.render(), first)
+    action = np.array([1.0, 0.3], np.float32)
+    given = action if make is dune_rl.gym_env else {"rover_0": action}
+    for _ in range(3):
+        assert difference(list(env.step(given)), list(blind.step(given))) is None
+        env.render()
+    env.close()
+    blind.close()
+
+
+@pytest.mark.parametrize("make", [dune_rl.parallel_env, dune_rl.gym_env])
+def test_an_unknown_way_to_render_is_refused_in_words(make):
+    with pytest.raises(ConfigError) as refused:
+        make("flat", render_mode="human")
+    assert str(refused.value) == "render_mode must be 'rgb_array' or None (got 'human')"
+
+
+def test_gymnasium_s_own_wrappers_can_render():
+    env = gymnasium.make("dune_rl/Flat-v0", render_mode="rgb_array", physics={"control_hz": 10})
+    env.reset(seed=0)
+    assert env.render().shape == (480, 640, 3)
+    assert env.unwrapped.metadata["render_fps"] == 10
+    env.close()
