@@ -14,6 +14,7 @@ import pytest
 from world_digest import digest
 from world_files import write_yard
 
+from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.paths import cache_folder
 from dune_rl.rendering.light import LightConf
@@ -272,6 +273,15 @@ def test_the_longest_unused_make_room(tmp_path: Path) -> None:
     # The newest stays, though it alone is too much.
     cache.write("ee", {}, {"uint8": np.zeros(50_000, np.uint8)})
     assert {path.name for path in tmp_path.iterdir()} == {"ee.npz", "notes.txt"}
+
+
+def test_the_room_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DUNE_RL_CACHE_GB", "0.5")
+    cache = shared_store().cache
+    assert cache is not None and cache.limit_bytes == 2**29
+    monkeypatch.setenv("DUNE_RL_CACHE_GB", "much")
+    with pytest.raises(ConfigError, match="DUNE_RL_CACHE_GB is a number of gigabytes, not 'much'"):
+        shared_store()
 
 
 @pytest.mark.parametrize("key", ["", "../aa", "aa/bb", "AA", "aa.npz"])

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import time
 import warnings
 import zipfile
@@ -57,8 +58,8 @@ class CacheFolder:
             self.warn("damaged", f"{path} is damaged ({type(error).__name__}) and made anew")
             return None
         with suppress(OSError):
-            # What the least used go by; access times are often not kept.
-            path.touch()
+            # By which the longest unused are told: file systems often keep no times of access.
+            os.utime(path)
         return found
 
     def write(self, key: str, text: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -88,7 +89,8 @@ class CacheFolder:
                 entries.append((state.st_mtime, state.st_size, path))
             elif path.suffix == ".tmp" and time.time() - state.st_mtime > _ABANDONED_S:
                 path.unlink(missing_ok=True)
-        total = newest.stat().st_size + sum(size for _, size, _ in entries)
+        # Another process may have made room of the newest, too.
+        total = sum(size for _, size, _ in entries) + (newest.stat().st_size if newest.exists() else 0)
         for _, size, path in sorted(entries, key=lambda entry: entry[0]):
             if total <= self.limit_bytes:
                 break

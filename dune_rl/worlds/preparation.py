@@ -13,6 +13,8 @@ from dune_rl.paths import package_folder
 # A pipe takes a line of this length whole or not at all: PIPE_BUF, as Linux has it.
 _LONGEST_LINE = 4096
 _GRACE_S = 5.0
+# Requests that are not repeated.
+_REMEMBERED = 1024
 
 
 class Preparation:
@@ -39,6 +41,8 @@ class Preparation:
                 continue
             if not self._write(data):
                 return
+            if len(self._asked) >= _REMEMBERED:
+                self._asked.clear()
             self._asked.add(line)
 
     @property

@@ -230,3 +230,7 @@ def _unchanged(files: dict[str, str], absent: list[str]) -> bool:
     return not any(Path(path).exists() for path in absent) and all(
         _digest(Path(path)) == digest for path, digest in files.items()
     )
+
+
+# Now, while the text is that of the modules just imported: it may change under a process that goes on.
+_code()
