@@ -34,10 +34,10 @@ _PLAIN: tuple[type, ...] = (
     ImportedProp,
     ImportedWorld,
     Prop,
-    SurfaceClearance,
-    Soil,
     Skin,
+    Soil,
     Surface,
+    SurfaceClearance,
     SurfaceMap,
     World,
 )
