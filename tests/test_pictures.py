@@ -31,6 +31,7 @@ from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.visual import RobotVisual
 from dune_rl.worlds.appearance import baked
 from dune_rl.worlds.props import slab, upright_box
+from dune_rl.worlds.sites import Sites
 from dune_rl.worlds.world import Prop, World
 
 SIZE = (96, 72)
@@ -244,7 +245,7 @@ BLOCK = block(size=(0.5, 0.7, 1.0))
 def pictures_in(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Pictures:
     """Of a rover that stands at (`x`, `y`) in `world`, alone."""
     batch = copy(flat_batch())
-    batch.world, batch.motion = world, Motion(1, batch.robot)
+    batch.sites, batch.motion = Sites([(world, batch.weather)]), Motion(1, batch.robot)
     batch.goals_w = np.array([[3.0, 0.0]])
     stand(batch, x, y, yaw)
     return Pictures(batch)

@@ -1,5 +1,6 @@
 """Environments built from settings: the one place that names concrete classes."""
 
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
@@ -7,6 +8,7 @@ from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
+from dune_rl.env.variety import Variety
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.worlds.construction import ConstructionConf, build_construction
@@ -20,10 +22,22 @@ from dune_rl.worlds.rubicon import RubiconConf, build_rubicon
 from dune_rl.worlds.world import World
 
 
-def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
-    """The batch core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found."""
+def make_batch(
+    conf: EnvConf,
+    num_scenes: int,
+    seed: int,
+    *,
+    world_of: Callable[[WorldConf], World] | None = None,
+    prepare: Callable[[Sequence[WorldConf]], None] | None = None,
+) -> Batch:
+    """The batch core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found.
+
+    `world_of` gives the worlds instead of `build_world`, and `prepare` is told
+    which ones the next episodes of drawn worlds will ask it for.
+    """
+    world_of = build_world if world_of is None else world_of
     return Batch(
-        world=build_world(conf.world),
+        world=world_of(conf.world),
         make_robot=lambda scenes: RoverZero(conf.robot, scenes),
         make_scene=BulletScene,
         actors=conf.actors,
@@ -32,6 +46,7 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
         task=conf.task,
         metrics=conf.metrics,
         weather=conf.weather,
+        variety=Variety(conf.world, conf.weather, conf.randomisation, world_of, prepare),
         num_scenes=num_scenes,
         seed=seed,
     )

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dune_rl.actors.actor import ActorConf
+from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.checkpoint import CheckpointConf
 from dune_rl.learning.collect import CollectorConf
 from dune_rl.learning.evaluation import EvaluationConf
@@ -50,6 +51,12 @@ class EnvConf(Settings):
     physics: PhysicsConf = PhysicsConf()
     task: PointGoalConf = PointGoalConf()
     metrics: MetricsConf = MetricsConf()
+    randomisation: RandomisationConf = RandomisationConf()
+
+    @model_validator(mode="after")
+    def _can_be_drawn(self) -> Self:
+        self.randomisation.check(self.world, self.weather)
+        return self
 
     @model_validator(mode="after")
     def _rates_fit(self) -> Self:

@@ -58,6 +58,7 @@ class BulletScene:
         self._poses = np.zeros((len(self._kinematics), 4))
         self._robot: int | None = None
         self._push: Sequence[float] | None = None
+        self._friction_factor = 1.0
         self._drive_joints: list[int] = []
         self._torques = [spec.robot.max_torque_nm] * len(spec.robot.drive_joints)
 
@@ -105,6 +106,10 @@ class BulletScene:
         self._poses[:] = kinematic_poses
         self._push = None
 
+    def scale_friction(self, factor: float) -> None:
+        # The engine multiplies the coefficients of the two that touch: the robot's alone is scaled.
+        self._friction_factor = factor
+
     def _load_robot(self, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
         client, spec = self._client, self._spec.robot
         try:
@@ -139,7 +144,7 @@ class BulletScene:
             pybullet.changeDynamics(
                 robot,
                 link,
-                lateralFriction=spec.wheel_friction if wheel else 0.3,
+                lateralFriction=(spec.wheel_friction if wheel else 0.3) * self._friction_factor,
                 restitution=0.0,
                 jointDamping=0.0,
                 physicsClientId=client,

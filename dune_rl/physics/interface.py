@@ -104,6 +104,13 @@ class PhysicsScene(Protocol):
         """
         ...
 
+    def scale_friction(self, factor: float) -> None:
+        """From the next `place` on, multiply the friction of the robot with all that it touches by `factor`.
+
+        It is 1 at first, and stays what it was last told to be.
+        """
+        ...
+
     def step(
         self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:

@@ -16,11 +16,15 @@ _HORIZON, _HORIZON_LOW = np.array([0.62, 0.74, 0.88]), np.array([0.85, 0.60, 0.4
 
 
 class LightConf(Settings):
-    """Where the sun stands: bearing from the world's x axis and height over the horizon."""
+    """Where the sun stands: bearing from the world's x axis and height over the horizon.
+
+    `brightness` scales the light of sun and sky.
+    """
 
     sun_bearing_rad: float = Field(2.2, ge=-2 * np.pi, le=2 * np.pi)
     sun_elevation_rad: float = Field(0.75, ge=0.02, le=np.pi / 2)
     shadows: bool = True
+    brightness: float = Field(1.0, gt=0.0, le=10.0)
 
 
 @dataclass(frozen=True)
@@ -41,11 +45,12 @@ class Light:
         bearing = conf.sun_bearing_rad
         # How much air the sunlight has passed: none of its warmth is left above some 35 degrees.
         high = min(1.0, height / 0.55) ** 0.7
+        bright = conf.brightness
         return cls(
             np.array([level * np.cos(bearing), level * np.sin(bearing), height], np.float32),
-            (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW)).astype(np.float32),
-            (_ZENITH_LOW + high * (_ZENITH - _ZENITH_LOW)).astype(np.float32),
-            (_HORIZON_LOW + high * (_HORIZON - _HORIZON_LOW)).astype(np.float32),
+            (bright * (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW))).astype(np.float32),
+            (bright * (_ZENITH_LOW + high * (_ZENITH - _ZENITH_LOW))).astype(np.float32),
+            (bright * (_HORIZON_LOW + high * (_HORIZON - _HORIZON_LOW))).astype(np.float32),
             conf.shadows,
         )
 

@@ -1,6 +1,7 @@
 """A world as a camera sees it."""
 
-from functools import lru_cache
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import ground_texture
 from dune_rl.worlds.world import Prop, World
 
+_LIGHTS_KEPT = 4
+
 
 def scenery(world: World) -> Scenery:
     """Ground and props, those included that only can be seen (water)."""
@@ -22,18 +25,30 @@ def scenery(world: World) -> Scenery:
     return Scenery(world.terrain, ground, joined([_shape(prop) for prop in world.props]))
 
 
-@lru_cache(maxsize=4)
 def baked(world: World, light: LightConf) -> Baked:
-    """The world in that light and clear air; equal worlds and lights share one."""
-    return Baked(scenery(world), Light.of(light))
+    """The world in that light and clear air; equal lights share one."""
+    return _lit(world, light, lambda: Light.of(light))
 
 
-@lru_cache(maxsize=4)
 def in_weather(world: World, weather: WeatherConf) -> Baked:
     """The world in the light of a weather; what its haze does on the way to an eye is not in it."""
     if Haze.of(weather) is None:
         return baked(world, weather.sunlight)
-    return Baked(scenery(world), light_in(weather))
+    return _lit(world, weather, lambda: light_in(weather))
+
+
+def _lit(world: World, key: Hashable, light: Callable[[], Light]) -> Baked:
+    """The world in a light, of which the latest few are kept with it."""
+    looks = world.kept("baked", OrderedDict[Hashable, Baked])
+    if key in looks:
+        looks.move_to_end(key)
+        return looks[key]
+    # What does not hang on the light takes most of the time.
+    known = next(iter(looks.values()), None)
+    looks[key] = Baked(scenery(world), light()) if known is None else known.relit(light())
+    if len(looks) > _LIGHTS_KEPT:
+        looks.popitem(last=False)
+    return looks[key]
 
 
 def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:

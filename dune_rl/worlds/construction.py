@@ -8,10 +8,10 @@ from pydantic import Field, model_validator
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 from dune_rl.worlds.construction_layout import place_things
 from dune_rl.worlds.construction_walls import build_storey
 from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -28,11 +28,10 @@ _CONCRETE = Ground(
 )
 
 
-class ConstructionConf(Settings):
+class ConstructionConf(SeededConf):
     """Settings of `build_construction`."""
 
     name: Literal["construction"] = "construction"
-    seed: int = Field(default=0, ge=0, lt=2**32)
     room_size_m: float = Field(
         default=6.0, ge=4.0, le=20.0, description="rooms longer than 1.6 times this are divided"
     )
@@ -68,8 +67,8 @@ def build_construction(conf: ConstructionConf) -> World:
         -WIDTH_M / 2 + _MARGIN_M,
         WIDTH_M / 2 - _MARGIN_M,
     )
-    storey = build_storey(terrain, plan, conf.seed, conf.room_size_m, conf.door_width_m, conf.stud_share)
-    things = place_things(terrain, storey, conf.seed, conf.things_per_100m2)
+    storey = build_storey(terrain, plan, conf.layout, conf.room_size_m, conf.door_width_m, conf.stud_share)
+    things = place_things(terrain, storey, conf.layout, conf.things_per_100m2)
     reach = conf.region_size_m / 2
     return World(
         "construction",

@@ -8,12 +8,12 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 from dune_rl.worlds.grass import grow
 from dune_rl.worlds.ground import Ground
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.roughness import gradient, rough_field, smooth_step
 from dune_rl.worlds.rubicon_layout import place_props
+from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ FOREST_FLOOR = Ground(
 )
 
 
-class RubiconConf(Settings):
+class RubiconConf(SeededConf):
     """Settings of `build_rubicon`.
 
     Every `seed` gives another hillside of the same family. The slopes met are
@@ -43,7 +43,6 @@ class RubiconConf(Settings):
     """
 
     name: Literal["rubicon"] = "rubicon"
-    seed: int = Field(default=0, ge=0, lt=2**32)
     slope_rad: float = Field(default=0.23, ge=0.0, le=0.6, description="median slope of the hills")
     roughness_m: float = Field(
         default=0.07, ge=0.0, le=0.3, description="root mean square height of bumps under 6 m long"
@@ -66,7 +65,7 @@ def build_rubicon(conf: RubiconConf) -> World:
     """
     terrain = build_terrain(conf.seed, conf.slope_rad, conf.roughness_m)
     props = place_props(
-        terrain, conf.seed, conf.rocks_per_100m2, conf.trees_per_100m2, conf.undergrowth_per_100m2
+        terrain, conf.layout, conf.rocks_per_100m2, conf.trees_per_100m2, conf.undergrowth_per_100m2
     )
     reach = conf.region_size_m / 2
     solid = [(prop.vertices, prop.faces) for prop in props if prop.solid]

@@ -1,14 +1,15 @@
 """A world: terrain, and the props that stand on it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
@@ -17,6 +18,7 @@ from dune_rl.worlds.ground import MEADOW, Ground
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,17 @@ class World:
         self.ground = ground
         self.texture_seed = texture_seed
         self.grass = grass
+        self._kept: dict[Hashable, Any] = {}
+
+    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` gives, made at the first call with `key` and kept as long as the world.
+
+        For what follows from the world, and from the settings in `key`, alone.
+        """
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
+        return found
 
     @property
     def extent(self) -> Rectangle:
@@ -98,6 +111,12 @@ class World:
         vertices, faces = self.terrain.mesh()
         parts = [(-1, vertices, faces), *((index, prop.vertices, prop.faces) for index, prop in solid)]
         return _join(parts)
+
+    @cached_property
+    def rays(self) -> RayScene:
+        """All that is solid, to cast rays at."""
+        solid = self.solid_mesh()
+        return RayScene(solid.vertices, solid.faces)
 
     @cached_property
     def clearance_field(self) -> ClearanceField:
