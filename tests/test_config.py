@@ -235,7 +235,7 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
          "there is no group 'wrold/x'; "
-         "choose from actors, experiment, learning, metrics, physics, robot, sensors, task, weather, world"),
+         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, sensors, task, weather, world"),
         (["world=flat", "seed=${nowhere}"],
          "cannot resolve the settings: Interpolation key 'nowhere' not found"),
     ],
@@ -286,7 +286,7 @@ def test_environment_settings_share_the_messages() -> None:
         compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
     assert sorted(str(caught.value).splitlines()) == [
         "colour is not a setting; "
-        "the top level has world, weather, robot, actors, sensors, physics, task, metrics",
+        "the top level has world, weather, robot, actors, sensors, physics, task, metrics, randomisation",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
         NO_MOON,
     ]
