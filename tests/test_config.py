@@ -131,7 +131,9 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
         composed: EnvConf = compose(words(group, option))
     else:
         words_given = [f"world.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
-        composed = compose_environment(option if group == "world" else place(group), words_given, {group: option})
+        composed = compose_environment(
+            option if group == "world" else place(group), words_given, {group: option}
+        )
     assert getattr(composed, group) == PLAIN[group, option]
 
 
