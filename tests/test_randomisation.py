@@ -1,9 +1,11 @@
 """What differs from episode to episode: drawn within its bounds, applied, told, and the same once more."""
 
+import gc
 import hashlib
 import os
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,7 @@ from dune_rl.physics.bullet import BulletScene
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.construction import ConstructionConf
 from dune_rl.worlds.inspection import InspectionConf
-from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.rubicon import RubiconConf
 from dune_rl.worlds.world import World
 
@@ -308,6 +310,25 @@ def test_the_next_worlds_are_named_while_the_present_ones_are_in_use() -> None:
     batch.reset(np.array([False, True]))
     assert [len(confs) for confs in named] == [2, 2, 1]
     assert asked[2:] == named[1][1:]
+    batch.close()
+
+
+def test_a_world_that_has_been_left_takes_no_memory() -> None:
+    settings = {k: v for k, v in ISLANDS.items() if k != "world"}
+    settings["randomisation"] = {"world_seed": [0, 999]}
+    conf = compose_environment(ISLANDS["world"], (), settings)
+    batch = make_batch(conf, 2, 0, world_of=lambda island: build_island(island))
+    batch.reset()
+    drive(batch, [0, 1], 0, 2)
+    left = [weakref.ref(batch.sites.worlds[scene]) for scene in range(2)]
+    # At once, and not when the collector of cycles comes by.
+    gc.disable()
+    try:
+        batch.reset()
+        drive(batch, [2, 3], 0, 1)
+        assert [world() for world in left] == [None, None]
+    finally:
+        gc.enable()
     batch.close()
 
 

@@ -129,10 +129,7 @@ class Actors:
 
     def bodies(self) -> tuple[KinematicCapsule, ...]:
         """What physics must know of each actor."""
-        return tuple(
-            KinematicCapsule(f"actor_{index}", conf.radius_m, conf.height_m)
-            for index, conf in enumerate(self.confs)
-        )
+        return capsules(self.confs)
 
     def reset(self, scene: int, rng: np.random.Generator, rover_xy: Array) -> None:
         """Start `scene` anew: each actor on a path drawn with `rng`, away from `rover_xy` (2,).
@@ -230,6 +227,13 @@ class _Paths(NamedTuple):
 
     bank: PathBank
     choices: tuple[NDArray[np.int64], ...]
+
+
+def capsules(confs: tuple[ActorConf, ...]) -> tuple[KinematicCapsule, ...]:
+    """What physics must know of each of the actors."""
+    return tuple(
+        KinematicCapsule(f"actor_{index}", conf.radius_m, conf.height_m) for index, conf in enumerate(confs)
+    )
 
 
 def _ground(world: World, xy: Array) -> Array:

@@ -12,7 +12,7 @@ from dune_rl.env.action_log import ActionLog
 from dune_rl.env.drag import drag_forces
 from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import Motion
-from dune_rl.env.places import Places, spawner_of
+from dune_rl.env.places import Places
 from dune_rl.env.scene import standing_pose
 from dune_rl.env.senses import Senses
 from dune_rl.env.variety import Variety
@@ -86,7 +86,6 @@ class Batch:
         self.robot = make_robot(num_scenes)
         self.actor_confs = actors
         self._first_world = world
-        self.actors = self._new_actors(seed)
         self._places = Places(
             world,
             weather,
@@ -95,9 +94,10 @@ class Batch:
             make_scene,
             physics,
             task.spawn,
-            self.actors,
+            actors,
             num_scenes,
         )
+        self.actors = self._new_actors(seed)
         self.sites = self._places.sites
         self.senses = Senses(
             sensors, self.sites, self.robot, self.actors, physics, worlds_differ=self.variety.of_worlds
@@ -119,7 +119,7 @@ class Batch:
 
     def _new_actors(self, seed: int) -> Actors:
         world = self._first_world
-        points = spawner_of(world, self.task.spawn, self.robot).sample_points
+        points = self._places.spawner_in(world).sample_points
         return Actors(self.actor_confs, world, points, stream(seed, "paths"), self.num_scenes)
 
     @property

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.actors.actor import Actors
+from dune_rl.actors.actor import ActorConf, Actors, capsules
 from dune_rl.env.scene import scene_spec
 from dune_rl.env.variety import Values, Variety
 from dune_rl.errors import WorldError
@@ -38,7 +38,7 @@ class Places:
         make_scene: Callable[[SceneSpec], PhysicsScene],
         physics: PhysicsConf,
         spawn: SpawnConf,
-        actors: Actors,
+        actors: tuple[ActorConf, ...],
         num_scenes: int,
     ) -> None:
         self.variety = variety
@@ -47,9 +47,10 @@ class Places:
         self.most_bodies = 0
         self._world, self._weather, self._robot = world, weather, robot
         self._make_scene, self._conf, self._spawn = make_scene, physics, spawn
-        self._capsules = actors.bodies()
+        self._capsules = capsules(actors)
         self._confs: list[Any] = [None] * num_scenes
-        self._unfit: dict[Any, WorldError] = {}
+        self._unfit: dict[Any, str] = {}
+        self._spawners: dict[World, Spawner] = {}
         self._physics: dict[int, PhysicsScene] = {}
         if not variety.of_worlds:
             for scene in range(num_scenes):
@@ -62,7 +63,13 @@ class Places:
 
     def spawner(self, scene: int) -> Spawner:
         """What draws starts and goals in a scene's world."""
-        return spawner_of(self.sites.worlds[scene], self._spawn, self._robot)
+        return self.spawner_in(self.sites.worlds[scene])
+
+    def spawner_in(self, world: World) -> Spawner:
+        """The same in any world; raises WorldError where it has no room."""
+        if world not in self._spawners:
+            self._spawners[world] = Spawner(world, self._spawn, self._robot.footprint_radius_m)
+        return self._spawners[world]
 
     def enter(self, scene: int, seed: int, episode: int, actors: Actors) -> PhysicsScene:
         """Bring a scene to where an episode of `seed` takes place; its physics, told what it must know.
@@ -87,7 +94,8 @@ class Places:
                 world = self._roomy(conf, seed, actors)
                 break
             except WorldError as error:
-                self._unfit[conf] = error
+                # Not the error itself, which would keep the world.
+                self._unfit[conf] = str(error)
                 if attempt == _TRIES - 1:
                     raise
         if self._confs[scene] is None or self.sites.worlds[scene] is not world:
@@ -95,12 +103,14 @@ class Places:
         self._confs[scene] = conf
         self.sites.put(scene, world, self.variety.weather(values))
         actors.enter(scene, world)
+        used = {world for world, _ in self.sites.worlds.groups} | {self._world}
+        self._spawners = {place: spawner for place, spawner in self._spawners.items() if place in used}
         return values
 
     def _roomy(self, conf: Any, seed: int, actors: Actors) -> World:
         """The world of `conf`, if a rover and the actors find room in it."""
         if conf in self._unfit:
-            raise self._unfit[conf]
+            raise WorldError(self._unfit[conf])
         # Another scene may be there, and a world takes a moment to build.
         known = (self.sites.worlds[scene] for scene, other in enumerate(self._confs) if other == conf)
         world = next(known, None) or self.variety.world(conf)
@@ -109,8 +119,7 @@ class Places:
                 f"the worlds of {world.name!r} cover different ground ({world.extent} and "
                 f"{self._world.extent}): observations would have no common bounds"
             )
-        spawner = spawner_of(world, self._spawn, self._robot)
-        actors.find_paths(world, spawner.sample_points, stream(seed, "paths"))
+        actors.find_paths(world, self.spawner_in(world).sample_points, stream(seed, "paths"))
         return world
 
     def _build(self, scene: int, world: World) -> None:
@@ -124,9 +133,3 @@ class Places:
         """Free the physics engine's memory."""
         for physics in self._physics.values():
             physics.close()
-
-
-def spawner_of(world: World, conf: SpawnConf, robot: RoverZero) -> Spawner:
-    """What draws starts and goals in `world`; kept with it."""
-    radius_m = robot.footprint_radius_m
-    return world.kept(("spawner", conf, radius_m), lambda: Spawner(world, conf, radius_m))

@@ -94,6 +94,7 @@ class World:
         """What `make` gives, made at the first call with `key` and kept as long as the world.
 
         For what follows from the world, and from the settings in `key`, alone.
+        It must not refer to the world, which would then outlive its use.
         """
         if key not in self._kept:
             self._kept[key] = make()
