@@ -1,8 +1,5 @@
 """A rover on ground of given surfaces, in true physics, without an environment round it."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 from scenes import Backend, plane_field
 
@@ -17,7 +14,6 @@ from dune_rl.worlds.world import World
 
 # The middle of one large triangle of `slope_world`: at edges a wheel that yields has two contacts.
 MIDDLE = (-1.5, -3.5)
-NO_ACTORS: Any = SimpleNamespace(bodies=lambda: ())
 
 
 def slope_world(surface: Surface | None, slope_rad: float = 0.0, *, sinkage: bool = False) -> World:
@@ -47,7 +43,7 @@ class Rig:
     ) -> None:
         self.world, self.physics = world, PhysicsConf()
         self.rover = RoverZero(conf or RoverZeroConf(), 1)
-        self.engine = backend(scene_spec(world, self.rover, NO_ACTORS, self.physics))
+        self.engine = backend(scene_spec(world, self.rover, (), self.physics))
         self.motion = Motion(1, self.rover)
         self.traction = Traction(self.rover, self.physics, 1)
         self.traction.friction_factor[:], self.traction.stiffness_factor[:] = factors

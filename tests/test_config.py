@@ -19,6 +19,8 @@ from dune_rl.config.compose import (
     compose_resumed,
 )
 from dune_rl.config.schema import Conf, EnvConf, EvaluateConf, LearningConf
+from dune_rl.env.distributions import Integers, LogUniform, Uniform
+from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
@@ -60,6 +62,14 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("learning", "sac"): LearningConf(),
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
+    ("randomisation", "none"): RandomisationConf(),
+    ("randomisation", "worlds"): RandomisationConf(
+        world_seed=Integers(low=1000, high=1_000_000),
+        friction=LogUniform(low=0.6, high=1.25),
+        sun_bearing_rad=Uniform(low=-3.1415, high=3.1415),
+        sun_elevation_rad=Uniform(low=0.25, high=1.3),
+        brightness=LogUniform(low=0.7, high=1.4),
+    ),
     ("robot", "rover_zero"): RoverZeroConf(),
     ("sensors", "default"): SensorsConf(),
     ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),
@@ -107,7 +117,12 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
 
 
 def words(group: str, option: str) -> list[str]:
-    return [f"{group}={option}"] if group == "world" else ["+world=flat", f"{group}={option}"]
+    return [f"{group}={option}"] if group == "world" else [f"+world={place(group)}", f"{group}={option}"]
+
+
+def place(group: str) -> str:
+    """A world in which every option of the group makes sense: what is drawn from a seed needs one."""
+    return "inspection" if group == "randomisation" else "flat"
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
@@ -116,7 +131,9 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
         composed: EnvConf = compose(words(group, option))
     else:
         words_given = [f"world.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
-        composed = compose_environment(option if group == "world" else "flat", words_given, {group: option})
+        composed = compose_environment(
+            option if group == "world" else place(group), words_given, {group: option}
+        )
     assert getattr(composed, group) == PLAIN[group, option]
 
 
@@ -220,7 +237,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
          "there is no group 'wrold/x'; "
-         "choose from actors, experiment, learning, metrics, physics, robot, sensors, task, weather, world"),
+         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, sensors, task, "
+         "weather, world"),
         (["world=flat", "seed=${nowhere}"],
          "cannot resolve the settings: Interpolation key 'nowhere' not found"),
     ],
@@ -271,7 +289,7 @@ def test_environment_settings_share_the_messages() -> None:
         compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
     assert sorted(str(caught.value).splitlines()) == [
         "colour is not a setting; "
-        "the top level has world, weather, robot, actors, sensors, physics, task, metrics",
+        "the top level has world, weather, robot, actors, sensors, physics, task, metrics, randomisation",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
         NO_MOON,
     ]

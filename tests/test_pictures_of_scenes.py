@@ -21,13 +21,14 @@ from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.picture import Viewpoint
 from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.sites import Sites
 from dune_rl.worlds.world import World
 
 
 def pictures_in(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Pictures:
     """Of a rover that stands at (`x`, `y`) in `world`, alone."""
     batch = copy(flat_batch())
-    batch.world, batch.motion = world, Motion(1, batch.robot)
+    batch.sites, batch.motion = Sites([(world, batch.weather)]), Motion(1, batch.robot)
     batch.goals_w = np.array([[3.0, 0.0]])
     stand(batch, x, y, yaw)
     return Pictures(batch)

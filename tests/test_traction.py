@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batches import real_batch
-from rigs import MIDDLE, NO_ACTORS, Rig, named, slope_world
+from rigs import MIDDLE, Rig, named, slope_world
 from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, box, every_backend
 from test_determinism import golden
 
@@ -262,7 +262,7 @@ def test_wheels_in_the_air_and_wheels_that_spin_roll_on_nothing(backend):
 @every_backend
 def test_a_world_without_a_map_is_left_alone(backend):
     rover = RoverZero(RoverZeroConf(), 1)
-    spec = scene_spec(slope_world(None), rover, NO_ACTORS, PhysicsConf())
+    spec = scene_spec(slope_world(None), rover, (), PhysicsConf())
     assert [(body.friction, body.restitution) for body in spec.statics] == [(1.0, 0.0)]
     rig = Rig(backend, slope_world(None), at=MIDDLE)
     witness = Witness()

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,13 @@ from pydantic import Field, model_validator
 from dune_rl.actors.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
 from dune_rl.errors import WorldError
 from dune_rl.geometry.frames import wrap_angle
+from dune_rl.geometry.per_scene import PerScene, asked
 from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.settings import Settings
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
+SamplePoints = Callable[[np.random.Generator, int, float], Array]
 
 _BANK_SIZE = 64
 MAX_TURN_RADPS = 3.0
@@ -59,19 +62,23 @@ class Actors:
     """The K actors of each of M scenes, as arrays.
 
     `poses` (M, K, 4) are x, y, z on the ground and yaw, `velocity_w` (M, K, 2)
-    the horizontal velocities, `goals_w` (M, K, 2) where each is going.
+    the horizontal velocities, `goals_w` (M, K, 2) where each is going. All
+    begin in `world`; `enter` moves a scene to another.
     """
 
     def __init__(
         self,
         confs: tuple[ActorConf, ...],
         world: World,
-        sample_points: Callable[[np.random.Generator, int, float], Array],
+        sample_points: SamplePoints,
         rng: np.random.Generator,
         num_scenes: int,
     ) -> None:
         self.confs = confs
-        self._world = world
+        self._worlds = PerScene([world] * num_scenes)
+        self._extents = np.tile(np.array(world.extent), (num_scenes, 1))
+        # By world, for as long as that is there.
+        self._paths: WeakKeyDictionary[World, _Paths] = WeakKeyDictionary()
         actors = len(confs)
         self.poses = np.zeros((num_scenes, actors, 4))
         self.velocity_w = np.zeros((num_scenes, actors, 2))
@@ -85,41 +92,49 @@ class Actors:
         self.external = np.flatnonzero([conf.controller == "external" for conf in confs])
         self.scripted = np.flatnonzero([conf.controller == "scripted" for conf in confs])
         self.names = _agent_names(confs)
-        self._choices: list[NDArray[np.int64]] = []
-        self._bank = self._fill_bank(sample_points, rng) if confs else None
+        self.find_paths(world, sample_points, rng)
 
-    def _fill_bank(
-        self, sample_points: Callable[[np.random.Generator, int, float], Array], rng: np.random.Generator
-    ) -> PathBank:
+    def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
+        """Find the paths that actors walk in `world`, unless they are known.
+
+        `sample_points(rng, n, radius_m)` draws free points (n, 2) of it. Raises
+        WorldError where there is no room to walk.
+        """
+        if self.confs and world not in self._paths:
+            self._paths[world] = self._found_paths(world, sample_points, rng)
+
+    def enter(self, scene: int, world: World) -> None:
+        """Move a scene to `world`, whose paths have been found; a `reset` of it must follow."""
+        self._worlds.put(scene, world)
+        self._extents[scene] = world.extent
+
+    def _found_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> "_Paths":
         loops: list[Array] = []
+        choices: list[NDArray[np.int64]] = []
         for conf in self.confs:
             if conf.waypoints:
-                paths = [spline_path(np.asarray(conf.waypoints), self._world.terrain)]
-                if (self._world.clearance(paths[0][:, :2]) < conf.radius_m).any():
+                paths = [spline_path(np.asarray(conf.waypoints), world.terrain)]
+                if (world.clearance(paths[0][:, :2]) < conf.radius_m).any():
                     raise WorldError(
-                        f"the waypoints of a {conf.kind} lead through an obstacle of {self._world.name}: "
+                        f"the waypoints of a {conf.kind} lead through an obstacle of {world.name}: "
                         "move actors.waypoints"
                     )
             else:
                 paths = random_paths(
-                    self._world, sample_points, rng, _BANK_SIZE, conf.radius_m + 0.1, conf.length_range_m
+                    world, sample_points, rng, _BANK_SIZE, conf.radius_m + 0.1, conf.length_range_m
                 )
-            self._choices.append(np.arange(len(loops), len(loops) + len(paths)))
+            choices.append(np.arange(len(loops), len(loops) + len(paths)))
             loops += [there_and_back(path) for path in paths]
-        return PathBank.of(loops)
+        return _Paths(PathBank.of(loops), tuple(choices))
 
     def bodies(self) -> tuple[KinematicCapsule, ...]:
         """What physics must know of each actor."""
-        return tuple(
-            KinematicCapsule(f"actor_{index}", conf.radius_m, conf.height_m)
-            for index, conf in enumerate(self.confs)
-        )
+        return capsules(self.confs)
 
     def paths(self, index: int) -> list[Array]:
-        """The paths that actor `index` may walk there and back, each (P, 2) [m] from one end to the other."""
-        bank = self._bank
-        assert bank is not None
-        starts, counts = bank.starts[self._choices[index]], bank.lengths[self._choices[index]] // 2 + 1
+        """The paths, one way, that actor `index` may walk in the first scene, each (P, 2) [m]."""
+        bank, choices = self._paths[self._worlds[0]]
+        starts, counts = bank.starts[choices[index]], bank.lengths[choices[index]] // 2 + 1
         return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
 
     def reset(self, scene: int, rng: np.random.Generator, rover_xy: Array) -> None:
@@ -127,21 +142,22 @@ class Actors:
 
         Where no place on an actor's paths is far enough away, it takes the farthest that was tried.
         """
-        if self._bank is None:
+        if not self.confs:
             return
+        bank, choices = self._paths[self._worlds[scene]]
         for index, conf in enumerate(self.confs):
             farthest = -1.0
             for _ in range(_START_TRIES):
-                loop = rng.choice(self._choices[index])
-                travelled = rng.uniform(0.0, self._bank.lengths[loop]) * SPACING_M
-                pose = self._bank.pose(loop, np.asarray(travelled))
+                loop = rng.choice(choices[index])
+                travelled = rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
+                pose = bank.pose(loop, np.asarray(travelled))
                 apart = float(np.hypot(*(pose[:2] - rover_xy)))
                 if apart > farthest:
                     farthest = apart
                     self._loop[scene, index] = loop
                     self._travelled[scene, index] = travelled
                     self.poses[scene, index] = pose
-                    self.goals_w[scene, index] = self._bank.far_end(loop)[:2]
+                    self.goals_w[scene, index] = bank.far_end(loop)[:2]
                 if apart >= conf.start_distance_m:
                     break
         self._outbound[scene] = True
@@ -154,13 +170,15 @@ class Actors:
         `external_actions` (M, E, 2) are the speed [m/s] and the heading
         relative to the present one [rad] of the E external actors.
         """
-        if self._bank is None:
+        if not self.confs:
             return
         before = self.poses[..., :2].copy()
         if len(self.scripted):
             columns = self.scripted
             self._travelled[:, columns] += self.top_speed[columns] * step_s
-            self.poses[:, columns] = self._bank.pose(self._loop[:, columns], self._travelled[:, columns])
+            self.poses[:, columns] = asked(
+                self._worlds.groups, self._pose, self._loop[:, columns], self._travelled[:, columns]
+            )
         if len(self.external):
             self._walk(external_actions, step_s)
         self.velocity_w = (self.poses[..., :2] - before) / step_s
@@ -172,20 +190,20 @@ class Actors:
         yaw = wrap_angle(poses[..., 3] + turn)
         distance = np.clip(actions[..., 0], 0.0, self.top_speed[columns]) * step_s
         target = poses[..., :2] + distance[..., None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-        xmin, xmax, ymin, ymax = self._world.extent
+        xmin, xmax, ymin, ymax = self._extents.T[:, :, None]
         inside = (
             (target[..., 0] > xmin + 1.0)
             & (target[..., 0] < xmax - 1.0)
             & (target[..., 1] > ymin + 1.0)
             & (target[..., 1] < ymax - 1.0)
         )
-        free = inside & (self._world.clearance(target) >= self.radius[columns])
+        groups = self._worlds.groups
+        free = inside & (asked(groups, World.clearance, target) >= self.radius[columns])
         poses[..., :2] = np.where(free[..., None], target, poses[..., :2])
-        poses[..., 2] = self._world.terrain.height(poses[..., :2])
+        poses[..., 2] = asked(groups, _ground, poses[..., :2])
         poses[..., 3] = yaw
         self.poses[:, columns] = poses
         self.blocked[:, columns] = ~free
-        assert self._bank is not None
         goals = self.goals_w[:, columns]
         arrived = np.hypot(*np.moveaxis(goals - poses[..., :2], -1, 0)) < _GOAL_RADIUS_M
         if arrived.any():
@@ -193,11 +211,39 @@ class Actors:
             outbound = self._outbound[:, columns] ^ arrived
             ends = np.where(
                 outbound[..., None],
-                self._bank.far_end(loop)[..., :2],
-                self._bank.poses[self._bank.starts[loop]][..., :2],
+                asked(groups, self._far_end, loop)[..., :2],
+                asked(groups, self._near_end, loop)[..., :2],
             )
             self.goals_w[:, columns] = np.where(arrived[..., None], ends, goals)
             self._outbound[:, columns] = outbound
+
+    def _pose(self, world: World, loop: NDArray[np.int64], travelled_m: Array) -> Array:
+        return self._paths[world].bank.pose(loop, travelled_m)
+
+    def _far_end(self, world: World, loop: NDArray[np.int64]) -> Array:
+        return self._paths[world].bank.far_end(loop)
+
+    def _near_end(self, world: World, loop: NDArray[np.int64]) -> Array:
+        bank = self._paths[world].bank
+        return bank.poses[bank.starts[loop]]
+
+
+class _Paths(NamedTuple):
+    """Of one world: all actors' loops, and which of them each actor may walk."""
+
+    bank: PathBank
+    choices: tuple[NDArray[np.int64], ...]
+
+
+def capsules(confs: tuple[ActorConf, ...]) -> tuple[KinematicCapsule, ...]:
+    """What physics must know of each of the actors."""
+    return tuple(
+        KinematicCapsule(f"actor_{index}", conf.radius_m, conf.height_m) for index, conf in enumerate(confs)
+    )
+
+
+def _ground(world: World, xy: Array) -> Array:
+    return world.terrain.height(xy)
 
 
 def _agent_names(confs: tuple[ActorConf, ...]) -> tuple[str, ...]:

@@ -1,13 +1,14 @@
 """Environments built from settings: the one place that names concrete classes."""
 
-from collections.abc import Iterable
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache, partial
 
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
+from dune_rl.env.variety import Variety
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.worlds.settings import WorldSettings
@@ -15,10 +16,23 @@ from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
 
 
-def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
-    """The batch core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found."""
+def make_batch(
+    conf: EnvConf,
+    num_scenes: int,
+    seed: int,
+    *,
+    world_of: Callable[[WorldSettings], World] | None = None,
+    prepare: Callable[[Sequence[WorldSettings]], None] | None = None,
+) -> Batch:
+    """The batch core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found.
+
+    `world_of` gives the worlds instead of `build_world`, and `prepare`, instead
+    of `prepare_worlds`, is told which ones the next episodes will ask it for.
+    """
+    world_of = build_world if world_of is None else world_of
+    prepare = partial(prepare_worlds, seen="camera" in conf.sensors.enabled) if prepare is None else prepare
     return Batch(
-        world=build_world(conf.world),
+        world=world_of(conf.world),
         make_robot=lambda scenes: RoverZero(conf.robot, scenes),
         make_scene=BulletScene,
         actors=conf.actors,
@@ -27,6 +41,7 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
         task=conf.task,
         metrics=conf.metrics,
         weather=conf.weather,
+        variety=Variety(conf.world, conf.weather, conf.randomisation, world_of, prepare),
         num_scenes=num_scenes,
         seed=seed,
     )

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.config.worlds import WorldConf
+from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.checkpoint import CheckpointConf
 from dune_rl.learning.collect import CollectorConf
 from dune_rl.learning.evaluation import EvaluationConf
@@ -31,6 +32,12 @@ class EnvConf(Settings):
     physics: PhysicsConf = PhysicsConf()
     task: PointGoalConf = PointGoalConf()
     metrics: MetricsConf = MetricsConf()
+    randomisation: RandomisationConf = RandomisationConf()
+
+    @model_validator(mode="after")
+    def _can_be_drawn(self) -> Self:
+        self.randomisation.check(self.world, self.weather)
+        return self
 
     @model_validator(mode="after")
     def _rates_fit(self) -> Self:
@@ -130,6 +137,16 @@ class ViewConf(SingleAgentConf):
     def _one_driver(self) -> Self:
         if self.checkpoint is not None and self.policy is not None:
             raise ValueError("choose one driver: checkpoint=PATH or policy=NAME")
+        return self
+
+    @model_validator(mode="after")
+    def _a_map_is_of_one_world(self) -> Self:
+        drawn = [name for name in ("world_seed", "layout_seed") if name in self.randomisation.drawn]
+        if self.view == "map" and drawn and (self.checkpoint or self.policy):
+            raise ValueError(
+                f"view=map shows one world, and randomisation.{drawn[0]} draws another for each episode: "
+                "set randomisation=none"
+            )
         return self
 
 

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.env.action_log import ActionLog
-from dune_rl.env.drag import grass_force
+from dune_rl.env.drag import drag_forces
 from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import Motion
-from dune_rl.env.scene import scene_spec, standing_pose
+from dune_rl.env.places import Places
+from dune_rl.env.scene import standing_pose
 from dune_rl.env.senses import Senses
 from dune_rl.env.traction import Traction
+from dune_rl.env.variety import Variety
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
@@ -26,7 +28,6 @@ from dune_rl.sensors.suite import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
 from dune_rl.tasks.snapshot import Snapshot
-from dune_rl.tasks.spawn import Spawner
 from dune_rl.tasks.terminations import Endings, endings
 from dune_rl.tasks.walking import walker_observation, walker_reward
 from dune_rl.worlds.world import World
@@ -58,7 +59,9 @@ class Batch:
 
     Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so
     on. All that is random in an episode depends on (seed, episode id) alone,
-    so any two batches of equal seed start an episode alike.
+    so any two batches of equal seed start an episode alike. `variety` tells the
+    worlds of the episodes, and what else differs between them; without it, or
+    where worlds do not differ, all are in `world`.
     """
 
     def __init__(
@@ -76,21 +79,37 @@ class Batch:
         seed: int = 0,
         first_episode: int = 0,
         weather: WeatherConf = _CLEAR,
+        variety: Variety | None = None,
     ) -> None:
-        self.world, self.task, self.sensors, self.physics = world, task, sensors, physics
+        self.task, self.sensors, self.physics = task, sensors, physics
         self.weather, self.num_scenes = weather, num_scenes
+        self.variety = Variety.none(world, weather) if variety is None else variety
         self.robot = make_robot(num_scenes)
-        self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self.actor_confs = actors
+        self._first_world = world
+        self._places = Places(
+            world,
+            weather,
+            self.variety,
+            self.robot,
+            make_scene,
+            physics,
+            task.spawn,
+            actors,
+            num_scenes,
+        )
         self.actors = self._new_actors(seed)
-        self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes, weather)
+        self.sites = self._places.sites
+        self.senses = Senses(
+            sensors, self.sites, self.robot, self.actors, physics, worlds_differ=self.variety.of_worlds
+        )
         self.motion = Motion(num_scenes, self.robot)
+        self._scenes = self._places.physics
         self.traction = Traction(self.robot, physics, num_scenes)
-        spec = scene_spec(world, self.robot, self.actors, physics)
-        self._scenes = [make_scene(spec) for _ in range(num_scenes)]
         self._metrics = EpisodeMetrics(metrics, num_scenes)
-        bodies = len(spec.statics) + len(spec.kinematics)
-        self._encounters = Encounters(num_scenes, bodies, round(_ENCOUNTER_GAP_S * physics.control_hz))
+        self._encounters = Encounters(
+            num_scenes, self._places.most_bodies, round(_ENCOUNTER_GAP_S * physics.control_hz)
+        )
         self._touches: list[tuple[int, int]] = []
         self.steps = np.zeros(num_scenes, np.int64)
         self.goals_w = np.zeros((num_scenes, 2))
@@ -101,8 +120,19 @@ class Batch:
         self.reseed(seed, first_episode)
 
     def _new_actors(self, seed: int) -> Actors:
-        paths = stream(seed, "paths")
-        return Actors(self.actor_confs, self.world, self.spawner.sample_points, paths, self.num_scenes)
+        world = self._first_world
+        points = self._places.spawner_in(world).sample_points
+        return Actors(self.actor_confs, world, points, stream(seed, "paths"), self.num_scenes)
+
+    @property
+    def world(self) -> World:
+        """The world of the first scene; `sites` tells those of all."""
+        return self.sites.worlds[0]
+
+    @property
+    def drawn(self) -> dict[str, Array]:
+        """The values that were drawn for the present episodes, (M,) each, by property."""
+        return dict(zip(self.variety.names, self._places.values.T, strict=True))
 
     # -- episodes ---------------------------------------------------------------------------------
 
@@ -131,20 +161,24 @@ class Batch:
         still = [0.0] * len(self.robot.body.drive_joints)
         for scene in np.flatnonzero(mask).tolist():
             episode = int(self.episodes[scene])
+            physics = self._places.enter(scene, self.seed, episode, self.actors)
             draws = stream(self.seed, "spawn", episode)
-            placement = self.spawner.sample(draws)
+            placement = self._places.spawner(scene).sample(draws)
             self._goal_streams[scene] = draws
             self.goals_w[scene] = placement.goal_x, placement.goal_y
             position, quaternion = standing_pose(
-                self.world, self.robot, placement.x, placement.y, placement.yaw
+                self.sites.worlds[scene], self.robot, placement.x, placement.y, placement.yaw
             )
             self.actors.reset(scene, stream(self.seed, "actors", episode), position[:2])
-            physics = self._scenes[scene]
             physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
-            self.traction.begin(scene, self.world, physics, position, quaternion)
+            self.variety.tell(self.traction, scene, self._places.values[scene])
+            self.traction.begin(scene, self.sites.worlds[scene], physics, position, quaternion)
             physics.step(settle, still, self.actors.poses[scene])
             drive = physics.drive_state() if self._needs_wheels else None
             self.motion.set_row(scene, physics.body_state(), drive)
+        self._scenes = self._places.physics
+        self._encounters.make_room(self._places.most_bodies)
+        self.variety.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
         self.motion.begin(mask)
         self.senses.begin(mask, self._moment())
         distance = self._distance_to_goal()
@@ -199,10 +233,7 @@ class Batch:
         self._touches = []
         needs_wheels = self._needs_wheels
         states, drives = [], []
-        force = self.traction.update(self._scenes, self.motion)
-        if self.world.grass is not None:
-            held = grass_force(self.world.grass, self.motion, self.robot)
-            force = held if force is None else force + held
+        force = self._forces()
         if force is not None:
             for scene, pushed in zip(self._scenes, force.tolist(), strict=True):
                 scene.push(pushed)
@@ -218,6 +249,14 @@ class Batch:
     def _needs_wheels(self) -> bool:
         return self.senses.needs_wheels or self.traction.needs_wheels
 
+    def _forces(self) -> Array | None:
+        """What grass and soft ground hold the rovers back with [N], (M, 3), world frame; None: nothing."""
+        rolling = self.traction.update(self._scenes, self.motion)
+        grass = drag_forces(self.sites, self.motion, self.robot)
+        if rolling is None or grass is None:
+            return grass if rolling is None else rolling
+        return rolling + grass
+
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
         for scene in self._scenes:
@@ -225,7 +264,7 @@ class Batch:
 
     def clearance(self) -> Array:
         """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
-        nearest = self.world.clearance(self.motion.outline_w()).min(axis=1)
+        nearest = self.sites.clearance(self.motion.outline_w()).min(axis=1)
         if len(self.actor_confs):
             apart = self.motion.distance_from_hull(self.actors.poses[..., :2]) - self.actors.radius
             nearest = np.minimum(nearest, apart.min(axis=1))
@@ -237,7 +276,7 @@ class Batch:
         begun, touching = self._encounters.update(self._touches, self.steps)
         clearance = self.clearance()
         clearance[touching] = 0.0
-        xmin, xmax, ymin, ymax = self.world.extent
+        xmin, xmax, ymin, ymax = self.sites.extents.T
         x, y = motion.position_w[:, 0], motion.position_w[:, 1]
         outside = (x < xmin + _EDGE_M) | (x > xmax - _EDGE_M) | (y < ymin + _EDGE_M) | (y > ymax - _EDGE_M)
         return Snapshot(
@@ -287,7 +326,7 @@ class Batch:
             assert draws is not None
             here = self.motion.position_w[scene]
             for _ in range(_GOAL_TRIES):
-                goal = self.spawner.sample(draws)
+                goal = self._places.spawner(scene).sample(draws)
                 self.goals_w[scene] = goal.goal_x, goal.goal_y
                 if (
                     np.hypot(goal.goal_x - here[0], goal.goal_y - here[1])
@@ -337,11 +376,15 @@ class Batch:
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Names of the columns of `metrics`."""
-        return (*METRICS, *(f"reward/{name}" for name in REWARD_TERMS))
+        drawn = (f"randomisation/{name}" for name in self.variety.names)
+        return (*METRICS, *(f"reward/{name}" for name in REWARD_TERMS), *drawn)
 
     def metrics(self) -> Floats:
         """Running values of the present episodes, (M, n), final where an episode has ended."""
-        return np.concatenate([self._metrics.values, self._reward_sums], axis=1).astype(np.float32)
+        values = [self._metrics.values, self._reward_sums]
+        if self.variety.names:
+            values.append(self._places.values)
+        return np.concatenate(values, axis=1).astype(np.float32)
 
     def state(self) -> dict[str, Any]:
         """All that brings this moment back, as plain containers: each episode's id and actions so far."""
@@ -369,5 +412,4 @@ class Batch:
 
     def close(self) -> None:
         """Free the physics engine's memory."""
-        for scene in self._scenes:
-            scene.close()
+        self._places.close()

@@ -4,19 +4,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.env.motion import Motion
+from dune_rl.geometry.per_scene import Rows
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.worlds.grass import Grass
+from dune_rl.worlds.sites import Sites
 
 Array = NDArray[np.float64]
 
+_ALL = slice(None)
 
-def grass_force(grass: Grass, motion: Motion, robot: RoverZero) -> Array:
-    """Force [N] on each rover, (M, 3), world frame: against its velocity, and proportional to it.
+
+def drag_forces(sites: Sites, motion: Motion, robot: RoverZero) -> Array | None:
+    """Force [N] on each rover, (M, 3), world frame, of the grass where it stands; None where none grows."""
+    groups = sites.worlds.groups
+    if all(world.grass is None for world, _ in groups):
+        return None
+    force = np.zeros_like(motion.velocity_w)
+    for world, rows in groups:
+        if world.grass is not None:
+            force[rows] = grass_force(world.grass, motion, robot, rows)
+    return force
+
+
+def grass_force(grass: Grass, motion: Motion, robot: RoverZero, rows: Rows = _ALL) -> Array:
+    """Force [N] on each rover of `rows`, world frame: against its velocity, and proportional to it.
 
     Besides, it is proportional to the density of the grass at the rover's
     centre and to the share of its height that stands in it. It is meant to act
     over one control step, which is too short for it to turn a rover round.
     """
-    bottom = motion.position_w - robot.standing_height_m * motion.rotation[:, :, 2]
-    force: Array = -grass.drag(bottom, robot.height_m)[:, None] * motion.velocity_w
+    bottom = motion.position_w[rows] - robot.standing_height_m * motion.rotation[rows, :, 2]
+    force: Array = -grass.drag(bottom, robot.height_m)[:, None] * motion.velocity_w[rows]
     return force

@@ -17,6 +17,13 @@ class Encounters:
         self._gap = gap_steps
         self._last = np.full((num_scenes, bodies), -gap_steps - 1, np.int64)
 
+    def make_room(self, bodies: int) -> None:
+        """Count as many bodies as `bodies`, or more: scenes may hold different numbers."""
+        more = bodies - self._last.shape[1]
+        if more > 0:
+            unmet = np.full((len(self._last), more), -self._gap - 1, np.int64)
+            self._last = np.concatenate([self._last, unmet], axis=1)
+
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Forget every touch in the scenes in `mask` (M,)."""
         self._last[mask] = -self._gap - 1

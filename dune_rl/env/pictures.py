@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.shapes import figures
 from dune_rl.env.batch import Batch
-from dune_rl.env.senses import air_of
 from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.geometry.per_scene import Made
 from dune_rl.rendering.body import Body, Solid
 from dune_rl.rendering.light import linear
 from dune_rl.rendering.picture import Painter, Viewpoint
 from dune_rl.rendering.scenery import Segment, Shape, joined
 from dune_rl.robots.visual import RobotVisual
 from dune_rl.worlds.appearance import in_weather
+from dune_rl.worlds.sites import Look
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -33,9 +34,8 @@ class Pictures:
         self._batch = batch
 
     @cached_property
-    def _painter(self) -> Painter:
-        world, weather = self._batch.world, self._batch.weather
-        return Painter(in_weather(world, weather), air_of(world, weather))
+    def _painters(self) -> Made[Look, Painter]:
+        return self._batch.sites.looks.map(_painter)
 
     @cached_property
     def _robot(self) -> RobotVisual:
@@ -55,7 +55,7 @@ class Pictures:
             turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
             found.append(Body(figure, np.array([x, y, z]), turn))
         goal = batch.goals_w[scene]
-        foot = np.array([*goal, float(batch.world.terrain.height(goal))])
+        foot = np.array([*goal, self._ground(scene, goal)])
         found.append(Body(self._flag, foot, np.eye(3)))
         return found
 
@@ -66,14 +66,14 @@ class Pictures:
         yaw = float(motion.roll_pitch_yaw[scene, 2])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         target = position + _LOOK_AHEAD_M * ahead
-        eye = self._free_eye(position, position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M])
+        eye = self._free_eye(scene, position, position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M])
         return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
 
     def seen(
         self, view: Viewpoint, scene: int = 0, width: int = 1280, height: int = 720, samples: int = 1
     ) -> Picture:
         """RGB (height, width, 3) of a scene from any viewpoint."""
-        return self._painter.paint(view, width, height, self.bodies(scene), samples)
+        return self._painters[scene].paint(view, width, height, self.bodies(scene), samples)
 
     def of_the_place(
         self,
@@ -84,16 +84,19 @@ class Pictures:
         bearing_rad: float = -2.3,
     ) -> Picture:
         """RGB (height, width, 3) of the whole world, seen from above at `bearing_rad` from its middle."""
-        xmin, xmax, ymin, ymax = self._batch.world.extent
+        xmin, xmax, ymin, ymax = self._batch.sites.worlds[scene].extent
         middle = np.array([(xmin + xmax) / 2, (ymin + ymax) / 2])
         reach = min(60.0, max(xmax - xmin, ymax - ymin))
-        level = float(self._batch.world.terrain.height(middle))
+        level = self._ground(scene, middle)
         away = 0.95 * reach * np.array([np.cos(bearing_rad), np.sin(bearing_rad)])
         eye = (*(middle + away).tolist(), level + 0.42 * reach)
         target = (*(middle + 0.06 * away).tolist(), level)
         return self.seen(Viewpoint(eye, target, 0.95), scene, width, height, samples)
 
-    def _free_eye(self, position: Array, eye: Array) -> Array:
+    def _ground(self, scene: int, xy: Array) -> float:
+        return float(self._batch.sites.worlds[scene].terrain.height(xy))
+
+    def _free_eye(self, scene: int, position: Array, eye: Array) -> Array:
         """As far toward `eye` as nothing stands between it and the rover, and not in the ground."""
         start = position + np.array([0.0, 0.0, 0.45])
         # From behind; where a wall leaves no room there, from ever higher up.
@@ -102,14 +105,19 @@ class Pictures:
         lengths = np.minimum(lengths, np.float32(_FARTHEST_EYE_M))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
         reach = lengths.copy()
-        self._painter.baked.rays.shorten(start[None].astype(np.float32), ways.astype(np.float32), reach)
+        self._painters[scene].baked.rays.shorten(
+            start[None].astype(np.float32), ways.astype(np.float32), reach
+        )
         free = np.maximum(reach - np.float32(_CLEAR_OF_WALLS_M), 0.0)
         roomy = np.flatnonzero(free >= _NEAREST_EYE_M)
         chosen = int(roomy[0]) if len(roomy) else int(free.argmax())
         eye = start + ways[chosen] * float(free[chosen])
-        ground = float(self._batch.world.terrain.height(eye[:2]))
-        eye[2] = max(eye[2], ground + _CLEAR_OF_GROUND_M)
+        eye[2] = max(eye[2], self._ground(scene, eye[:2]) + _CLEAR_OF_GROUND_M)
         return eye
+
+
+def _painter(look: Look) -> Painter:
+    return Painter(in_weather(look.world, look.weather), look.air)
 
 
 def _goal_flag() -> Shape:

@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.actors.actor import Actors
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
-from dune_rl.physics.interface import PhysicsConf, SceneSpec, StaticBody
+from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, SceneSpec, StaticBody
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.world import World
@@ -16,7 +15,9 @@ Array = NDArray[np.float64]
 _DROP_M = 0.005
 
 
-def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsConf) -> SceneSpec:
+def scene_spec(
+    world: World, robot: RoverZero, actors: tuple[KinematicCapsule, ...], physics: PhysicsConf
+) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, actors and the robot."""
     vertices, faces = world.terrain.mesh()
     # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
@@ -35,7 +36,7 @@ def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsC
     ]
     return SceneSpec(
         statics=tuple(statics),
-        kinematics=actors.bodies(),
+        kinematics=actors,
         robot=robot.body,
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,

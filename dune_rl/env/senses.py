@@ -1,5 +1,6 @@
 """What rovers sense: their instruments read once a control step, and the observation made of the readings."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -7,16 +8,23 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import Actors
 from dune_rl.actors.shapes import figures
+from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
+from dune_rl.geometry.several import HeightFields, RayScenes
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.rendering.air import Air
+from dune_rl.rendering.air import BeamAir
+from dune_rl.rendering.foliage import Foliage, Foliages
+from dune_rl.rendering.moving import Figure
+from dune_rl.rendering.surface import Surfaces
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
 from dune_rl.sensors.suite import SensorsConf, Surroundings, make_sensors
 from dune_rl.worlds.appearance import in_weather, under_own_sun
+from dune_rl.worlds.sites import Look, Sites
 from dune_rl.worlds.solid_look import solid_look
 from dune_rl.worlds.world import World
 
@@ -30,32 +38,36 @@ _ROOM_M = 1.0
 class Senses:
     """The instruments of M rovers, and the goal, which the task tells; the unwanted is not measured.
 
-    `needs_wheels` tells whether one of them reads a moment's `wheels`.
+    Where `worlds_differ`, from episode to episode, bounds are those of any world
+    as large as the first: spaces never change. `needs_wheels` tells whether an
+    instrument reads a moment's `wheels`.
     """
 
     def __init__(
         self,
         conf: SensorsConf,
-        world: World,
+        sites: Sites,
         robot: RoverZero,
         actors: Actors,
         physics: PhysicsConf,
-        num_scenes: int,
-        weather: WeatherConf,
+        *,
+        worlds_differ: bool = False,
     ) -> None:
-        solid = world.solid_mesh()
-        low, high = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
+        num_scenes = len(sites)
+        # The first world stands for all: they have the same extent.
+        world, weather = sites.looks[0].world, sites.looks[0].weather
+        shapes = figures(actors.confs)
         around = Surroundings(
-            solid=RayScene(solid.vertices, solid.faces),
-            figures=figures(actors.confs),
-            terrain=world.terrain,
+            solid=RayScenes(sites.worlds.map(_rays)),
+            surfaces=Surfaces(sites.worlds.map(solid_look)),
+            figures=shapes,
+            terrain=HeightFields(sites.worlds.map(_terrain)),
             extent=world.extent,
-            heights=(low - _ROOM_M, high + _ROOM_M),
+            heights=_any_heights(world) if worlds_differ else _heights(world),
             num_wheels=len(robot.body.drive_joints),
             wheels=_drive_geometry(robot),
-            appearance=partial(in_weather, world, weather),
-            surface=partial(solid_look, world),
-            air=air_of(world, weather),
+            cameras=partial(_cameras, sites, shapes),
+            air=_beam_air(sites, weather, worlds_differ),
         )
         self._imu = Imu(conf.imu, num_scenes)
         self._sensors = make_sensors(conf, around, self._imu, num_scenes, physics.control_step_s)
@@ -100,9 +112,44 @@ class Senses:
         return {name: readings[name] for name in self._order}
 
 
-def air_of(world: World, weather: WeatherConf) -> Air:
-    """What lies between sensors or pictures and what they show."""
-    return Air(Haze.of(under_own_sun(world, weather)), None if world.grass is None else world.grass.foliage)
+def _cameras(sites: Sites, shapes: Sequence[Figure], conf: CameraConf) -> Cameras:
+    def camera(look: Look) -> Camera:
+        return Camera(conf, in_weather(look.world, look.weather), shapes, look.air)
+
+    return Cameras(conf, sites.looks.map(camera))
+
+
+def _beam_air(sites: Sites, weather: WeatherConf, worlds_differ: bool) -> BeamAir:
+    grassy = worlds_differ or any(world.grass is not None for world, _ in sites.worlds.groups)
+    return BeamAir(
+        Haze.of(under_own_sun(sites.worlds[0], weather)),
+        Foliages(sites.worlds.map(_foliage)) if grassy else None,
+    )
+
+
+def _heights(world: World) -> tuple[float, float]:
+    """Heights [m] between which a rover can be in `world`."""
+    heights = world.solid_mesh().vertices[:, 2]
+    return float(heights.min()) - _ROOM_M, float(heights.max()) + _ROOM_M
+
+
+def _any_heights(world: World) -> tuple[float, float]:
+    """Heights [m] between which a rover can be in any world as large as `world`, by its size alone."""
+    xmin, xmax, ymin, ymax = world.extent
+    reach = float(np.hypot(xmax - xmin, ymax - ymin)) / 2
+    return -reach, reach
+
+
+def _rays(world: World) -> RayScene:
+    return world.rays
+
+
+def _terrain(world: World) -> HeightField:
+    return world.terrain
+
+
+def _foliage(world: World) -> Foliage | None:
+    return None if world.grass is None else world.grass.foliage
 
 
 def _drive_geometry(robot: RoverZero) -> DriveGeometry:

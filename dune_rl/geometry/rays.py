@@ -33,6 +33,10 @@ class RayScene:
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self._triangles = TriangleScene(vertices, faces)
 
+    def among(self, scenes: NDArray[np.int64]) -> "RayScene":
+        """Itself: it is the same for all scenes; see `RayScenes`."""
+        return self
+
     def shorten(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
         """Shorten `ranges` (N,) in place to the first hit.
 

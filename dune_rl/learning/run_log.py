@@ -68,7 +68,7 @@ class RunLog:
         rows: Tensor = batch["next", "metrics"][finished]
         self._window.extend(rows.tolist())
         for name, value in zip(self._names, rows.nanmean(0).tolist(), strict=True):
-            if name.startswith("reward/"):
+            if name.startswith(("reward/", "randomisation/")):
                 self._events.add_scalar(name, value, frames)
         recent = self._recent()
         figures = averages(recent)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.foliage import Foliage, Veil
+from dune_rl.rendering.foliage import Foliage, Foliages, Veil
 from dune_rl.rendering.grass_colour import grass_colours
 from dune_rl.rendering.light import Light, srgb
 from dune_rl.rendering.weather import Haze
@@ -18,6 +18,14 @@ _LINEAR = np.linspace(0.0, _BRIGHTEST, _TONES, dtype=np.float32)
 _ENCODED = srgb(_LINEAR) * np.float32(255.0)
 _TO_BYTES = (_ENCODED + np.float32(0.5)).astype(np.uint8)
 _FROM_BYTES = np.interp(np.arange(256), _ENCODED, _LINEAR).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class BeamAir:
+    """What beams of M scenes pass: a haze that is the same for all, and grass that may differ."""
+
+    haze: Haze | None
+    foliage: Foliages | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """Scenery with its light worked out beforehand, so that a small picture costs little more than its rays."""
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class Baked:
     """
 
     def __init__(self, scenery: Scenery, light: Light, keep: Keep = _made) -> None:
-        self.scenery, self.light = scenery, light
+        self.scenery = scenery
         self.terrain = scenery.terrain
         ground_vertices, ground_faces = self.terrain.mesh()
         self.things = subdivided(scenery.things, _LONGEST_EDGE_M)
@@ -62,7 +63,18 @@ class Baked:
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
         self.skin = None if self.things.skin is None else SkinLook(self.things.skin)
         self.sky_share = keep("sky share of the ground", self._ground_sky_share)
+        self._things_normals = _flat_normals(self.things)
         self.things_sky_share = keep(LAST_KEPT, self._find_things_sky_share)
+        self._shine(light)
+
+    def relit(self, light: Light) -> "Baked":
+        """The same in another light, at a fraction of the cost: the sky's share of each place is known."""
+        other = copy(self)
+        other._shine(light)
+        return other
+
+    def _shine(self, light: Light) -> None:
+        self.light = light
         self.ground = self._bake_ground()
         self.faces = np.concatenate(
             [np.zeros((self.ground_faces, 3), np.uint8), self._bake_things(), np.zeros((1, 3), np.uint8)]
@@ -103,25 +115,22 @@ class Baked:
         )
         return encoded(lit).reshape(albedo.shape)
 
+    def _things_centres(self) -> Array:
+        centres: Array = self.things.vertices[self.things.faces].mean(axis=1)
+        return centres
+
     def _bake_things(self) -> NDArray[np.uint8]:
-        if not len(self.things.faces):
+        things, normals = self.things, self._things_normals
+        if not len(things.faces):
             return np.zeros((0, 3), np.uint8)
-        points, normals = self._on_things()
-        sun = sunlit(self.rays, self.light, points, normals)
+        sun = sunlit(self.rays, self.light, self._things_centres(), normals)
         if self.skin is not None:
-            white = np.ones_like(self.things.albedo)
+            white = np.ones_like(things.albedo)
             self._light_on_things = self.light.on(white, normals, sun, self.things_sky_share)
-        return encoded(self.light.on(self.things.albedo, normals, sun, self.things_sky_share))
+        return encoded(self.light.on(things.albedo, normals, sun, self.things_sky_share))
 
     def _find_things_sky_share(self) -> Floats:
-        return sky_share(self.rays, *self._on_things())
-
-    def _on_things(self) -> tuple[Array, Floats]:
-        """Middles and unit normals (F, 3) of the things' faces."""
-        corners = self.things.vertices[self.things.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        return corners.mean(axis=1), normals.astype(np.float32)
+        return sky_share(self.rays, self._things_centres(), self._things_normals)
 
     def pictured(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
         """Bytes (N, 3) at `points` (N, 3) on the things' textured faces `face` (N,), in pixels so wide."""
@@ -174,6 +183,15 @@ def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
         open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards)
         weight += cosine
     return (open_weight / np.maximum(weight, 1e-6)).astype(np.float32)
+
+
+def _flat_normals(shape: Shape) -> Floats:
+    """Unit normals (F, 3) of the faces."""
+    corners = shape.vertices[shape.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    unit: Floats = normals.astype(np.float32)
+    return unit
 
 
 def _grid_on(terrain: HeightField, rows: int, columns: int) -> Array:

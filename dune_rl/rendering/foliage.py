@@ -1,5 +1,6 @@
 """Tall grass as rays meet it: a thin medium over the ground, in which they are lost by and by."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.per_scene import Made, PerScene
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -132,6 +134,42 @@ class Foliage:
             found,
         )
         return crossing, found
+
+
+class Foliages:
+    """Grass as the beams of M scenes meet it, of which each may have its own, or None.
+
+    Origins (S, 3) and rays (N, 3) are those of all scenes, scene after scene.
+    """
+
+    def __init__(self, foliages: PerScene[Foliage | None] | Made[Any, Foliage | None]) -> None:
+        self._foliages = foliages
+
+    @property
+    def none(self) -> bool:
+        """Whether no scene has any."""
+        return all(foliage is None for foliage, _ in self._foliages.groups)
+
+    def beam_ranges(self, origins: Floats, directions: Floats, ranges: Floats, depths: Floats) -> Floats:
+        """As `Foliage.beam_ranges`."""
+        return self._each(Foliage.beam_ranges, origins, directions, ranges, depths)
+
+    def median_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> Floats:
+        """As `Foliage.median_ranges`."""
+        return self._each(Foliage.median_ranges, origins, directions, ranges)
+
+    def _each(self, ask: Callable[..., Floats], *rays: Floats) -> Floats:
+        groups = self._foliages.groups
+        if len(groups) == 1 and groups[0][0] is not None:
+            return ask(groups[0][0], *rays)
+        by_scene = [part.reshape(len(self._foliages), -1, *part.shape[1:]) for part in rays]
+        count = len(rays[1]) // len(self._foliages)
+        found = np.full((len(self._foliages), count), np.inf, np.float32)
+        for foliage, rows in groups:
+            if foliage is not None:
+                parts = [part[rows].reshape(-1, *part.shape[2:]) for part in by_scene]
+                found[rows] = ask(foliage, *parts).reshape(-1, count)
+        return found.ravel()
 
 
 @lru_cache(maxsize=1)

@@ -21,12 +21,14 @@ class LightConf(Settings):
     """Where the sun stands: bearing from the world's x axis and height over the horizon.
 
     `sun_colour` tints its light: of red, green and blue only the ratios count, and equal ones are no tint.
+    `brightness` scales the light of sun and sky.
     """
 
     sun_bearing_rad: float = Field(2.2, ge=-2 * np.pi, le=2 * np.pi)
     sun_elevation_rad: float = Field(0.75, ge=0.02, le=np.pi / 2)
     shadows: bool = True
     sun_colour: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)
+    brightness: float = Field(1.0, gt=0.0, le=10.0)
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,12 @@ class Light:
         # How much air the sunlight has passed: none of its warmth is left above some 35 degrees.
         high = min(1.0, height / 0.55) ** 0.7
         tint = np.array(conf.sun_colour) / max(*conf.sun_colour, 1e-6)
+        bright = conf.brightness
         return cls(
             np.array([level * np.cos(bearing), level * np.sin(bearing), height], np.float32),
-            (tint * (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW))).astype(np.float32),
-            (_ZENITH_LOW + high * (_ZENITH - _ZENITH_LOW)).astype(np.float32),
-            (_HORIZON_LOW + high * (_HORIZON - _HORIZON_LOW)).astype(np.float32),
+            (bright * tint * (_SUN_LOW + high * (_SUN_HIGH - _SUN_LOW))).astype(np.float32),
+            (bright * (_ZENITH_LOW + high * (_ZENITH - _ZENITH_LOW))).astype(np.float32),
+            (bright * (_HORIZON_LOW + high * (_HORIZON - _HORIZON_LOW))).astype(np.float32),
             conf.shadows,
         )
 

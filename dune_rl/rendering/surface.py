@@ -1,11 +1,12 @@
 """What a beam meets: the segment of every face of a mesh, and how bright it is."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.per_scene import Made, PerScene
 from dune_rl.rendering.scenery import Segment
 
 Floats = NDArray[np.float32]
@@ -24,6 +25,14 @@ class Surface:
     segments: NDArray[np.uint8]
     luminance: Floats
 
+    def met(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
+        """Segments and luminances (N,) each of faces (N,)."""
+        return self.segments.take(face, mode="wrap"), self.luminance.take(face, mode="wrap")
+
+    def among(self, scenes: NDArray[np.int64]) -> Self:
+        """Itself: it is the same for all scenes; see `Surfaces`."""
+        return self
+
     @classmethod
     def of(cls, segments: NDArray[np.uint8], albedo: Floats) -> Self:
         """That of faces with `segments` (F,) and `albedo` (F, 3) in linear RGB."""
@@ -31,6 +40,28 @@ class Surface:
             np.append(segments, np.uint8(Segment.SKY)),
             np.append(luminance(albedo), np.float32(0.0)),
         )
+
+
+class Surfaces:
+    """A `Surface` for each of M scenes; faces are those of all scenes, scene after scene."""
+
+    def __init__(self, surfaces: PerScene[Surface] | Made[Any, Surface]) -> None:
+        self._surfaces = surfaces
+
+    def met(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
+        """As `Surface.met`."""
+        groups = self._surfaces.groups
+        if len(groups) == 1:
+            return groups[0][0].met(face)
+        by_scene = face.reshape(len(self._surfaces), -1)
+        segments, brightness = np.empty(by_scene.shape, np.uint8), np.empty(by_scene.shape, np.float32)
+        for surface, rows in groups:
+            segments[rows], brightness[rows] = surface.met(by_scene[rows])
+        return segments.ravel(), brightness.ravel()
+
+    def among(self, scenes: NDArray[np.int64]) -> "Surfaces":
+        """Those of some scenes (m,), counted from 0 in their order."""
+        return Surfaces(PerScene([self._surfaces[scene] for scene in scenes.tolist()]))
 
 
 def luminance(albedo: Floats) -> Floats:

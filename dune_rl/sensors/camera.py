@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.geometry.per_scene import Made, PerScene
 from dune_rl.rendering.air import Air
 from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.moving import Figure
@@ -73,6 +74,10 @@ class Camera:
         self._half_angle = float(np.arccos(np.clip(self._directions[:, 0].min(), -1.0, 1.0)))
         self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
         self._tables()
+
+    def among(self, scenes: NDArray[np.int64]) -> "Camera":
+        """Itself: it is the same for all scenes; see `Cameras`."""
+        return self
 
     def _tables(self) -> None:
         baked = self._baked
@@ -264,10 +269,36 @@ def groups(figures: Sequence[Figure]) -> list[tuple[Figure, NDArray[np.int64]]]:
     ]
 
 
-class CameraSensor:
-    """The readings "camera_<output>", (M, height, width, channels), of a `Camera`."""
+class Cameras:
+    """A `Camera` for each of M scenes, all of the same settings, in worlds and lights of their own."""
 
-    def __init__(self, camera: Camera, num_scenes: int) -> None:
+    def __init__(self, conf: CameraConf, cameras: PerScene[Camera] | Made[Any, Camera]) -> None:
+        self.conf = conf
+        self._cameras = cameras
+
+    def among(self, scenes: NDArray[np.int64]) -> "Cameras":
+        """Those of some scenes (m,), counted from 0 in their order."""
+        return Cameras(self.conf, PerScene([self._cameras[scene] for scene in scenes.tolist()]))
+
+    def frames(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, NDArray[Any]]:
+        """As `Camera.frames`."""
+        groups = self._cameras.groups
+        if len(groups) == 1:
+            return groups[0][0].frames(position_w, rotation, actor_poses)
+        found: dict[str, NDArray[Any]] = {}
+        for camera, rows in groups:
+            part = camera.frames(position_w[rows], rotation[rows], actor_poses[rows])
+            for name, frames in part.items():
+                if name not in found:
+                    found[name] = np.empty((len(position_w), *frames.shape[1:]), frames.dtype)
+                found[name][rows] = frames
+        return found
+
+
+class CameraSensor:
+    """The readings "camera_<output>", (M, height, width, channels), of a `Camera` or of several."""
+
+    def __init__(self, camera: Camera | Cameras, num_scenes: int) -> None:
         self._camera = camera
         self._frames: dict[str, NDArray[Any]] = {
             name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
@@ -295,7 +326,8 @@ class CameraSensor:
         rows = np.flatnonzero(mask)
         if not len(rows):
             return
-        frames = self._camera.frames(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
+        camera = self._camera.among(rows)
+        frames = camera.frames(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
         for name, frame in frames.items():
             self._frames[f"camera_{name}"][rows] = frame
 

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.air import Air
+from dune_rl.geometry.several import AnyRays
+from dune_rl.rendering.air import Air, BeamAir
+from dune_rl.rendering.foliage import Foliages
 from dune_rl.rendering.moving import Figure
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
@@ -55,10 +56,10 @@ class DepthStrip:
     def __init__(
         self,
         conf: DepthStripConf,
-        solid: RayScene,
+        solid: AnyRays,
         figures: Sequence[Figure],
         num_scenes: int,
-        air: Air = _CLEAR,
+        air: Air | BeamAir = _CLEAR,
     ) -> None:
         self.conf = conf
         self._foliage = air.foliage
@@ -94,7 +95,7 @@ class DepthStrip:
         """
         conf = self.conf
         ranges = self._beams.ranges(position_w, rotation, actor_poses)
-        if self._foliage is not None:
+        if self._foliage is not None and not (isinstance(self._foliage, Foliages) and self._foliage.none):
             origins = self._beams.origin(position_w, rotation).astype(np.float32)
             directions = (self._beams.directions_b @ rotation.transpose(0, 2, 1)).astype(np.float32)
             met = self._foliage.median_ranges(origins, directions.reshape(-1, 3), ranges.ravel())

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.frames import within
-from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.rays import RayScene
+from dune_rl.geometry.several import AnyRays, AnyTerrain
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
 from dune_rl.settings import Settings
 
@@ -60,7 +59,7 @@ class HeightScan:
     Moving actors are not seen.
     """
 
-    def __init__(self, conf: HeightScanConf, solid: RayScene, terrain: HeightField, num_scenes: int) -> None:
+    def __init__(self, conf: HeightScanConf, solid: AnyRays, terrain: AnyTerrain, num_scenes: int) -> None:
         self.conf = conf
         self._solid, self._terrain = solid, terrain
         ahead = conf.ahead_m + conf.spacing_m * np.arange(conf.rows)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.rays import RayScene
+from dune_rl.geometry.several import AnyRays
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ class Beams:
         directions_b: Array,
         mount_b: tuple[float, float, float],
         range_m: float,
-        static: RayScene,
+        static: AnyRays,
         actor_shapes: list[RayScene],
     ) -> None:
         self.directions_b = directions_b
@@ -145,14 +146,14 @@ class Beams:
 
 
 class Lidar:
-    """Ranges of M scenes, which share the static world and differ in their moving actors.
+    """Ranges of M scenes, which differ in their moving actors, and with `RayScenes` in the static world.
 
     `actor_shapes` are ray scenes in the actors' own frames, one per actor; equal
     objects are asked together. Unit vectors along the beams in the body frame
     are `directions_b` (n_beams, 3).
     """
 
-    def __init__(self, conf: LidarConf, static: RayScene, actor_shapes: list[RayScene]) -> None:
+    def __init__(self, conf: LidarConf, static: AnyRays, actor_shapes: list[RayScene]) -> None:
         self.conf = conf
         self.directions_b = fan(beam_angles(conf), np.zeros(1))[0]
         self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, actor_shapes)

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.air import Air
+from dune_rl.geometry.several import AnyRays
+from dune_rl.rendering.air import Air, BeamAir
 from dune_rl.rendering.moving import Figure
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import Surface, luminance
+from dune_rl.rendering.surface import Surface, Surfaces, luminance
 from dune_rl.sensors.camera import groups
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
@@ -83,11 +83,11 @@ class Lidar3d:
     def __init__(
         self,
         conf: Lidar3dConf,
-        solid: RayScene,
-        surface: Surface,
+        solid: AnyRays,
+        surface: Surface | Surfaces,
         figures: Sequence[Figure],
         num_scenes: int,
-        air: Air = _CLEAR,
+        air: Air | BeamAir = _CLEAR,
         faults: RangeFaults | None = None,
     ) -> None:
         self.conf = conf
@@ -128,7 +128,9 @@ class Lidar3d:
         if self._effects or self._faults is not None:
             found = {name: values[rows] for name, values in self._scan_at(now).items()}
         else:
-            found = self.scan(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
+            found = self._outputs(
+                *self._cast(now.position_w[rows], now.rotation[rows], now.actor_poses[rows], rows)
+            )
         for name, values in found.items():
             self._readings[name][rows] = values
 
@@ -167,10 +169,17 @@ class Lidar3d:
         return self._outputs(ranges, brightness, segments)
 
     def _cast(
-        self, position_w: Array, rotation: Array, actor_poses: Array
+        self, position_w: Array, rotation: Array, actor_poses: Array, rows: Indices | None = None
     ) -> tuple[Floats, Floats, NDArray[np.uint8]]:
-        """Ranges, albedo times incidence, and segments of all beams, each (M, N); ranges alone if they do."""
+        """Ranges, albedo times incidence, and segments of all beams, each (M, N); ranges alone if they do.
+
+        `rows` are the scenes that are asked about, where these are not all.
+        """
         conf = self.conf
+        solid, surface = self._solid, self._surface
+        if rows is not None:
+            # Which face is how bright takes a moment to work out, and is not always asked.
+            solid, surface = solid.among(rows), surface if self._range_only else surface.among(rows)
         scenes, count = len(position_w), len(self._directions_b)
         origin = position_w + rotation @ np.asarray(conf.mount_b)
         origins32 = origin.astype(np.float32)
@@ -179,11 +188,11 @@ class Lidar3d:
         brightness = np.zeros(0 if self._range_only else len(ranges), np.float32)
         segments = np.zeros(len(brightness), np.uint8)
         if self._range_only:
-            self._solid.shorten(origins32, directions, ranges)
+            solid.shorten(origins32, directions, ranges)
         else:
-            face, ranges, normal = self._solid.hits(origins32, directions, ranges)
-            segments = self._surface.segments.take(face, mode="wrap")
-            brightness = self._surface.luminance.take(face, mode="wrap") * _incidence(normal, directions)
+            face, ranges, normal = solid.hits(origins32, directions, ranges)
+            segments, albedo = surface.met(face)
+            brightness = albedo * _incidence(normal, directions)
         for (figure, columns), albedo in zip(self._groups, self._brightness, strict=True):
             poses = actor_poses[:, columns]
             ray, actor = self._rays_near(figure, origin, rotation, poses)

@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.air import Air
-from dune_rl.rendering.foliage import Foliage
+from dune_rl.rendering.air import Air, BeamAir
+from dune_rl.rendering.foliage import Foliage, Foliages
 from dune_rl.rendering.grass_colour import grass_albedo
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.surface import luminance
@@ -110,7 +110,7 @@ class InGrass:
 
     def __init__(
         self,
-        foliage: Foliage,
+        foliage: Foliage | Foliages,
         name: str,
         directions_b: NDArray[np.floating],
         mount_b: tuple[float, float, float],
@@ -122,6 +122,8 @@ class InGrass:
 
     def applied(self, ranges: Floats, now: Moment) -> Floats:
         """`ranges` (M, N) [m], shortened where a blade is met."""
+        if isinstance(self._foliage, Foliages) and self._foliage.none:
+            return ranges
         origins = (now.position_w + now.rotation @ self._mount_b).astype(np.float32)
         directions = self._directions_b @ now.rotation.transpose(0, 2, 1).astype(np.float32)
         chance = uniform(now.seed, f"{self._name} grass", now.episodes, now.steps, ranges.shape[1])
@@ -131,7 +133,7 @@ class InGrass:
 
 
 def effects_of(
-    air: Air,
+    air: Air | BeamAir,
     name: str,
     directions_b: NDArray[np.floating],
     mount_b: tuple[float, float, float],

@@ -1,18 +1,16 @@
 """Which sensors a rover carries, and what they give."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import Field
 
-from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.air import Air
-from dune_rl.rendering.baked import Baked
+from dune_rl.geometry.several import HeightFields, RayScenes
+from dune_rl.rendering.air import BeamAir
 from dune_rl.rendering.moving import Figure
-from dune_rl.rendering.surface import Surface
-from dune_rl.sensors.camera import Camera, CameraConf, CameraSensor
+from dune_rl.rendering.surface import Surfaces
+from dune_rl.sensors.camera import CameraConf, Cameras, CameraSensor
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
 from dune_rl.sensors.encoders import Encoders, EncodersConf
@@ -118,25 +116,24 @@ class SensorsConf(Settings):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What sensors look at, and the body that they sit on.
+    """What sensors look at, of each of M scenes, and the body that they sit on.
 
-    `solid` is all that is solid and still, `figures` are the actors',
-    `extent` (xmin, xmax, ymin, ymax) and `heights` (zmin, zmax) [m] where a
-    rover can be, `wheels` its drive, `air` what lies in between. `appearance`
-    and `surface` are called only where a sensor asks for them: they take a
-    moment to work out.
+    `solid` is all that is solid and still, and `surfaces` what it looks like,
+    `figures` are the actors', `extent` (xmin, xmax, ymin, ymax) and `heights`
+    (zmin, zmax) [m] where a rover can be in any of them, `wheels` its drive,
+    `air` what lies in between. `cameras` is called only where a camera is enabled.
     """
 
-    solid: RayScene
+    solid: RayScenes
+    surfaces: Surfaces
     figures: Sequence[Figure]
-    terrain: HeightField
+    terrain: HeightFields
     extent: tuple[float, float, float, float]
     heights: tuple[float, float]
     num_wheels: int
     wheels: DriveGeometry
-    appearance: Callable[[], Baked]
-    surface: Callable[[], Surface]
-    air: Air = field(default_factory=Air)
+    cameras: Callable[[CameraConf], Cameras]
+    air: BeamAir
 
 
 def make_sensors(
@@ -164,9 +161,7 @@ def make_sensors(
         return realistic(scans, real.lidar, num_scenes, step_s)
 
     def camera() -> Sensor:
-        pictures = CameraSensor(
-            Camera(conf.camera, around.appearance(), around.figures, around.air), num_scenes
-        )
+        pictures = CameraSensor(around.cameras(conf.camera), num_scenes)
         return realistic_camera(pictures, real.camera, num_scenes, step_s)
 
     def plain(sensor: Sensor, faults: RealismConf | None) -> Sensor:
@@ -177,7 +172,7 @@ def make_sensors(
         if real.lidar_3d is not None:
             limits_m = (scan.min_range_m, scan.range_m)
             faults = BeamFaults.of_rings(real.lidar_3d, limits_m, scan.n_rings * scan.n_beams)
-        lidar = Lidar3d(scan, solid, around.surface(), figures, num_scenes, around.air, faults)
+        lidar = Lidar3d(scan, solid, around.surfaces, figures, num_scenes, around.air, faults)
         return plain(lidar, real.lidar_3d)
 
     solid, figures, wheels = around.solid, around.figures, around.num_wheels

@@ -1,6 +1,7 @@
 """A world as a camera sees it."""
 
-from functools import lru_cache
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import ground_texture, pictured_ground
 from dune_rl.worlds.world import Prop, World
 
+_LIGHTS_KEPT = 4
+
 
 def scenery(world: World) -> Scenery:
     """Ground and props, those included that only can be seen (water)."""
@@ -21,19 +24,31 @@ def scenery(world: World) -> Scenery:
     return Scenery(world.terrain, ground, joined([_shape(prop) for prop in world.props]))
 
 
-@lru_cache(maxsize=4)
 def baked(world: World, light: LightConf) -> Baked:
-    """The world in that light and clear air; equal worlds and lights share one."""
-    return Baked(scenery(world), Light.of(light), world.lasting)
+    """The world in that light and clear air; equal lights share one."""
+    return _lit(world, light, lambda: Light.of(light))
 
 
-@lru_cache(maxsize=4)
 def in_weather(world: World, weather: WeatherConf) -> Baked:
     """The world in the light of a weather; what its haze does on the way to an eye is not in it."""
     weather = under_own_sun(world, weather)
     if Haze.of(weather) is None:
         return baked(world, weather.sunlight)
-    return Baked(scenery(world), light_in(weather), world.lasting)
+    return _lit(world, weather, lambda: light_in(weather))
+
+
+def _lit(world: World, key: Hashable, light: Callable[[], Light]) -> Baked:
+    """The world in a light, of which the latest few are kept with it."""
+    looks = world.kept("baked", OrderedDict[Hashable, Baked])
+    if key in looks:
+        looks.move_to_end(key)
+        return looks[key]
+    # What does not hang on the light takes most of the time.
+    known = next(iter(looks.values()), None)
+    looks[key] = Baked(scenery(world), light(), world.lasting) if known is None else known.relit(light())
+    if len(looks) > _LIGHTS_KEPT:
+        looks.popitem(last=False)
+    return looks[key]
 
 
 def work_out(world: World) -> None:

@@ -12,7 +12,7 @@ from dune_rl.worlds.construction_layout import place_things
 from dune_rl.worlds.construction_walls import build_storey
 from dune_rl.worlds.ground import Ground
 from dune_rl.worlds.natural_surfaces import Part, surface_map
-from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
@@ -32,11 +32,10 @@ _CONCRETE = Ground(
 _SURFACES = (Part("concrete", 0.7), Part("sand", 0.15, high=1.0), Part("gravel", 0.15))
 
 
-class ConstructionConf(WorldSettings):
+class ConstructionConf(SeededConf):
     """Settings of `build_construction`."""
 
     name: Literal["construction"] = "construction"
-    seed: int = Field(default=0, ge=0, lt=2**32)
     room_size_m: float = Field(
         default=6.0, ge=4.0, le=20.0, description="rooms longer than 1.6 times this are divided"
     )
@@ -74,8 +73,8 @@ def build_construction(conf: ConstructionConf) -> World:
         -WIDTH_M / 2 + _MARGIN_M,
         WIDTH_M / 2 - _MARGIN_M,
     )
-    storey = build_storey(terrain, plan, conf.seed, conf.room_size_m, conf.door_width_m, conf.stud_share)
-    things = place_things(terrain, storey, conf.seed, conf.things_per_100m2)
+    storey = build_storey(terrain, plan, conf.layout, conf.room_size_m, conf.door_width_m, conf.stud_share)
+    things = place_things(terrain, storey, conf.layout, conf.things_per_100m2)
     reach = conf.region_size_m / 2
     return World(
         "construction",

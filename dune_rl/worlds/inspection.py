@@ -8,14 +8,14 @@ from dune_rl.worlds.grass import grow
 from dune_rl.worlds.inspection_layout import place_props
 from dune_rl.worlds.inspection_terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
 from dune_rl.worlds.natural_surfaces import Part, surface_map
-from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
 _SURFACES = (Part("grass", 0.6), Part("gravel", 0.25, steep=0.5), Part("mud", 0.15, steep=-0.5, high=-1.0))
 
 
-class InspectionConf(WorldSettings):
+class InspectionConf(SeededConf):
     """Settings of `build_inspection`.
 
     Every `seed` gives another site of the same family: the slopes, the relief
@@ -23,7 +23,6 @@ class InspectionConf(WorldSettings):
     """
 
     name: Literal["inspection"] = "inspection"
-    seed: int = Field(default=0, ge=0, lt=2**32)
     yard_obstacles: int = Field(
         default=4, ge=0, le=20, description="things in and round the 8 by 8 m training square"
     )
@@ -37,7 +36,7 @@ class InspectionConf(WorldSettings):
 def build_inspection(conf: InspectionConf) -> World:
     """The site of `conf.seed`: 60 by 60 m with a margin of 2 m, its training square in the south-west."""
     terrain, gully = build_terrain(conf.seed)
-    props = place_props(terrain, gully, conf.seed, conf.yard_obstacles)
+    props = place_props(terrain, gully, conf.layout, conf.yard_obstacles)
     x, y = YARD_CENTRE
     region = (x - YARD_HALF_M, x + YARD_HALF_M, y - YARD_HALF_M, y + YARD_HALF_M)
     standing = [(prop.vertices, prop.faces) for prop in props]

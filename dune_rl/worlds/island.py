@@ -16,7 +16,7 @@ from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.plan import Plan
 from dune_rl.worlds.props import bearing, upright_box
 from dune_rl.worlds.roughness import rough_field, smooth_step
-from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import Colour, Prop, World
 
@@ -56,7 +56,7 @@ _SURFACES = (
 )
 
 
-class IslandConf(WorldSettings):
+class IslandConf(SeededConf):
     """Settings of `build_island`.
 
     The bumps' slopes go as `roughness_m` / `bump_length_m`: with the defaults
@@ -64,7 +64,6 @@ class IslandConf(WorldSettings):
     """
 
     name: Literal["island"] = "island"
-    seed: int = Field(default=0, ge=0, lt=2**32)
     radius_m: float = Field(default=9.0, ge=7.0, le=20.0, description="mean distance from middle to shore")
     roughness_m: float = Field(
         default=0.085, ge=0.0, le=0.3, description="root mean square height of the bumps"
@@ -151,7 +150,7 @@ def _terrain(conf: IslandConf, coast: Array) -> HeightField:
 
 
 def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
-    rng = stream(conf.seed, "island boxes")
+    rng = stream(conf.layout, "island boxes")
     plan = Plan()
     reach = dry_radius(conf.radius_m)
     count = round(conf.boxes_per_100m2 * np.pi * conf.radius_m**2 / 100.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.skin import Skin
 from dune_rl.settings import Settings
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
@@ -46,7 +47,7 @@ _ENUMS: tuple[type[Enum], ...] = (Segment,)
 # Worked out on first use, and yet worth keeping.
 _KEPT = ("clearance_field",)
 # Held by a world, and none of what it is.
-_LEFT_OUT = ("shelf", "_kept")
+_LEFT_OUT = ("shelf",)
 _TYPES = ("float64", "float32", "int64", "int32", "uint8", "bool")
 
 

@@ -14,7 +14,7 @@ from dune_rl.worlds.natural_surfaces import Part, surface_map
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.roughness import gradient, rough_field, smooth_step
 from dune_rl.worlds.rubicon_layout import place_props
-from dune_rl.worlds.settings import WorldSettings
+from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
@@ -38,7 +38,7 @@ FOREST_FLOOR = Ground(
 _SURFACES = (Part("grass", 0.6, steep=-0.5), Part("gravel", 0.2), Part("rock", 0.2, steep=1.0))
 
 
-class RubiconConf(WorldSettings):
+class RubiconConf(SeededConf):
     """Settings of `build_rubicon`.
 
     Every `seed` gives another hillside of the same family. The slopes met are
@@ -47,7 +47,6 @@ class RubiconConf(WorldSettings):
     """
 
     name: Literal["rubicon"] = "rubicon"
-    seed: int = Field(default=0, ge=0, lt=2**32)
     slope_rad: float = Field(default=0.23, ge=0.0, le=0.6, description="median slope of the hills")
     roughness_m: float = Field(
         default=0.07, ge=0.0, le=0.3, description="root mean square height of bumps under 6 m long"
@@ -72,7 +71,7 @@ def build_rubicon(conf: RubiconConf) -> World:
     """
     terrain = build_terrain(conf.seed, conf.slope_rad, conf.roughness_m)
     props = place_props(
-        terrain, conf.seed, conf.rocks_per_100m2, conf.trees_per_100m2, conf.undergrowth_per_100m2
+        terrain, conf.layout, conf.rocks_per_100m2, conf.trees_per_100m2, conf.undergrowth_per_100m2
     )
     reach = conf.region_size_m / 2
     solid = [(prop.vertices, prop.faces) for prop in props if prop.solid]

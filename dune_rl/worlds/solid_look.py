@@ -1,7 +1,5 @@
 """A world as the beams of a LiDAR see it: all that is solid, without water."""
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -13,9 +11,12 @@ from dune_rl.worlds.appearance import scenery
 from dune_rl.worlds.world import World
 
 
-@lru_cache(maxsize=4)
 def solid_look(world: World) -> Surface:
-    """Segments and luminances of the faces of `world.solid_mesh()`, in their order."""
+    """Segments and luminances of the faces of `world.solid_mesh()`, in their order; kept with the world."""
+    return world.kept("solid look", lambda: _solid_look(world))
+
+
+def _solid_look(world: World) -> Surface:
     look = scenery(world)
     albedo = _ground_albedo(world.terrain, look.ground.albedo)
     solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])

@@ -1,14 +1,15 @@
 """A world: terrain, and the props that stand on it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.skin import Skin
@@ -23,6 +24,7 @@ from dune_rl.worlds.surfaces import SurfaceName
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
+T = TypeVar("T")
 
 # A robot's length or so, wheels included: what its wheels stand on at once.
 ROUGHNESS_RADIUS_M = 0.5
@@ -116,6 +118,21 @@ class World:
         self.picture = picture
         self.light = light
 
+    @cached_property
+    def _kept(self) -> dict[Hashable, Any]:
+        return {}
+
+    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` gives, made at the first call with `key` and kept as long as the world.
+
+        For what follows from the world, and from the settings in `key`, alone.
+        It must not refer to the world, which would then outlive its use.
+        """
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
+        return found
+
     def lasting(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """What `make` gives, read back from `shelf` if there is one: what follows from the world alone."""
         return make() if self.shelf is None else self.shelf.keep(name, make)
@@ -131,6 +148,12 @@ class World:
         vertices, faces = self.terrain.mesh()
         parts = [(-1, vertices, faces), *((index, prop.vertices, prop.faces) for index, prop in solid)]
         return _join(parts)
+
+    @cached_property
+    def rays(self) -> RayScene:
+        """All that is solid, to cast rays at."""
+        solid = self.solid_mesh()
+        return RayScene(solid.vertices, solid.faces)
 
     @cached_property
     def _decks(self) -> Decks | None:

@@ -1,0 +1,125 @@
+"""What may differ from episode to episode, by which distribution, and what a drawn value does.
+
+A property is a setting of `RandomisationConf` and an entry of `PROPERTIES`, under the same name.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from pydantic import model_validator
+
+from dune_rl.env.distributions import Distribution, WholeNumbers
+from dune_rl.env.traction import Traction
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.settings import Settings
+
+# Metrics are float32, which holds whole numbers below this.
+_LARGEST_SEED = 2**24 - 1
+
+
+@dataclass(frozen=True)
+class Property:
+    """What a drawn value does to an episode, and the `limits` that it may have.
+
+    `world` and `weather` change settings, `traction` a scene's wheels before
+    its robot is put down.
+    """
+
+    limits: tuple[float, float]
+    world: Callable[[Any, float], Any] | None = None
+    weather: Callable[[WeatherConf, float], WeatherConf] | None = None
+    traction: Callable[[Traction, int, float], None] | None = None
+
+
+def _world_setting(name: str) -> Callable[[Any, float], Any]:
+    return lambda world, value: world.model_copy(update={name: int(value)})
+
+
+def _light_setting(name: str) -> Callable[[WeatherConf, float], WeatherConf]:
+    def change(weather: WeatherConf, value: float) -> WeatherConf:
+        return weather.model_copy(update={"light": weather.light.model_copy(update={name: value})})
+
+    return change
+
+
+def _scale_friction(traction: Traction, scene: int, factor: float) -> None:
+    traction.friction_factor[scene] = factor
+
+
+def _scale_stiffness(traction: Traction, scene: int, factor: float) -> None:
+    traction.stiffness_factor[scene] = factor
+
+
+PROPERTIES: dict[str, Property] = {
+    "world_seed": Property((0, _LARGEST_SEED), world=_world_setting("seed")),
+    "layout_seed": Property((0, _LARGEST_SEED), world=_world_setting("layout_seed")),
+    "friction": Property((0.01, 10.0), traction=_scale_friction),
+    "stiffness": Property((0.01, 100.0), traction=_scale_stiffness),
+    "sun_bearing_rad": Property((-2 * np.pi, 2 * np.pi), weather=_light_setting("sun_bearing_rad")),
+    "sun_elevation_rad": Property((0.02, np.pi / 2), weather=_light_setting("sun_elevation_rad")),
+    "brightness": Property((0.01, 10.0), weather=_light_setting("brightness")),
+}
+
+
+class RandomisationConf(Settings):
+    """What is drawn anew for each episode; null is what stays as the world and the weather have it.
+
+    `world_seed` is the world's `seed`: another of its family. `layout_seed` is
+    of what stands there alone, on the same ground. `friction` is a factor on
+    that of the world under the wheels, and `stiffness` on that of its surfaces,
+    which a world without a map of them has not. The sun's place and the `brightness` take the place of
+    those in `weather.light`.
+    """
+
+    world_seed: WholeNumbers | None = None
+    layout_seed: WholeNumbers | None = None
+    friction: Distribution | None = None
+    stiffness: Distribution | None = None
+    sun_bearing_rad: Distribution | None = None
+    sun_elevation_rad: Distribution | None = None
+    brightness: Distribution | None = None
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """The distributions of the properties that have one, by name."""
+        found = ((name, getattr(self, name)) for name in PROPERTIES)
+        return {name: distribution for name, distribution in found if distribution is not None}
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        for name, distribution in self.drawn.items():
+            low, high = PROPERTIES[name].limits
+            least, most = distribution.limits
+            if least < low or most > high:
+                raise ValueError(
+                    f"{name} must lie between {low:.10g} and {high:.10g} (got {least:.10g} to {most:.10g})"
+                )
+        return self
+
+    def check(self, world: Settings, weather: WeatherConf) -> None:
+        """Raise ValueError where something is drawn that `world` and `weather` do not have."""
+        known = type(world).model_fields
+        for name, needed in (("world_seed", "seed"), ("layout_seed", "layout_seed")):
+            if name in self.drawn and needed not in known:
+                raise ValueError(
+                    f"randomisation.{name}: the world {getattr(world, 'name', '')!r} has no {needed}; "
+                    "leave it null, or choose a world that is made from a seed"
+                )
+        if self.stiffness is not None and not _has_surfaces(world):
+            raise ValueError(
+                "randomisation.stiffness: the world's ground is rigid; say what it is made of "
+                "(world.surfaces=natural, or world.surface_map), or leave it null"
+            )
+        for name in ("sun_bearing_rad", "sun_elevation_rad"):
+            if name in self.drawn and weather.time_of_day_h is not None:
+                raise ValueError(
+                    f"randomisation.{name}: weather.time_of_day_h={weather.time_of_day_h:g} says where the "
+                    "sun stands; set one of them to null"
+                )
+
+
+def _has_surfaces(world: Settings) -> bool:
+    chosen = getattr(world, "surfaces", "uniform") != "uniform"
+    return chosen or getattr(world, "surface_map", None) is not None

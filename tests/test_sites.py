@@ -1,0 +1,217 @@
+"""Scenes in worlds of their own: what is asked of all at once is what each world would say alone."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from dune_rl.config.build import build_world
+from dune_rl.env.encounters import Encounters
+from dune_rl.geometry.per_scene import PerScene, asked
+from dune_rl.geometry.several import HeightFields, RayScenes
+from dune_rl.rendering.foliage import Foliage, Foliages
+from dune_rl.rendering.light import Light, LightConf
+from dune_rl.rendering.surface import Surfaces
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.island import IslandConf, build_island
+from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.world import World
+
+CLEAR, LOW_SUN = WeatherConf(), WeatherConf(light=LightConf(sun_elevation_rad=0.2))
+# Of five scenes: two share the first world, two the third.
+ORDER = (2, 0, 2, 1, 0)
+
+
+@pytest.fixture(scope="module")
+def islands() -> list[World]:
+    return [build_world(IslandConf(seed=seed, grass_cover=0.3 if seed else 0.0)) for seed in range(3)]
+
+
+@pytest.fixture(scope="module")
+def sites(islands: list[World]) -> Sites:
+    return Sites([(islands[which], CLEAR) for which in ORDER])
+
+
+def rays(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One origin a scene, and its `count` rays with their ranges."""
+    rng = np.random.default_rng(seed)
+    origins = np.column_stack([rng.uniform(-5, 5, (5, 2)), np.full(5, 1.6)]).astype(np.float32)
+    directions = rng.normal(size=(5 * count, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return origins, directions, rng.uniform(3.0, 20.0, 5 * count).astype(np.float32)
+
+
+# -- groups ----------------------------------------------------------------------------------------
+
+
+def test_groups_are_of_equal_things_in_the_order_of_their_scenes() -> None:
+    first, second = object(), object()
+    things = PerScene([first] * 3)
+    assert things.groups == ((first, slice(None)),)
+    things.put(1, second)
+    (one, rows), (other, others) = things.groups
+    assert (one, rows.tolist(), other, others.tolist()) == (first, [0, 2], second, [1])
+    before = things.groups
+    things.put(1, second)
+    assert things.groups is before
+    (one, rows), (other, others) = things.among(np.array([1, 2]))
+    assert (one, rows.tolist(), other, others.tolist()) == (second, [0], first, [1])
+
+
+def test_what_is_made_of_a_thing_is_made_once_and_forgotten_with_it() -> None:
+    made: list[str] = []
+
+    def make(text: str) -> str:
+        made.append(text)
+        return text.upper()
+
+    a, b = "a", "b"
+    things = PerScene([a, b, a])
+    upper = things.map(make)
+    assert [upper[scene] for scene in range(3)] == ["A", "B", "A"]
+    assert [(name, rows.tolist()) for name, rows in upper.groups] == [("A", [0, 2]), ("B", [1])]
+    assert made == ["a", "b"]
+    things.put(1, a)
+    assert upper.groups == (("A", slice(None)),)
+    things.put(1, b)
+    assert upper[1] == "B"
+    assert made == ["a", "b", "b"]
+
+
+def test_a_world_goes_when_no_scene_is_in_it() -> None:
+    worlds = [build_island(IslandConf(seed=seed)) for seed in (7, 8)]
+    sites = Sites([(worlds[0], CLEAR), (worlds[1], CLEAR)])
+    sites.clearance(np.zeros((2, 1, 2)))
+    gone = weakref.ref(worlds[1])
+    sites.put(1, worlds[0], CLEAR)
+    del worlds[1]
+    sites.height(np.zeros((2, 2)))
+    gc.collect()
+    assert gone() is None
+
+
+# -- queries ---------------------------------------------------------------------------------------
+
+
+def test_ground_and_clearance_are_those_of_each_world(sites: Sites) -> None:
+    xy = np.random.default_rng(1).uniform(-8, 8, (5, 40, 2))
+    height, clearance = sites.height(xy), sites.clearance(xy)
+    terrain = HeightFields(sites.worlds.map(lambda world: world.terrain)).height(xy)
+    for scene in range(5):
+        world = sites.worlds[scene]
+        assert np.array_equal(height[scene], world.terrain.height(xy[scene]))
+        assert np.array_equal(terrain[scene], height[scene])
+        assert np.array_equal(clearance[scene], world.clearance(xy[scene]))
+        assert tuple(sites.extents[scene]) == world.extent
+    assert np.ptp(height[:, 0]) > 0
+
+
+@pytest.mark.parametrize("scenes", [None, [3, 0], [2]])
+def test_rays_meet_what_is_in_their_own_world(sites: Sites, scenes: list[int] | None) -> None:
+    origins, directions, ranges = rays(37)
+    everywhere = RayScenes(sites.worlds.map(lambda world: world.rays))
+    looks = Surfaces(sites.worlds.map(solid_look))
+    if scenes is not None:
+        rows = np.array(scenes)
+        everywhere, looks = everywhere.among(rows), looks.among(rows)
+        origins = origins[rows]
+        directions, ranges = directions.reshape(5, 37, 3)[rows].reshape(-1, 3), ranges.reshape(5, 37)[rows]
+    ranges = ranges.ravel()
+    shortened = ranges.copy()
+    everywhere.shorten(origins, directions, shortened)
+    hits = everywhere.hits(origins, directions, ranges.copy())
+    blocked = everywhere.blocked(origins, directions)
+    segments, luminance = looks.met(hits.face)
+    assert 0.2 < (shortened < ranges).mean() < 1.0
+    for place, scene in enumerate(scenes or range(5)):
+        world, part = sites.worlds[scene], slice(37 * place, 37 * place + 37)
+        origin, towards = origins[place : place + 1], directions[part]
+        alone = world.rays.hits(origin, towards, ranges[part].copy())
+        for found, own in zip(hits, alone, strict=True):
+            assert np.array_equal(found[part], own)
+        assert np.array_equal(shortened[part], alone.range)
+        assert np.array_equal(blocked[part], world.rays.blocked(origin, towards))
+        surface = solid_look(world).met(alone.face)
+        assert np.array_equal(segments[part], surface[0]) and np.array_equal(luminance[part], surface[1])
+
+
+def test_grass_is_that_of_the_own_world_or_none(sites: Sites) -> None:
+    def foliage(world: World) -> Foliage | None:
+        return None if world.grass is None else world.grass.foliage
+
+    grown = Foliages(sites.worlds.map(foliage))
+    origins, directions, ranges = rays(50)
+    origins[:, 2] = 1.2
+    depths = np.full(len(directions), 0.4, np.float32)
+    beams = grown.beam_ranges(origins, directions, ranges, depths).reshape(5, 50)
+    median = grown.median_ranges(origins, directions, ranges).reshape(5, 50)
+    for scene in range(5):
+        own, part = foliage(sites.worlds[scene]), slice(50 * scene, 50 * scene + 50)
+        if own is None:
+            assert np.isinf(beams[scene]).all() and np.isinf(median[scene]).all()
+            continue
+        alone = (origins[scene : scene + 1], directions[part], ranges[part])
+        assert np.array_equal(beams[scene], own.beam_ranges(*alone, depths[part]))
+        assert np.array_equal(median[scene], own.median_ranges(*alone))
+    assert np.isfinite(beams).any() and not grown.none
+
+
+def test_one_answer_for_all_is_asked_once() -> None:
+    calls = []
+
+    def ask(thing: str, values: np.ndarray) -> np.ndarray:
+        calls.append(thing)
+        return values * 2
+
+    values = np.arange(6.0).reshape(3, 2)
+    assert asked(PerScene(["a"] * 3).groups, ask, values).tolist() == (values * 2).tolist()
+    assert calls == ["a"]
+
+
+# -- looks -----------------------------------------------------------------------------------------
+
+
+def test_scenes_that_look_alike_share_a_look(islands: list[World]) -> None:
+    first, second = islands[:2]
+    sites = Sites([(first, CLEAR), (second, CLEAR), (first, LOW_SUN), (first, WeatherConf())])
+    looks = [sites.looks[scene] for scene in range(4)]
+    assert looks[0] is looks[3]
+    assert len({id(look) for look in looks}) == 3
+    assert [len(np.arange(4)[rows]) for _, rows in sites.worlds.groups] == [3, 1]
+    sites.put(2, first, CLEAR)
+    assert sites.looks[2] is looks[0]
+
+
+def test_another_light_on_a_known_world_is_that_of_a_new_one() -> None:
+    light = LightConf(sun_bearing_rad=-1.0, sun_elevation_rad=0.3, brightness=0.8)
+    known, new = (build_island(IslandConf(seed=4)) for _ in range(2))
+    before = baked(known, LightConf()).ground.copy()
+    relit, fresh = baked(known, light), baked(new, light)
+    for name in ("ground", "faces", "sky"):
+        assert np.array_equal(getattr(relit, name), getattr(fresh, name)), name
+    assert relit.rays is baked(known, LightConf()).rays
+    assert np.array_equal(baked(known, LightConf()).ground, before)
+    assert (relit.ground != before).any()
+
+
+def test_brightness_scales_sun_and_sky() -> None:
+    full, half = Light.of(LightConf()), Light.of(LightConf(brightness=0.5))
+    for name in ("sun", "zenith", "horizon"):
+        np.testing.assert_allclose(getattr(half, name), getattr(full, name) / 2, rtol=1e-6)
+
+
+# -- encounters ------------------------------------------------------------------------------------
+
+
+def test_a_world_of_more_bodies_makes_room_for_them() -> None:
+    met = Encounters(2, 0, 3)
+    met.make_room(2)
+    begun, touching = met.update([(0, 1)], np.array([1, 1]))
+    assert (begun.tolist(), touching.tolist()) == ([1, 0], [True, False])
+    met.make_room(5)
+    met.make_room(3)
+    begun, _ = met.update([(0, 1), (1, 4)], np.array([2, 2]))
+    assert begun.tolist() == [0, 1]
