@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from planted.puppets import puppet_batch
 from scenes import slope_stage
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensordict import TensorDict
 
 import dune_rl
 from dune_rl.config.build import build_world, make_batch, make_torchrl_env
@@ -27,6 +30,8 @@ from dune_rl.errors import ConfigError, WorldError
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal
+from dune_rl.learning.run_log import RunLog
+from dune_rl.metrics.episode import METRICS
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.construction import ConstructionConf
@@ -364,6 +369,19 @@ def test_evaluation_tells_what_was_drawn_whatever_the_number_of_scenes() -> None
         env.close()
     assert repr(rows[0]) == repr(rows[1])
     assert len({row["randomisation/friction"] for row in rows[0]}) == 4
+
+
+def test_a_run_log_shows_the_mean_of_what_was_drawn(tmp_path: Path) -> None:
+    names = ("success", "randomisation/friction")
+    log = RunLog(tmp_path, (*(name for name in METRICS if name != "success"), *names))
+    row = [0.0] * (len(METRICS) - 1)
+    metrics = torch.tensor([[[*row, 1.0, 0.5], [*row, 0.0, 0.7]]])
+    done = torch.ones(1, 2, 1, dtype=torch.bool)
+    log.collected(TensorDict({"next": TensorDict({"done": done, "metrics": metrics}, (1, 2))}, (1, 2)), 64, 0)
+    log.close()
+    events = EventAccumulator(str(tmp_path)).Reload()
+    (scalar,) = events.Scalars("randomisation/friction")
+    assert (scalar.step, scalar.value) == (64, pytest.approx(0.6))
 
 
 def test_without_randomisation_nothing_more_is_told() -> None:
