@@ -18,6 +18,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.physics.interface import KinematicCapsule, PhysicsScene, RobotBody, SceneSpec, StaticBody
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.robots.wheeled import WheeledRobot
 from dune_rl.worlds.props import upright_box
 
 Backend = Callable[[SceneSpec], PhysicsScene]
@@ -202,8 +203,9 @@ class Drive:
         yaw: float = 0.0,
         quaternion: np.ndarray | None = None,
         position_w: Sequence[float] = (0.0, 0.0, WHEEL_RADIUS_M),
+        rover: WheeledRobot | None = None,
     ) -> None:
-        self.rover = RoverZero(conf or RoverZeroConf(), 1)
+        self.rover = rover or RoverZero(conf or RoverZeroConf(), 1)
         self.stage = Stage(backend, statics or [plane()], robot=self.rover.body)
         self.start(yaw, quaternion, position_w)
 

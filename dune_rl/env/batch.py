@@ -76,13 +76,14 @@ class Batch:
         first_episode: int = 0,
         weather: WeatherConf = _CLEAR,
     ) -> None:
-        self.world, self.task, self.sensors, self.physics = world, task, sensors, physics
+        self.world, self.task, self.physics = world, task, physics
         self.weather, self.num_scenes = weather, num_scenes
         self.robot = make_robot(num_scenes)
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self.actor_confs = actors
         self.actors = self._new_actors(seed)
         self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes, weather)
+        self.sensors = self.senses.conf
         self.motion = Motion(num_scenes, self.robot)
         spec = scene_spec(world, self.robot, self.actors, physics)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
@@ -208,6 +209,12 @@ class Batch:
                 drives.append(scene.drive_state())
             self._touches += [(index, body) for body in scene.touched()]
         self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
+
+    def joint_angles(self, scene: int) -> dict[str, float]:
+        """Angles [rad] of a robot's joints by name: its motors' and those that turn freely."""
+        body = self.robot.body
+        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
+        return dict(zip(names, self._scenes[scene].joint_angles(names), strict=True))
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""

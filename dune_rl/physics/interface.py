@@ -90,7 +90,8 @@ class RobotBody:
 
     `motors` take commands, in their order. The joints that are neither theirs
     nor `passive` turn freely. `ground_links`, which are wheels or feet, stand
-    on the ground with `ground_friction` and touch nothing else, unless
+    on the ground with `ground_friction`, along a wheel's axle with
+    `sideways_friction_share` of it, and touch nothing else, unless
     `ground_links_meet_obstacles`; all other links touch everything, with
     `hull_friction`. Joints that are not motors start at 0.
     """
@@ -100,6 +101,7 @@ class RobotBody:
     ground_links: tuple[str, ...]
     ground_friction: float
     hull_friction: float = 0.3
+    sideways_friction_share: float = 1.0
     ground_links_meet_obstacles: bool = False
     passive: tuple[PassiveJoint, ...] = ()
     couplings: tuple[Coupling, ...] = ()
