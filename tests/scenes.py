@@ -111,6 +111,7 @@ class Stage:
     kinematics: Sequence[KinematicCapsule] = ()
     robot: RobotBody = field(default_factory=rover_body)
     gravity_mps2: float = GRAVITY_MPS2
+    measures_work: bool = False
 
     def __post_init__(self) -> None:
         self.scene = self.backend(
@@ -121,6 +122,7 @@ class Stage:
                 timestep_s=TIMESTEP_S,
                 solver_iterations=10,
                 gravity_mps2=self.gravity_mps2,
+                measures_work=self.measures_work,
             )
         )
         self.actors = np.zeros((len(self.kinematics), 4))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame
 from dune_rl.physics.interface import Coupling, KinematicCapsule, SceneSpec, StaticBody
-from dune_rl.physics.motors import servo
+from dune_rl.physics.motors import servo, work_w
 from dune_rl.physics.quiet import silent_stderr
 
 with silent_stderr():
@@ -74,6 +74,9 @@ class BulletScene:
         self._torques = [motor.max_torque_nm for motor in self._motors]
         self._commands: Sequence[float] = spec.robot.rest_commands()
         self._frame: InertialFrame | None = None
+        self._measures_work = spec.measures_work and bool(self._motors)
+        self._work = 0.0
+        self._speeds: Sequence[float] = ()
 
     def _add_static(self, body: StaticBody) -> int:
         shape = pybullet.createCollisionShape(
@@ -115,6 +118,7 @@ class BulletScene:
             pybullet.removeBody(self._robot, physicsClientId=self._client)
         self._robot = self._load_robot(position_w, quaternion)
         self._commands = self._spec.robot.rest_commands()
+        self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         for index in range(len(self._kinematics)):
             self._move(index, kinematic_poses[index].tolist())
         self._poses[:] = kinematic_poses
@@ -295,6 +299,20 @@ class BulletScene:
             if not self._plain:
                 self._drive()
             advance(physicsClientId=client)
+            if self._measures_work:
+                self._count_work()
+
+    def _count_work(self) -> None:
+        states = pybullet.getJointStates(self._robot, self._drive_joints, physicsClientId=self._client)
+        _, speeds, _, torques = zip(*states, strict=True)
+        # A torque acts from the speed before a step to the one after it.
+        means = [(one + other) / 2 for one, other in zip(self._speeds, speeds, strict=True)]
+        self._speeds = speeds
+        self._work += work_w(self._motors, means, torques) * self._spec.timestep_s
+
+    def work_j(self) -> float:
+        done, self._work = self._work, 0.0
+        return done
 
     def _hold(self, speeds: Sequence[float], torques: Sequence[float]) -> None:
         pybullet.setJointMotorControlArray(

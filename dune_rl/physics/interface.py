@@ -129,7 +129,10 @@ class RobotBody:
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """All that a scene holds. Bodies are numbered: statics first, then kinematics."""
+    """All that a scene holds. Bodies are numbered: statics first, then kinematics.
+
+    `measures_work` has the motors' work summed up, which costs a look at their joints in every physics step.
+    """
 
     statics: tuple[StaticBody, ...]
     kinematics: tuple[KinematicCapsule, ...]
@@ -137,6 +140,7 @@ class SceneSpec:
     timestep_s: float
     solver_iterations: int
     gravity_mps2: float = 9.81
+    measures_work: bool = False
 
 
 class PhysicsScene(Protocol):
@@ -184,6 +188,10 @@ class PhysicsScene(Protocol):
         turns. A torque is what turned the joint in the last physics step, gear
         friction taken off, positive where it pushes toward a positive speed.
         """
+        ...
+
+    def work_j(self) -> float:
+        """Work [J] that the motors have done since this was asked last; see `motors.work_w`."""
         ...
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:

@@ -86,3 +86,14 @@ def servo(
         targets.append(target)
         limits.append(limit)
     return targets, limits
+
+
+def work_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Sequence[float]) -> float:
+    """Power [W] that motors give at joints' speeds [rad/s] and torques [N m], gear friction included.
+
+    One that brakes gives nothing back.
+    """
+    power = 0.0
+    for motor, speed, torque in zip(motors, speeds, torques, strict=True):
+        power += max(0.0, torque * speed + motor.gear_friction_nm * abs(speed))
+    return power

@@ -7,6 +7,7 @@ from pydantic import Field
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
+_JOULES_PER_WH = 3600.0
 
 
 class BatteryConf(Settings):
@@ -19,12 +20,6 @@ class BatteryConf(Settings):
     idle_w: float = Field(10.0, ge=0.0)
     efficiency: float = Field(0.7, gt=0.0, le=1.0)
 
-
-def power_w(conf: BatteryConf, speeds: Array, torques: Array, gear_friction_nm: Array) -> Array:
-    """Power drawn [W], (M,), with joints' speeds [rad/s] and torques [N m], (M, J).
-
-    Torques are what turns the joints, so that `gear_friction_nm` (J,) comes on top.
-    """
-    turning = torques * speeds + gear_friction_nm * np.abs(speeds)
-    drawn: Array = conf.idle_w + np.maximum(turning, 0.0).sum(axis=1) / conf.efficiency
-    return drawn
+    def drawn_wh(self, work_j: Array, time_s: float) -> Array:
+        """Energy drawn [W h], (M,), while motors have done `work_j` (M,) [J] in `time_s`."""
+        return (self.idle_w * time_s + work_j / self.efficiency) / _JOULES_PER_WH
