@@ -1,6 +1,6 @@
 """A URDF's links joined to the bodies that move apart, and these as a URDF that every engine reads alike."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree, SubElement
@@ -86,12 +86,17 @@ def rigid_bodies(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) 
     return found
 
 
-def write_urdf(bodies: list[RigidBody], model: UrdfModel, meshes: UrdfMeshes, folder: Path) -> Path:
-    """Write the bodies as a URDF into `folder`, with collision meshes as convex hulls and looks beside it."""
-    root = Element("robot", name=model.name)
-    root.extend(model.materials)
+def write_urdfs(
+    bodies: Sequence[RigidBody], model: UrdfModel, meshes: UrdfMeshes, folder: Path
+) -> tuple[Path, Path]:
+    """Write the bodies into `folder` as two URDFs, for physics and for the eye, with the meshes they need.
+
+    Physics gets convex hulls; engines refuse a file for looks that they cannot read.
+    """
+    physics, look = (Element("robot", name=model.name) for _ in range(2))
+    look.extend(model.materials)
     for number, body in enumerate(bodies):
-        link = SubElement(root, "link", name=body.name)
+        link = SubElement(physics, "link", name=body.name)
         _write_inertial(link, body.inertial)
         for index, solid in enumerate(body.solids):
             geometry = _write_shape(link, "collision", solid.geometry)
@@ -100,18 +105,21 @@ def write_urdf(bodies: list[RigidBody], model: UrdfModel, meshes: UrdfMeshes, fo
                 file = f"hull_{number}_{index}.stl"
                 trimesh.Trimesh(solid.points, process=False).convex_hull.export(folder / file)
                 SubElement(geometry, "mesh", filename=file)
+        link = SubElement(look, "link", name=body.name)
         for index, visual in enumerate(body.visuals):
             geometry = _write_shape(link, "visual", visual)
             if visual.mesh is not None:
                 file = f"look_{number}_{index}.ply"
                 _look(visual.mesh, meshes).export(folder / file)
                 SubElement(geometry, "mesh", filename=file, scale=" ".join(map(repr, visual.size)))
-    for body in bodies:
-        if body.joint is not None:
-            _write_joint(root, body.joint)
-    path = folder / "robot.urdf"
-    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-    return path
+    for root in (physics, look):
+        for body in bodies:
+            if body.joint is not None:
+                _write_joint(root, body.joint)
+    paths = folder / "robot.urdf", folder / "look.urdf"
+    for path, root in zip(paths, (physics, look), strict=True):
+        ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return paths
 
 
 def _look(name: str, meshes: UrdfMeshes) -> trimesh.Trimesh:

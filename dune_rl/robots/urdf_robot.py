@@ -18,7 +18,7 @@ from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf, Triple
 from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.robots.urdf_bodies import RigidBody, rigid_bodies, write_urdf
+from dune_rl.robots.urdf_bodies import RigidBody, rigid_bodies, write_urdfs
 from dune_rl.robots.urdf_meshes import UrdfMeshes
 from dune_rl.robots.urdf_model import Joint, UrdfModel, read_urdf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
@@ -137,12 +137,14 @@ class UrdfRobot(WheeledRobot):
         drive = self._drive_conf_of(conf.drive, wheels, sum(body.inertial.mass for body in bodies))
         folder = Path(tempfile.mkdtemp(prefix="dune_rl_robot_"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        physics, look = write_urdfs(self._bodies, model, meshes, folder)
         loose = [body.joint for body in bodies if body.joint is not None and body.joint.name not in turning]
         super().__init__(
             heading=conf.heading,
             drive=drive,
             body=RobotBody(
-                urdf=write_urdf(self._bodies, model, meshes, folder),
+                urdf=physics,
+                look=look,
                 motors=tuple(wheel_motor(wheel.joint.name, drive) for wheel in wheels),
                 ground_links=tuple(wheel.body.name for wheel in wheels),
                 ground_friction=conf.wheel_friction,
