@@ -158,6 +158,7 @@ ARM = CART[CART.index('<joint name="arm_joint"') : CART.index("</joint>", CART.i
         (MASS, '<mass value="nan"/>', r"link 'base_link': <mass> value='nan' must be 1 finite numbers"),
         (MASS, '<mass value="heavy"/>', r"link 'base_link': <mass> value='heavy' must be 1 finite numbers"),
         ('ixx="0.08"', 'ixx="-1"', r"link 'base_link': its <inertia> is that of no body"),
+        ('ixx="0.08"', 'ixx="0.8"', r"link 'base_link': its <inertia> is that of no body.*the other two"),
         ('ixx="0.08"', 'ixx="inf"', r"link 'base_link': <inertia> ixx='inf' must be"),
         (WHEEL, '<mass value="0"/>',
          r"link 'wheel_l' has no mass, nor has what is fixed to it, and joint 'wheel_l_joint' moves it"),

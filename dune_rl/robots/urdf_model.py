@@ -244,10 +244,12 @@ def _inertial(element: Element, where: str) -> Inertial | None:
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass == 0.0:
         return None
-    if np.linalg.eigvalsh(inertia).min() <= 0.0:
+    least, middle, most = np.linalg.eigvalsh(inertia)
+    # PyBullet takes none at all in place of such.
+    if least <= 0.0 or most > 1.0001 * (least + middle):
         raise _FaultError(
-            f"{where}: its <inertia> is that of no body; all three moments must be above 0, as a solid "
-            "box's m (a² + b²) / 12."
+            f"{where}: its <inertia> is that of no body; its moments must be above 0, and none above the sum "
+            "of the other two: a solid box has m (a² + b²) / 12 about each axis."
         )
     pose = _pose(element, where)
     return Inertial(mass, np.zeros(3), inertia).moved(pose)
