@@ -1,6 +1,7 @@
 """Cameras in plain worlds, for tests of what they see."""
 
 import numpy as np
+from mounted import camera_conf
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import figures
@@ -42,7 +43,7 @@ def with_boxes(*boxes: Box) -> World:
 
 
 def camera_in(world: World, actors: tuple[ActorConf, ...] = (), light=None, **settings) -> Camera:
-    conf = CameraConf(**({"outputs": EVERYTHING, "width": 32, "height": 24} | settings))
+    conf = camera_conf(**({"outputs": EVERYTHING, "width": 32, "height": 24} | settings))
     return Camera(conf, baked(world, light or LightConf()), figures(actors))
 
 

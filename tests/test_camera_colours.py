@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from cameras import AHEAD, EVERYTHING, PERSON, Box, camera_in, look, plain, standing, with_boxes
+from mounted import camera_conf
 from PIL import Image
 from scanning import turned
 
@@ -11,7 +12,7 @@ from dune_rl.config.build import build_world
 from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.light import Light, LightConf
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import Camera, CameraConf
+from dune_rl.sensors.camera import Camera
 from dune_rl.worlds.appearance import scenery
 from dune_rl.worlds.inspection import InspectionConf
 
@@ -117,7 +118,9 @@ def test_a_wall_that_faces_the_sun_is_brighter_than_its_back():
 def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
         light = Light.of(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
-        camera = Camera(CameraConf(width=16, height=12), Baked(scenery(with_boxes(WALL)), light), figures(()))
+        camera = Camera(
+            camera_conf(width=16, height=12), Baked(scenery(with_boxes(WALL)), light), figures(())
+        )
         red, _, blue = look(camera)["rgb"][6].mean(axis=0)
         return red / blue
 

@@ -15,6 +15,7 @@ from cameras import (
     pinhole_directions,
     with_boxes,
 )
+from mounted import camera_conf
 from scanning import turned
 from scenes import about
 
@@ -145,7 +146,7 @@ def test_a_camera_s_pitch_is_the_rover_s():
     world = with_boxes(AHEAD)
     tilted = look(camera_in(world, pitch_rad=0.3))
     rotation = pitched(0.3)
-    mount = np.array(CameraConf().mount_b)
+    mount = np.array(camera_conf().mount_b)
     leaning = look(camera_in(world), STANDING + mount - rotation @ mount, rotation)
     for name in ("depth", "normals"):
         np.testing.assert_allclose(tilted[name], leaning[name], rtol=1e-4, atol=1e-5)

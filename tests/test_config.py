@@ -26,7 +26,9 @@ from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.suite import SensorsConf
@@ -70,7 +72,9 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
         sun_elevation_rad=Uniform(low=0.25, high=1.3),
         brightness=LogUniform(low=0.7, high=1.4),
     ),
+    ("robot", "leo_rover"): LeoRoverConf(),
     ("robot", "rover_zero"): RoverZeroConf(),
+    ("robot", "urdf"): UrdfConf(path=GIVEN),
     ("sensors", "default"): SensorsConf(),
     ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),
     ("sensors", "all"): SensorsConf(
@@ -130,7 +134,7 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
     if group == "learning":
         composed: EnvConf = compose(words(group, option))
     else:
-        words_given = [f"world.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
+        words_given = [f"{group}.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
         composed = compose_environment(
             option if group == "world" else place(group), words_given, {group: option}
         )

@@ -3,10 +3,9 @@
 import numpy as np
 from batches import idle, real_batch
 from meadows import SMALL
+from mounted import lidar_conf
 from planted.puppets import puppet_batch
 from scenes import Stage, every_backend
-
-from dune_rl.sensors.lidar import LidarConf
 
 
 @every_backend
@@ -92,4 +91,4 @@ def test_scenes_in_grass_are_independent_and_repeat():
         seen.append({name: value[0].tobytes() for name, value in batch.observe().items()})
         batch.close()
     assert seen[0] == seen[1]
-    assert LidarConf().n_segments * 4 == len(seen[0]["lidar"])
+    assert lidar_conf().n_segments * 4 == len(seen[0]["lidar"])

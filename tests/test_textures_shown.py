@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 from gazebo import GROUND, sdf
+from mounted import camera_conf
 from PIL import Image
 from textured_files import SIGN, quadrants, textured_yard, write_textured_yard
 from world_files import ground_height
@@ -15,7 +16,7 @@ from dune_rl.rendering.light import LightConf, linear
 from dune_rl.rendering.picture import Painter, Viewpoint
 from dune_rl.rendering.skin import Skin, SkinLook
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.sensors.camera import Camera, CameraConf
+from dune_rl.sensors.camera import Camera
 from dune_rl.worlds.appearance import baked, in_weather, scenery, under_own_sun
 from dune_rl.worlds.importing import import_files
 from dune_rl.worlds.importing.import_files import Report, WorldWarning
@@ -56,7 +57,7 @@ def test_a_picture_shows_a_sign_upright_and_the_right_way_round(yard):
 
 
 def test_a_camera_shows_it_too(yard):
-    conf = CameraConf(outputs=("rgb",), width=64, height=48, fov_rad=0.6, mount_b=(0.0, 0.0, 0.0))
+    conf = camera_conf(outputs=("rgb",), width=64, height=48, fov_rad=0.6, mount_b=(0.0, 0.0, 0.0))
     camera = Camera(conf, baked(yard, BEHIND), ())
     # Of two scenes, the first looks away.
     turned = np.stack([np.diag([-1.0, -1.0, 1.0]), np.eye(3)])

@@ -3,14 +3,17 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 
-from dune_rl.config.schema import EnvConf, SingleAgentConf
+from dune_rl.config.schema import EnvConf, RobotConf, SingleAgentConf
 from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.env.variety import Variety
 from dune_rl.physics.bullet import BulletScene
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
+from dune_rl.robots.robot import Robot
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf, UrdfRobot
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
@@ -33,7 +36,7 @@ def make_batch(
     prepare = partial(prepare_worlds, seen="camera" in conf.sensors.enabled) if prepare is None else prepare
     return Batch(
         world=world_of(conf.world),
-        make_robot=lambda scenes: RoverZero(conf.robot, scenes),
+        make_robot=lambda scenes: build_robot(conf.robot, scenes),
         make_scene=BulletScene,
         actors=conf.actors,
         sensors=conf.sensors,
@@ -45,6 +48,17 @@ def make_batch(
         num_scenes=num_scenes,
         seed=seed,
     )
+
+
+def build_robot(conf: RobotConf, num_scenes: int) -> Robot:
+    """`num_scenes` robots of the kind that `conf` is of."""
+    match conf:
+        case RoverZeroConf():
+            return RoverZero(conf, num_scenes)
+        case LeoRoverConf():
+            return LeoRover(conf, num_scenes)
+        case UrdfConf():
+            return UrdfRobot(conf, num_scenes)
 
 
 @lru_cache(maxsize=4)

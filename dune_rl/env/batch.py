@@ -17,10 +17,10 @@ from dune_rl.env.scene import standing_pose
 from dune_rl.env.senses import Senses
 from dune_rl.env.traction import Traction
 from dune_rl.env.variety import Variety
-from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
+from dune_rl.metrics.episode import EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
 from dune_rl.sensors.sensor import Moment, Reading
 from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
@@ -68,7 +68,7 @@ class Batch:
         self,
         *,
         world: World,
-        make_robot: Callable[[int], RoverZero],
+        make_robot: Callable[[int], Robot],
         make_scene: Callable[[SceneSpec], PhysicsScene],
         actors: tuple[ActorConf, ...],
         sensors: SensorsConf,
@@ -81,7 +81,7 @@ class Batch:
         weather: WeatherConf = _CLEAR,
         variety: Variety | None = None,
     ) -> None:
-        self.task, self.sensors, self.physics = task, sensors, physics
+        self.task, self.physics = task, physics
         self.weather, self.num_scenes = weather, num_scenes
         self.variety = Variety.none(world, weather) if variety is None else variety
         self.robot = make_robot(num_scenes)
@@ -97,16 +97,19 @@ class Batch:
             task.spawn,
             actors,
             num_scenes,
+            measures_work=metrics.energy,
         )
         self.actors = self._new_actors(seed)
         self.sites = self._places.sites
         self.senses = Senses(
             sensors, self.sites, self.robot, self.actors, physics, worlds_differ=self.variety.of_worlds
         )
+        self.sensors = self.senses.conf
         self.motion = Motion(num_scenes, self.robot)
         self._scenes = self._places.physics
         self.traction = Traction(self.robot, physics, num_scenes)
         self._metrics = EpisodeMetrics(metrics, num_scenes)
+        self._measures_energy = metrics.energy
         self._encounters = Encounters(
             num_scenes, self._places.most_bodies, round(_ENCOUNTER_GAP_S * physics.control_hz)
         )
@@ -116,7 +119,8 @@ class Batch:
         self._goal_distance = np.zeros(num_scenes)
         self._reward_sums = np.zeros((num_scenes, len(REWARD_TERMS)))
         self._goal_streams: list[np.random.Generator | None] = [None] * num_scenes
-        self._log = ActionLog(num_scenes, 2 + 2 * len(self.actors.external))
+        self._action_width = len(self.robot.action_bounds()[0])
+        self._log = ActionLog(num_scenes, self._action_width, 2 * len(self.actors.external))
         self.reseed(seed, first_episode)
 
     def _new_actors(self, seed: int) -> Actors:
@@ -158,7 +162,7 @@ class Batch:
         self._reward_sums[mask] = 0.0
         self._encounters.begin(mask)
         settle = round(_SETTLE_S * self.physics.physics_hz)
-        still = [0.0] * len(self.robot.body.drive_joints)
+        still = self.robot.body.rest_commands()
         for scene in np.flatnonzero(mask).tolist():
             episode = int(self.episodes[scene])
             physics = self._places.enter(scene, self.seed, episode, self.actors)
@@ -174,6 +178,8 @@ class Batch:
             self.variety.tell(self.traction, scene, self._places.values[scene])
             self.traction.begin(scene, self.sites.worlds[scene], physics, position, quaternion)
             physics.step(settle, still, self.actors.poses[scene])
+            if self._measures_energy:
+                physics.work_j()
             drive = physics.drive_state() if self._needs_wheels else None
             self.motion.set_row(scene, physics.body_state(), drive)
         self._scenes = self._places.physics
@@ -196,9 +202,9 @@ class Batch:
     def step(self, rover_actions: Floats, walker_actions: Floats | None = None) -> Outcome:
         """Advance all scenes by one control step.
 
-        `rover_actions` (M, 2) are speed [m/s] and heading relative to the
-        present one [rad]; `walker_actions` (M, E, 2) likewise for the actors
-        that are agents.
+        `rover_actions` (M, A) are the robot's: (M, 2), speed [m/s] and heading
+        relative to the present one [rad], for all that are driven so;
+        `walker_actions` (M, E, 2) are these for the actors that are agents.
         """
         if walker_actions is None:
             walker_actions = np.zeros((self.num_scenes, len(self.actors.external), 2), np.float32)
@@ -208,7 +214,7 @@ class Batch:
         walker_goals = self.actors.goals_w[:, self.actors.external].copy()
         walker_distance = self._walker_distance(walker_goals)
         wanted = np.asarray(rover_actions, np.float64)
-        commands = self.robot.wheel_commands(wanted, self.motion.angular_b[:, 2], step_s).tolist()
+        commands = self.robot.commands(wanted, self.motion, step_s).tolist()
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
         self._advance_physics(commands)
         self.steps += 1
@@ -256,6 +262,12 @@ class Batch:
         if rolling is None or grass is None:
             return grass if rolling is None else rolling
         return rolling + grass
+
+    def joint_angles(self, scene: int) -> dict[str, float]:
+        """Angles [rad] of a robot's joints by name: its motors' and those that turn freely."""
+        body = self.robot.body
+        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
+        return dict(zip(names, self._scenes[scene].joint_angles(names), strict=True))
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
@@ -318,7 +330,12 @@ class Batch:
                 "out_of_world": end.out_of_world,
                 "timeout": end.timeout,
             },
+            energy_wh=self._energy_wh() if self._measures_energy else None,
         )
+
+    def _energy_wh(self) -> Array:
+        work = np.array([scene.work_j() for scene in self._scenes])
+        return self.robot.battery.drawn_wh(work, self.physics.control_step_s)
 
     def _renew_goals(self, mask: Flags) -> None:
         for scene in np.flatnonzero(mask).tolist():
@@ -377,7 +394,7 @@ class Batch:
     def metric_names(self) -> tuple[str, ...]:
         """Names of the columns of `metrics`."""
         drawn = (f"randomisation/{name}" for name in self.variety.names)
-        return (*METRICS, *(f"reward/{name}" for name in REWARD_TERMS), *drawn)
+        return (*self._metrics.names, *(f"reward/{name}" for name in REWARD_TERMS), *drawn)
 
     def metrics(self) -> Floats:
         """Running values of the present episodes, (M, n), final where an episode has ended."""
@@ -406,7 +423,8 @@ class Batch:
             late = lengths == len(rows) - turn
             if late.any():
                 self._start(late)
-            self.step(row[:, :2], row[:, 2:].reshape(self.num_scenes, -1, 2))
+            rover, walkers = np.split(row, [self._action_width], axis=1)
+            self.step(rover, walkers.reshape(self.num_scenes, -1, 2))
         if (lengths == 0).any():
             self._start(lengths == 0)
 

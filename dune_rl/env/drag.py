@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from dune_rl.env.motion import Motion
 from dune_rl.geometry.per_scene import Rows
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.sites import Sites
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _ALL = slice(None)
 
 
-def drag_forces(sites: Sites, motion: Motion, robot: RoverZero) -> Array | None:
+def drag_forces(sites: Sites, motion: Motion, robot: Robot) -> Array | None:
     """Force [N] on each rover, (M, 3), world frame, of the grass where it stands; None where none grows."""
     groups = sites.worlds.groups
     if all(world.grass is None for world, _ in groups):
@@ -26,7 +26,7 @@ def drag_forces(sites: Sites, motion: Motion, robot: RoverZero) -> Array | None:
     return force
 
 
-def grass_force(grass: Grass, motion: Motion, robot: RoverZero, rows: Rows = _ALL) -> Array:
+def grass_force(grass: Grass, motion: Motion, robot: Robot, rows: Rows = _ALL) -> Array:
     """Force [N] on each rover of `rows`, world frame: against its velocity, and proportional to it.
 
     Besides, it is proportional to the density of the grass at the rover's

@@ -39,7 +39,8 @@ class Pictures:
 
     @cached_property
     def _robot(self) -> RobotVisual:
-        return RobotVisual(self._batch.robot.body.urdf)
+        body = self._batch.robot.body
+        return RobotVisual(body.look or body.urdf)
 
     @cached_property
     def _flag(self) -> Solid:
@@ -49,7 +50,8 @@ class Pictures:
         """The rover, the actors and a flag at the goal."""
         batch = self._batch
         motion = batch.motion
-        found = self._robot.bodies(motion.position_w[scene], motion.rotation[scene])
+        angles = batch.joint_angles(scene)
+        found = self._robot.bodies(motion.position_w[scene], motion.rotation[scene], angles)
         shapes = figures(batch.actor_confs)
         for figure, (x, y, z, yaw) in zip(shapes, batch.actors.poses[scene], strict=True):
             turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))

@@ -11,7 +11,7 @@ from dune_rl.env.variety import Values, Variety
 from dune_rl.errors import WorldError
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.sites import Sites
@@ -34,12 +34,14 @@ class Places:
         world: World,
         weather: WeatherConf,
         variety: Variety,
-        robot: RoverZero,
+        robot: Robot,
         make_scene: Callable[[SceneSpec], PhysicsScene],
         physics: PhysicsConf,
         spawn: SpawnConf,
         actors: tuple[ActorConf, ...],
         num_scenes: int,
+        *,
+        measures_work: bool = False,
     ) -> None:
         self.variety = variety
         self.sites = Sites([(world, weather)] * num_scenes)
@@ -48,6 +50,7 @@ class Places:
         self._world, self._weather, self._robot = world, weather, robot
         self._make_scene, self._conf, self._spawn = make_scene, physics, spawn
         self._capsules = capsules(actors)
+        self._measures_work = measures_work
         self._confs: list[Any] = [None] * num_scenes
         self._unfit: dict[Any, str] = {}
         self._spawners: dict[World, Spawner] = {}
@@ -121,7 +124,7 @@ class Places:
         return world
 
     def _build(self, scene: int, world: World) -> None:
-        spec = scene_spec(world, self._robot, self._capsules, self._conf)
+        spec = scene_spec(world, self._robot, self._capsules, self._conf, self._measures_work)
         if scene in self._physics:
             self._physics[scene].close()
         self._physics[scene] = self._make_scene(spec)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
 from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, SceneSpec, StaticBody
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.world import World
 
@@ -16,7 +16,11 @@ _DROP_M = 0.005
 
 
 def scene_spec(
-    world: World, robot: RoverZero, actors: tuple[KinematicCapsule, ...], physics: PhysicsConf
+    world: World,
+    robot: Robot,
+    actors: tuple[KinematicCapsule, ...],
+    physics: PhysicsConf,
+    measures_work: bool = False,
 ) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, actors and the robot."""
     vertices, faces = world.terrain.mesh()
@@ -40,15 +44,16 @@ def scene_spec(
         robot=robot.body,
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
+        measures_work=measures_work,
     )
 
 
-def standing_pose(world: World, robot: RoverZero, x: float, y: float, yaw: float) -> tuple[Array, Array]:
+def standing_pose(world: World, robot: Robot, x: float, y: float, yaw: float) -> tuple[Array, Array]:
     """Position (3,) and quaternion (4,) of a robot that stands at (x, y), just above contact."""
     normal = world.terrain.normal(np.array([x, y]))
     quaternion = quaternion_on_slope(normal, np.asarray(yaw))
-    wheels = robot.wheel_positions_b @ rotation_matrices(quaternion).T
+    wheels = robot.contact_centres_b @ rotation_matrices(quaternion).T
     ground, normals = world.terrain.height_and_normal(wheels[:, :2] + [x, y])
-    # The lowest point of a round wheel over sloping ground lies radius / cos(slope) below its centre.
-    lift = ground + robot.standing_height_m / normals[:, 2] - wheels[:, 2]
+    # The lowest point of a round wheel or foot over sloping ground lies radius / cos(slope) below its centre.
+    lift = ground + robot.contact_radius_m / normals[:, 2] - wheels[:, 2]
     return np.array([x, y, lift.max() + _DROP_M]), quaternion

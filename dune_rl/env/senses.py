@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import Actors
 from dune_rl.actors.shapes import figures
+from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.geometry.several import HeightFields, RayScenes
@@ -17,7 +18,7 @@ from dune_rl.rendering.foliage import Foliage, Foliages
 from dune_rl.rendering.moving import Figure
 from dune_rl.rendering.surface import Surfaces
 from dune_rl.rendering.weather import Haze, WeatherConf
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.odometry import DriveGeometry
@@ -47,12 +48,13 @@ class Senses:
         self,
         conf: SensorsConf,
         sites: Sites,
-        robot: RoverZero,
+        robot: Robot,
         actors: Actors,
         physics: PhysicsConf,
         *,
         worlds_differ: bool = False,
     ) -> None:
+        self.conf = conf = carried_by(robot, conf)
         num_scenes = len(sites)
         # The first world stands for all: they have the same extent.
         world, weather = sites.looks[0].world, sites.looks[0].weather
@@ -152,12 +154,28 @@ def _foliage(world: World) -> Foliage | None:
     return None if world.grass is None else world.grass.foliage
 
 
-def _drive_geometry(robot: RoverZero) -> DriveGeometry:
-    left = robot.wheel_positions_b[:, 1] > 0.0
-    drive = robot.conf.drive
-    return DriveGeometry(
-        drive.wheel_radius_m,
-        drive.effective_track_m,
-        tuple(np.flatnonzero(left).tolist()),
-        tuple(np.flatnonzero(~left).tolist()),
+def carried_by(robot: Robot, conf: SensorsConf) -> SensorsConf:
+    """The sensors at their places on `robot`; `ConfigError` where one would lie in the ground."""
+    mounts, height = robot.mounts, robot.standing_height_m
+    placed = conf.on(
+        scanner_b=mounts.scanner_b,
+        camera_b=mounts.camera_b,
+        camera_pitch_rad=mounts.camera_pitch_rad,
+        imu_b=mounts.imu_b,
+        standing_height_m=height,
     )
+    for name in placed.enabled:
+        mount = getattr(getattr(placed, name, None), "mount_b", None)
+        if mount is not None and name != "imu" and mount[2] <= -height:
+            raise ConfigError(
+                f"sensors.{name}.mount_b lies in the ground: its third value, up of the robot's origin, "
+                f"must be above {-height:g} (got {mount[2]:g})"
+            )
+    return placed
+
+
+def _drive_geometry(robot: Robot) -> DriveGeometry | None:
+    wheels = robot.wheels
+    if wheels is None:
+        return None
+    return DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.env.motion import Motion
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
 from dune_rl.worlds.world import World
@@ -25,15 +25,17 @@ _NOWHERE = 255
 class Traction:
     """The wheels' contacts in M scenes, which follow the surfaces under them where a world has a map.
 
+    Feet are wheels that do not roll, taken where they are when the robot stands.
+
     `friction_factor` and `stiffness_factor` (M,) multiply those of all the
     wheels' contacts in a scene; set them before the scene's `begin`. Worlds
     without a map have the friction's alone: there, contacts are rigid, and
     where the factor is 1 nothing is done.
     """
 
-    def __init__(self, robot: RoverZero, physics: PhysicsConf, num_scenes: int) -> None:
+    def __init__(self, robot: Robot, physics: PhysicsConf, num_scenes: int) -> None:
         self._robot = robot
-        self._wheels_b = robot.wheel_positions_b
+        self._wheels_b = robot.contact_centres_b
         wheels = len(self._wheels_b)
         self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
         self._slowest = _GRAVITY_MPS2 * physics.control_step_s
@@ -54,7 +56,9 @@ class Traction:
             factor = float(self.friction_factor[scene])
             if factor != 1.0:
                 wheels = len(self._wheels_b)
-                engine.set_wheel_contacts([self._robot.body.wheel_friction * factor] * wheels, [0.0] * wheels)
+                engine.set_wheel_contacts(
+                    [self._robot.body.ground_friction * factor] * wheels, [0.0] * wheels
+                )
             return
         rotation = rotation_matrices(quaternion)
         self.surfaces[scene], _ = world.underfoot(self._bottoms(position_w, rotation))
@@ -63,19 +67,18 @@ class Traction:
     @property
     def needs_wheels(self) -> bool:
         """Whether `update` is to know the wheels' speeds."""
-        return bool(self._mapped())
+        return self._robot.wheels is not None and bool(self._mapped())
 
     def update(self, engines: Sequence[PhysicsScene], motion: Motion) -> Array | None:
         """Let the contacts follow the rovers, and give the rolling resistance (M, 3) [N], world frame.
 
-        None where no scene's world has a map. The force is meant to act over
-        one control step.
+        None where no scene's world has a map, or nothing rolls. The force is
+        meant to act over one control step.
         """
         groups = self._mapped()
         if not groups:
             return None
-        speeds = motion.wheel_speeds
-        assert speeds is not None, "rolling resistance needs the wheels' speeds"
+        speeds = motion.wheel_speeds if self.needs_wheels else None
         force = np.zeros((len(engines), 3))
         for world, scenes, rolling in groups:
             rotation = motion.rotation[scenes]
@@ -85,13 +88,15 @@ class Traction:
             self.surfaces[scenes] = numbers
             for scene in scenes[changed].tolist():
                 self._set(scene, world, engines[scene])
+            if speeds is None:
+                continue
             coefficients = rolling[numbers] * (bottoms[..., 2] - height < _OFF_GROUND_M)
             yaw_rates = motion.angular_b[scenes, 2, None]
             ahead = motion.velocity_b[scenes, 0, None] - yaw_rates * self._wheels_b[:, 1]
-            held = self._held(coefficients, ahead, speeds[scenes] * self._robot.standing_height_m)
+            held = self._held(coefficients, ahead, speeds[scenes] * self._robot.contact_radius_m)
             load = self._share_n * np.maximum(rotation[:, 2, 2], 0.0)
             force[scenes] = (load * held)[:, None] * rotation[:, :, 0]
-        return force
+        return None if speeds is None else force
 
     def _held(self, coefficients: Array, ahead: Array, rims: Array) -> Array:
         """Resistance along each rover's nose over a wheel's load, (N,), of wheels with `coefficients` (N, W).
@@ -109,21 +114,21 @@ class Traction:
     def _bottoms(self, position_w: Array, rotation: Array) -> Array:
         """Lowest points (..., W, 3) [m] of the wheels."""
         centres = position_w[..., None, :] + self._wheels_b @ np.swapaxes(rotation, -1, -2)
-        centres[..., 2] -= self._robot.standing_height_m
+        centres[..., 2] -= self._robot.contact_radius_m
         return centres
 
     def _set(self, scene: int, world: World, engine: PhysicsScene) -> None:
         assert world.surfaces is not None
         contacts, _ = self._table(world.surfaces)
         rows = contacts[self.surfaces[scene]]
-        friction = rows[:, 0] * (self._robot.body.wheel_friction * self.friction_factor[scene])
+        friction = rows[:, 0] * (self._robot.body.ground_friction * self.friction_factor[scene])
         stiffness = rows[:, 2] * self.stiffness_factor[scene]
         engine.set_wheel_contacts(
             friction.tolist(), rows[:, 1].tolist(), stiffness.tolist(), rows[:, 3].tolist()
         )
 
     def _table(self, surfaces: SurfaceMap) -> tuple[Array, Array]:
-        wheel = WheelLoad(self._share_n, 2 * self._robot.standing_height_m, self._robot.wheel_width_m)
+        wheel = WheelLoad(self._share_n, 2 * self._robot.contact_radius_m, self._robot.contact_width_m)
         return _table(surfaces.surfaces, wheel, surfaces.sinkage)
 
     def _mapped(self) -> list[tuple[World, NDArray[np.intp], Array]]:

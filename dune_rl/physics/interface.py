@@ -1,6 +1,6 @@
 """What an engine must do: the narrow interface that everything above sees of physics."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, Self
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.physics.motors import Motor
 from dune_rl.settings import Settings
 
 BODY_STATE_SIZE = 13
@@ -68,23 +69,74 @@ class KinematicCapsule:
 
 
 @dataclass(frozen=True)
-class RobotBody:
-    """A URDF and what its joints are for.
+class PassiveJoint:
+    """A joint that turns as it is pushed, against dry friction and damping; its limits are the URDF's."""
 
-    `drive_joints` take velocity commands, limited to `max_torque_nm` each.
-    Links of drive joints roll on the ground and touch nothing else; all other
-    links touch everything. The base link's inertial origin is its own origin.
+    joint: str
+    friction_nm: float = 0.0
+    damping_nms_per_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A gear without play: joint `follower` turns `ratio` times what joint `leader` does."""
+
+    leader: str
+    follower: str
+    ratio: float
+
+
+@dataclass(frozen=True)
+class RobotBody:
+    """A URDF and what its joints and links are for.
+
+    `motors` take commands, in their order. The joints that are neither theirs
+    nor `passive` turn freely. `ground_links`, which are wheels or feet, stand
+    on the ground with `ground_friction`, along a wheel's axle with
+    `sideways_friction_share` of it, and touch nothing else, unless
+    `ground_links_meet_obstacles`; all other links touch everything, with
+    `hull_friction`. Joints that are not motors start at 0. `look` is a URDF
+    of the same links and joints that shows the robot, where `urdf` does not.
     """
 
     urdf: Path
-    drive_joints: tuple[str, ...]
-    max_torque_nm: float
-    wheel_friction: float
+    motors: tuple[Motor, ...]
+    ground_links: tuple[str, ...]
+    ground_friction: float
+    hull_friction: float = 0.3
+    sideways_friction_share: float = 1.0
+    ground_links_meet_obstacles: bool = False
+    look: Path | None = None
+    passive: tuple[PassiveJoint, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+
+    @property
+    def drive_joints(self) -> tuple[str, ...]:
+        """The motors' joints, in the order of commands and of what is told of them."""
+        return tuple(motor.joint for motor in self.motors)
+
+    def rest_commands(self) -> list[float]:
+        """Commands under which the robot stands as it is put down."""
+        return [motor.rest_command for motor in self.motors]
+
+    def missing_from(self, joints: Collection[str], links: Collection[str]) -> str | None:
+        """What is wrong with the names, given those that the URDF has; None where all are there."""
+        named = [*self.drive_joints, *(joint.joint for joint in self.passive)]
+        for coupling in self.couplings:
+            named += [coupling.leader, coupling.follower]
+        for kind, wanted, known in (("joint", named, joints), ("link", self.ground_links, links)):
+            absent = [name for name in dict.fromkeys(wanted) if name not in known]
+            if absent:
+                return f"{self.urdf.name} has no {kind} {', '.join(absent)}; it has {', '.join(known)}"
+        return None
 
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """All that a scene holds. Bodies are numbered: statics first, then kinematics."""
+    """All that a scene holds. Bodies are numbered: statics first, then kinematics.
+
+    `measures_work` has the motors' work summed up, which costs a look at their joints in every physics step.
+    """
 
     statics: tuple[StaticBody, ...]
     kinematics: tuple[KinematicCapsule, ...]
@@ -92,6 +144,7 @@ class SceneSpec:
     timestep_s: float
     solver_iterations: int
     gravity_mps2: float = 9.81
+    measures_work: bool = False
 
 
 class PhysicsScene(Protocol):
@@ -106,10 +159,8 @@ class PhysicsScene(Protocol):
         """
         ...
 
-    def step(
-        self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
-        """Advance `count` physics steps with the drive joints' target speeds [rad/s].
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+        """Advance `count` physics steps with a command for each motor, a speed [rad/s] or an angle [rad].
 
         Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
         end, and get there in `count` equal parts where the robot is near.
@@ -132,7 +183,7 @@ class PhysicsScene(Protocol):
     ) -> None:
         """Set how the W wheels, in the order of the drive joints, meet the ground from now until `place`.
 
-        `friction` takes the place of the robot's `wheel_friction`; it and
+        `friction` takes the place of the robot's `ground_friction`; it and
         `restitution` multiply with the ground's. Contacts yield as springs of
         `stiffness` [N/m] with `damping` [N s/m]; without these they yield as
         they did before, which after `place` is as little as the engine can.
@@ -146,17 +197,25 @@ class PhysicsScene(Protocol):
     def body_state(self) -> tuple[float, ...]:
         """Base position (3) [m], quaternion xyzw (4), linear (3) [m/s] and angular velocity (3) [rad/s].
 
-        All in the world frame.
+        All in the world frame, and of the base link's own frame, wherever its centre of mass is.
         """
         ...
 
     def drive_state(self) -> tuple[float, ...]:
-        """Angles [rad], speeds [rad/s] and torques [N m] of the W drive joints, one after another (3 * W).
+        """Angles [rad], speeds [rad/s] and torques [N m] of the W motors' joints, one after another (3 * W).
 
-        Angles are 0 where the robot is put down and count whole turns. A
-        torque is what the drive gave in the last physics step, positive where
-        it pushes toward a positive speed.
+        The angles of wheels are 0 where the robot is put down and count whole
+        turns. A torque is what turned the joint in the last physics step, gear
+        friction taken off, positive where it pushes toward a positive speed.
         """
+        ...
+
+    def work_j(self) -> float:
+        """Work [J] that the motors have done since this was asked last; see `motors.work_w`."""
+        ...
+
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        """Angles [rad] of any joints of the robot, by name."""
         ...
 
     def touched(self) -> Sequence[int]:

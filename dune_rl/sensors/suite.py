@@ -1,11 +1,12 @@
 """Which sensors a rover carries, and what they give."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import Field
 
+from dune_rl.errors import ConfigError
 from dune_rl.geometry.several import HeightFields, RayScenes
 from dune_rl.rendering.air import BeamAir
 from dune_rl.rendering.moving import Figure
@@ -38,6 +39,7 @@ from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.speed import Speed
 from dune_rl.settings import Settings
 
+Place = tuple[float, float, float]
 SensorName = Literal[
     "lidar",
     "lidar_past",
@@ -88,7 +90,8 @@ class SensorsConf(Settings):
     """The sensors whose readings make the observation, in this order, and their settings.
 
     `lidar_past` is the scan of `past_s` ago, carried into the present sensor
-    frame: where it differs from the present scan, something has moved.
+    frame: where it differs from the present scan, something has moved. Mounts
+    that are None are the robot's own.
     """
 
     enabled: tuple[SensorName, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
@@ -105,6 +108,30 @@ class SensorsConf(Settings):
     position: PositionConf = PositionConf()
     realism: SensorRealismConf = SensorRealismConf()
 
+    def on(
+        self,
+        *,
+        scanner_b: Place,
+        camera_b: Place,
+        camera_pitch_rad: float,
+        imu_b: Place,
+        standing_height_m: float,
+    ) -> "SensorsConf":
+        """The same on a robot that carries its scanners, camera and inertial unit there.
+
+        What has a place of its own keeps it.
+        """
+        places = {"lidar": scanner_b, "lidar_3d": scanner_b, "depth_strip": scanner_b}
+        changes: dict[str, Settings] = {}
+        for name, place in {**places, "camera": camera_b, "imu": imu_b}.items():
+            conf: Settings = getattr(self, name)
+            own = (
+                {"mount_b": place, "pitch_rad": camera_pitch_rad} if name == "camera" else {"mount_b": place}
+            )
+            changes[name] = _completed(conf, own)
+        changes["height_scan"] = _completed(self.height_scan, {"standing_height_m": standing_height_m})
+        return self.model_copy(update=changes)
+
     def readings(self) -> list[str]:
         """Names of the readings, in order: a camera and a 3D LiDAR have one for each output."""
         several = {"camera": self.camera.outputs, "lidar_3d": self.lidar_3d.outputs}
@@ -114,6 +141,13 @@ class SensorsConf(Settings):
         return names
 
 
+def _completed(conf: Settings, values: Mapping[str, object]) -> Settings:
+    """The settings with `values` for those that are None."""
+    return conf.model_copy(
+        update={name: value for name, value in values.items() if getattr(conf, name) is None}
+    )
+
+
 @dataclass(frozen=True)
 class Surroundings:
     """What sensors look at, of each of M scenes, and the body that they sit on.
@@ -121,7 +155,8 @@ class Surroundings:
     `solid` is all that is solid and still, and `surfaces` what it looks like,
     `figures` are the actors', `extent` (xmin, xmax, ymin, ymax) and `heights`
     (zmin, zmax) [m] where a rover can be in any of them, `wheels` its drive,
-    `air` what lies in between. `cameras` is called only where a camera is enabled.
+    None where it walks, `air` what lies in between. `cameras` is called only
+    where a camera is enabled.
     """
 
     solid: RayScenes
@@ -131,7 +166,7 @@ class Surroundings:
     extent: tuple[float, float, float, float]
     heights: tuple[float, float]
     num_wheels: int
-    wheels: DriveGeometry
+    wheels: DriveGeometry | None
     cameras: Callable[[CameraConf], Cameras]
     air: BeamAir
 
@@ -175,6 +210,14 @@ def make_sensors(
         lidar = Lidar3d(scan, solid, around.surfaces, figures, num_scenes, around.air, faults)
         return plain(lidar, real.lidar_3d)
 
+    def odometry() -> Sensor:
+        if around.wheels is None:
+            raise ConfigError(
+                "odometry is of wheels, and this robot has none; leave it out of sensors.enabled"
+            )
+        told = Odometry(conf.odometry, conf.encoders, around.wheels, num_scenes, wheels, step_s)
+        return plain(told, real.odometry)
+
     solid, figures, wheels = around.solid, around.figures, around.num_wheels
     makers: dict[str, Callable[[], Sensor]] = {
         "lidar": scanner,
@@ -188,9 +231,7 @@ def make_sensors(
         "camera": camera,
         "velocity": lambda: plain(Speed(num_scenes), real.velocity),
         "encoders": lambda: plain(Encoders(conf.encoders, num_scenes, wheels, step_s), real.encoders),
-        "odometry": lambda: plain(
-            Odometry(conf.odometry, conf.encoders, around.wheels, num_scenes, wheels, step_s), real.odometry
-        ),
+        "odometry": odometry,
         "currents": lambda: plain(Currents(conf.currents, num_scenes, wheels), real.currents),
         "position": lambda: plain(
             Position(conf.position, around.extent, around.heights, num_scenes, step_s), real.position

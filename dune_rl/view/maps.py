@@ -9,11 +9,10 @@ from rich.progress import Progress
 from torch import no_grad
 
 from dune_rl.actors.actor import Actors
-from dune_rl.config.build import build_world, make_torchrl_env
+from dune_rl.config.build import build_robot, build_world, make_torchrl_env
 from dune_rl.config.schema import ViewConf
 from dune_rl.files import replaced
 from dune_rl.learning.layout import Layout
-from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import Spawner
 from dune_rl.view.drivers import driver, ending
@@ -40,7 +39,7 @@ def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
 def site_of(conf: ViewConf, driven: list[Drive]) -> Site:
     """What the map shows: `driven` episodes, or where there are none, some that lie apart."""
     world = build_world(conf.world)
-    spawner = Spawner(world, conf.task.spawn, RoverZero(conf.robot, 1).footprint_radius_m)
+    spawner = Spawner(world, conf.task.spawn, build_robot(conf.robot, 1).footprint_radius_m)
     xmin, xmax, ymin, ymax = spawner.region
     apart_m = _APART * max(xmax - xmin, ymax - ymin)
     if driven:
