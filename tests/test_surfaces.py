@@ -51,7 +51,7 @@ def test_the_robot_is_as_heavy_as_its_description():
     widths = {
         float(shape.get("length", "")) for shape in root.iter("cylinder") if shape.get("radius") == "0.125"
     }
-    assert widths == {RoverZero.wheel_width_m}
+    assert widths == {RoverZero.contact_width_m}
 
 
 @pytest.mark.parametrize(

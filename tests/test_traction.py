@@ -86,7 +86,7 @@ def test_a_rover_coasts_as_far_as_rolling_resistance_lets_it(backend, name, sink
         speeds.append(rig.speed)
     coefficient = surface.rolling_resistance
     if sinkage and surface.soil is not None:
-        wheel = LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.wheel_width_m
+        wheel = LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m
         coefficient = 0.015 + surface.soil.compaction_n(*wheel) / LOAD_N
     expected = coefficient * GRAVITY_MPS2 * MASS_KG / ROLLING_MASS_KG
     # What lands from the ramp bounces at first.
@@ -129,7 +129,7 @@ def test_wheels_stand_as_deep_as_bekker_says(backend, name):
     rig.step(count=40)
     depth = LOAD_N / surface.stiffness_npm
     if surface.soil is not None:
-        depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.wheel_width_m)
+        depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m)
         assert depth > 1e-3
     assert -rig.height == pytest.approx(depth, rel=0.03, abs=5e-5)
     firm = Rig(backend, slope_world(surface))
