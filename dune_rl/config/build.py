@@ -1,5 +1,6 @@
 """Environments built from settings: the one place that names concrete classes."""
 
+from collections.abc import Callable
 from functools import lru_cache
 
 from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
@@ -7,7 +8,7 @@ from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
-from dune_rl.physics.bullet import BulletScene
+from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero import RoverZero
 from dune_rl.worlds.construction import ConstructionConf, build_construction
 from dune_rl.worlds.flat import FlatConf, build_flat
@@ -25,7 +26,7 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
     return Batch(
         world=build_world(conf.world),
         make_robot=lambda scenes: RoverZero(conf.robot, scenes),
-        make_scene=BulletScene,
+        make_scene=scene_class(conf.physics.backend),
         actors=conf.actors,
         sensors=conf.sensors,
         physics=conf.physics,
@@ -35,6 +36,20 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
         num_scenes=num_scenes,
         seed=seed,
     )
+
+
+def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
+    """What makes scenes of the engine of this name; raises `PhysicsError` if it is not installed."""
+    # An engine is loaded when it is asked for: one may be missing.
+    match backend:
+        case "bullet":
+            from dune_rl.physics.bullet import BulletScene
+
+            return BulletScene
+        case "dart":
+            from dune_rl.physics.dart import DartScene
+
+            return DartScene
 
 
 @lru_cache(maxsize=4)

@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.interface import KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.interface import (
+    CAPSULE_FRICTION,
+    HULL_FRICTION,
+    KinematicCapsule,
+    SceneSpec,
+    StaticBody,
+)
 from dune_rl.physics.quiet import silent_stderr
 
 with silent_stderr():
@@ -89,7 +95,7 @@ class BulletScene:
         )
         handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
         pybullet.setCollisionFilterGroupMask(handle, -1, _OBSTACLE, _HULL, physicsClientId=self._client)
-        pybullet.changeDynamics(handle, -1, lateralFriction=0.5, physicsClientId=self._client)
+        pybullet.changeDynamics(handle, -1, lateralFriction=CAPSULE_FRICTION, physicsClientId=self._client)
         return handle
 
     def place(
@@ -139,7 +145,7 @@ class BulletScene:
             pybullet.changeDynamics(
                 robot,
                 link,
-                lateralFriction=spec.wheel_friction if wheel else 0.3,
+                lateralFriction=spec.wheel_friction if wheel else HULL_FRICTION,
                 restitution=0.0,
                 jointDamping=0.0,
                 physicsClientId=client,

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,23 @@ from pydantic import Field, model_validator
 
 from dune_rl.settings import Settings
 
+Engine = Literal["bullet", "dart"]
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+
 BODY_STATE_SIZE = 13
+
+# Friction of the robot's links that are no wheels, and of kinematic bodies.
+HULL_FRICTION = 0.3
+CAPSULE_FRICTION = 0.5
 
 
 class PhysicsConf(Settings):
-    """Engine and rates. `control_hz` must divide `physics_hz`."""
+    """Engine and rates. `control_hz` must divide `physics_hz`.
 
-    backend: Literal["bullet"] = "bullet"
+    `solver_iterations` are those of Bullet's contact solver; DART's is direct.
+    """
+
+    backend: Engine = "bullet"
     physics_hz: int = Field(200, ge=20, le=10_000)
     control_hz: int = Field(20, ge=1, le=1_000)
     solver_iterations: int = Field(10, ge=1, le=1_000)
@@ -93,7 +103,13 @@ class SceneSpec:
 
 
 class PhysicsScene(Protocol):
-    """One simulated scene with one robot. Not thread-safe; scenes are independent of each other."""
+    """One simulated scene with one robot. Not thread-safe; scenes are independent of each other.
+
+    Between two bodies the friction coefficient is the product of theirs:
+    wheels have `RobotBody.wheel_friction`, other links `HULL_FRICTION`,
+    statics their own, kinematic bodies `CAPSULE_FRICTION`. Nothing bounces,
+    and nothing but contacts and drives slows a body down.
+    """
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
