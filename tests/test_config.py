@@ -60,6 +60,7 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("learning", "sac"): LearningConf(),
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
+    ("physics", "dart"): PhysicsConf(backend="dart"),
     ("robot", "rover_zero"): RoverZeroConf(),
     ("sensors", "default"): SensorsConf(),
     ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),

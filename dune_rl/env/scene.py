@@ -30,6 +30,7 @@ def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsC
         robot=robot.body,
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
+        friction=physics.friction,
     )
 
 

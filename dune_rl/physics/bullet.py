@@ -37,6 +37,11 @@ class BulletScene:
             raise PhysicsError(
                 "this PyBullet was built without NumPy; install the wheel: pip install pybullet"
             )
+        if spec.friction != "pyramid":
+            raise PhysicsError(
+                "PyBullet's friction cone turns robots at rates that depend on their heading; "
+                "take physics.friction=pyramid, or physics=dart"
+            )
         self._spec = spec
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from dune_rl.settings import Settings
 
 Engine = Literal["bullet", "dart"]
+FrictionModel = Literal["pyramid", "cone"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 BODY_STATE_SIZE = 13
@@ -24,13 +25,18 @@ CAPSULE_FRICTION = 0.5
 class PhysicsConf(Settings):
     """Engine and rates. `control_hz` must divide `physics_hz`.
 
-    `solver_iterations` are those of Bullet's contact solver; DART's is direct.
+    `friction` is a pyramid in both engines, so that what slides askew to the
+    world's axes is held by up to sqrt(2) times as much; DART can have the
+    true cone, which makes its physics several times slower.
+    `solver_iterations` are those of iterative contact solvers: Bullet's, and
+    DART's for the cone; DART's for the pyramid is direct.
     """
 
     backend: Engine = "bullet"
     physics_hz: int = Field(200, ge=20, le=10_000)
     control_hz: int = Field(20, ge=1, le=1_000)
     solver_iterations: int = Field(10, ge=1, le=1_000)
+    friction: FrictionModel = "pyramid"
 
     @model_validator(mode="after")
     def _whole_substeps(self) -> Self:
@@ -100,6 +106,7 @@ class SceneSpec:
     timestep_s: float
     solver_iterations: int
     gravity_mps2: float = 9.81
+    friction: FrictionModel = "pyramid"
 
 
 class PhysicsScene(Protocol):
