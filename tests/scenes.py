@@ -265,4 +265,5 @@ def print_rollout(backend_module: str, backend_name: str) -> None:
 
 
 def with_joints(body: RobotBody, *joints: str) -> RobotBody:
-    return replace(body, drive_joints=joints)
+    motor = body.motors[0]
+    return replace(body, motors=tuple(replace(motor, joint=joint) for joint in joints))

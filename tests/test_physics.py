@@ -143,7 +143,7 @@ def test_wheels_are_commanded_in_the_order_of_their_names(backend):
     stage.place([0.0, 0.0, 5.0])
     stage.step(40, [1.0, 2.0, 3.0, 4.0])
     np.testing.assert_allclose(stage.wheel_speeds, [1.0, 2.0, 3.0, 4.0], atol=0.01)
-    turned = replace(stage.robot, drive_joints=stage.robot.drive_joints[::-1])
+    turned = with_joints(stage.robot, *stage.robot.drive_joints[::-1])
     stage = Stage(backend, robot=turned)
     stage.place()
     stage.step(100, [4.0, -4.0, 4.0, -4.0])

@@ -9,18 +9,19 @@ _FIRST_LENGTH = 64
 
 
 class ActionLog:
-    """The actions of M scenes since their episodes began; `width` numbers in each step."""
+    """The actions of M scenes since their episodes began; `rover` and `walkers` numbers in each step."""
 
-    def __init__(self, num_scenes: int, width: int) -> None:
-        self._rows = np.zeros((num_scenes, _FIRST_LENGTH, width), np.float32)
+    def __init__(self, num_scenes: int, rover: int, walkers: int) -> None:
+        self._rows = np.zeros((num_scenes, _FIRST_LENGTH, rover + walkers), np.float32)
+        self._rover = rover
         self._scenes = np.arange(num_scenes)
 
     def add(self, steps: NDArray[np.int64], rover: Floats, walkers: Floats) -> None:
-        """Note what is done at each scene's step `steps` (M,): `rover` (M, 2) and `walkers` (M, E, 2)."""
+        """Note what is done at each scene's step `steps` (M,): `rover` (M, A) and `walkers` (M, E, 2)."""
         if int(steps.max()) >= self._rows.shape[1]:
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
-        self._rows[self._scenes, steps, :2] = rover
-        self._rows[self._scenes, steps, 2:] = walkers.reshape(len(walkers), -1)
+        self._rows[self._scenes, steps, : self._rover] = rover
+        self._rows[self._scenes, steps, self._rover :] = walkers.reshape(len(walkers), -1)
 
     def plain(self, steps: NDArray[np.int64]) -> list[list[list[float]]]:
         """Each scene's actions so far, its first `steps` (M,), as plain numbers, exact in float32."""

@@ -17,7 +17,7 @@ from dune_rl.env.senses import Senses
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
 from dune_rl.sensors.sensor import Moment, Reading
 from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
@@ -64,7 +64,7 @@ class Batch:
         self,
         *,
         world: World,
-        make_robot: Callable[[int], RoverZero],
+        make_robot: Callable[[int], Robot],
         make_scene: Callable[[SceneSpec], PhysicsScene],
         actors: tuple[ActorConf, ...],
         sensors: SensorsConf,
@@ -95,7 +95,8 @@ class Batch:
         self._goal_distance = np.zeros(num_scenes)
         self._reward_sums = np.zeros((num_scenes, len(REWARD_TERMS)))
         self._goal_streams: list[np.random.Generator | None] = [None] * num_scenes
-        self._log = ActionLog(num_scenes, 2 + 2 * len(self.actors.external))
+        self._action_width = len(self.robot.action_bounds()[0])
+        self._log = ActionLog(num_scenes, self._action_width, 2 * len(self.actors.external))
         self.reseed(seed, first_episode)
 
     def _new_actors(self, seed: int) -> Actors:
@@ -126,7 +127,7 @@ class Batch:
         self._reward_sums[mask] = 0.0
         self._encounters.begin(mask)
         settle = round(_SETTLE_S * self.physics.physics_hz)
-        still = [0.0] * len(self.robot.body.drive_joints)
+        still = self.robot.body.rest_commands()
         for scene in np.flatnonzero(mask).tolist():
             episode = int(self.episodes[scene])
             draws = stream(self.seed, "spawn", episode)
@@ -159,9 +160,9 @@ class Batch:
     def step(self, rover_actions: Floats, walker_actions: Floats | None = None) -> Outcome:
         """Advance all scenes by one control step.
 
-        `rover_actions` (M, 2) are speed [m/s] and heading relative to the
-        present one [rad]; `walker_actions` (M, E, 2) likewise for the actors
-        that are agents.
+        `rover_actions` (M, A) are the robot's: (M, 2), speed [m/s] and heading
+        relative to the present one [rad], for all that are driven so;
+        `walker_actions` (M, E, 2) are these for the actors that are agents.
         """
         if walker_actions is None:
             walker_actions = np.zeros((self.num_scenes, len(self.actors.external), 2), np.float32)
@@ -171,7 +172,7 @@ class Batch:
         walker_goals = self.actors.goals_w[:, self.actors.external].copy()
         walker_distance = self._walker_distance(walker_goals)
         wanted = np.asarray(rover_actions, np.float64)
-        commands = self.robot.wheel_commands(wanted, self.motion.angular_b[:, 2], step_s).tolist()
+        commands = self.robot.commands(wanted, self.motion, step_s).tolist()
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
         self._advance_physics(commands)
         self.steps += 1
@@ -353,7 +354,8 @@ class Batch:
             late = lengths == len(rows) - turn
             if late.any():
                 self._start(late)
-            self.step(row[:, :2], row[:, 2:].reshape(self.num_scenes, -1, 2))
+            rover, walkers = np.split(row, [self._action_width], axis=1)
+            self.step(rover, walkers.reshape(self.num_scenes, -1, 2))
         if (lengths == 0).any():
             self._start(lengths == 0)
 

@@ -17,8 +17,9 @@ def rover_observation_bounds(batch: Batch) -> dict[str, Bounds]:
 
 
 def rover_action_bounds(batch: Batch) -> Bounds:
-    """(low, high), each (2,): speed [m/s] and heading relative to the present one [rad]."""
-    return _symmetric([batch.robot.max_speed_mps, np.pi])
+    """(low, high), each (A,): for most, speed [m/s] and heading relative to the present one [rad]."""
+    low, high = batch.robot.action_bounds()
+    return low.astype(np.float32), high.astype(np.float32)
 
 
 def walker_observation_bounds(batch: Batch) -> dict[str, Bounds]:

@@ -4,13 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.env.motion import Motion
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.worlds.grass import Grass
 
 Array = NDArray[np.float64]
 
 
-def grass_force(grass: Grass, motion: Motion, robot: RoverZero) -> Array:
+def grass_force(grass: Grass, motion: Motion, robot: Robot) -> Array:
     """Force [N] on each rover, (M, 3), world frame: against its velocity, and proportional to it.
 
     Besides, it is proportional to the density of the grass at the rover's

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, within, wrap_angle
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Moment, Wheels
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ class Motion:
     where they are given.
     """
 
-    def __init__(self, num_scenes: int, robot: RoverZero) -> None:
+    def __init__(self, num_scenes: int, robot: Robot) -> None:
         self._states = np.zeros((num_scenes, 13))
         self._states[:, 6] = 1.0
         self._drives: Array | None = None

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from dune_rl.actors.actor import Actors
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec, StaticBody
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _DROP_M = 0.005
 
 
-def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsConf) -> SceneSpec:
+def scene_spec(world: World, robot: Robot, actors: Actors, physics: PhysicsConf) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, actors and the robot."""
     vertices, faces = world.terrain.mesh()
     statics = [StaticBody("terrain", vertices, faces, world.friction, ground=True)]
@@ -34,12 +34,12 @@ def scene_spec(world: World, robot: RoverZero, actors: Actors, physics: PhysicsC
     )
 
 
-def standing_pose(world: World, robot: RoverZero, x: float, y: float, yaw: float) -> tuple[Array, Array]:
+def standing_pose(world: World, robot: Robot, x: float, y: float, yaw: float) -> tuple[Array, Array]:
     """Position (3,) and quaternion (4,) of a robot that stands at (x, y), just above contact."""
     normal = world.terrain.normal(np.array([x, y]))
     quaternion = quaternion_on_slope(normal, np.asarray(yaw))
-    wheels = robot.wheel_positions_b @ rotation_matrices(quaternion).T
+    wheels = robot.contact_centres_b @ rotation_matrices(quaternion).T
     ground, normals = world.terrain.height_and_normal(wheels[:, :2] + [x, y])
-    # The lowest point of a round wheel over sloping ground lies radius / cos(slope) below its centre.
-    lift = ground + robot.standing_height_m / normals[:, 2] - wheels[:, 2]
+    # The lowest point of a round wheel or foot over sloping ground lies radius / cos(slope) below its centre.
+    lift = ground + robot.contact_radius_m / normals[:, 2] - wheels[:, 2]
     return np.array([x, y, lift.max() + _DROP_M]), quaternion

@@ -11,7 +11,7 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.air import Air
 from dune_rl.rendering.weather import Haze, WeatherConf
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.robot import Robot
 from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
@@ -37,7 +37,7 @@ class Senses:
         self,
         conf: SensorsConf,
         world: World,
-        robot: RoverZero,
+        robot: Robot,
         actors: Actors,
         physics: PhysicsConf,
         num_scenes: int,
@@ -105,12 +105,8 @@ def air_of(world: World, weather: WeatherConf) -> Air:
     return Air(Haze.of(weather), None if world.grass is None else world.grass.foliage)
 
 
-def _drive_geometry(robot: RoverZero) -> DriveGeometry:
-    left = robot.wheel_positions_b[:, 1] > 0.0
-    drive = robot.conf.drive
-    return DriveGeometry(
-        drive.wheel_radius_m,
-        drive.effective_track_m,
-        tuple(np.flatnonzero(left).tolist()),
-        tuple(np.flatnonzero(~left).tolist()),
-    )
+def _drive_geometry(robot: Robot) -> DriveGeometry | None:
+    wheels = robot.wheels
+    if wheels is None:
+        return None
+    return DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)

@@ -7,13 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.interface import (
-    CAPSULE_FRICTION,
-    HULL_FRICTION,
-    KinematicCapsule,
-    SceneSpec,
-    StaticBody,
-)
+from dune_rl.physics.base_frame import InertialFrame
+from dune_rl.physics.interface import CAPSULE_FRICTION, Coupling, KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.motors import servo
 from dune_rl.physics.quiet import silent_stderr
 
 with silent_stderr():
@@ -27,6 +23,8 @@ _GROUND, _WHEEL, _HULL, _OBSTACLE = 1, 2, 4, 8
 # step: it cannot touch the robot before the next one.
 _NEAR_M = 2.0
 _TOUCH_M = 1e-3
+# A coupling gives what it takes; what it is off by is made up in a few steps.
+_GEAR_FORCE, _GEAR_ERP = 1e4, 0.5
 
 
 class BulletScene:
@@ -69,8 +67,14 @@ class BulletScene:
         self._poses = np.zeros((len(self._kinematics), 4))
         self._robot: int | None = None
         self._push: Sequence[float] | None = None
+        self._joints: dict[str, int] = {}
         self._drive_joints: list[int] = []
-        self._torques = [spec.robot.max_torque_nm] * len(spec.robot.drive_joints)
+        self._motors = spec.robot.motors
+        # Most wheels take a command as it is, once a control step; others need a look in every physics step.
+        self._plain = all(motor.is_plain for motor in self._motors)
+        self._torques = [motor.max_torque_nm for motor in self._motors]
+        self._commands: Sequence[float] = spec.robot.rest_commands()
+        self._frame: InertialFrame | None = None
 
     def _add_static(self, body: StaticBody) -> int:
         shape = pybullet.createCollisionShape(
@@ -111,6 +115,7 @@ class BulletScene:
         if self._robot is not None:
             pybullet.removeBody(self._robot, physicsClientId=self._client)
         self._robot = self._load_robot(position_w, quaternion)
+        self._commands = self._spec.robot.rest_commands()
         for index in range(len(self._kinematics)):
             self._move(index, kinematic_poses[index].tolist())
         self._poses[:] = kinematic_poses
@@ -128,33 +133,9 @@ class BulletScene:
             )
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot load {spec.urdf}: {error}") from error
-        joints = {
-            pybullet.getJointInfo(robot, index, physicsClientId=client)[1].decode(): index
-            for index in range(pybullet.getNumJoints(robot, physicsClientId=client))
-        }
-        missing = [name for name in spec.drive_joints if name not in joints]
-        if missing:
-            raise PhysicsError(
-                f"{spec.urdf.name} has no joint {', '.join(missing)}; it has {', '.join(joints)}"
-            )
-        self._drive_joints = [joints[name] for name in spec.drive_joints]
-        for link in range(-1, len(joints)):
-            wheel = link in self._drive_joints
-            pybullet.setCollisionFilterGroupMask(
-                robot,
-                link,
-                _WHEEL if wheel else _HULL,
-                _GROUND if wheel else _GROUND | _OBSTACLE,
-                physicsClientId=client,
-            )
-            pybullet.changeDynamics(
-                robot,
-                link,
-                lateralFriction=spec.wheel_friction if wheel else HULL_FRICTION,
-                restitution=0.0,
-                jointDamping=0.0,
-                physicsClientId=client,
-            )
+        self._name_joints(robot)
+        for link in range(-1, len(self._links) - 1):
+            self._set_up_link(robot, link)
         # Apart from the above: beside one of these, PyBullet gives a link's friction to the base instead.
         pybullet.changeDynamics(
             robot,
@@ -164,7 +145,91 @@ class BulletScene:
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,
         )
+        self._set_up_joints(robot)
+        told = pybullet.getDynamicsInfo(robot, -1, physicsClientId=client)
+        frame = InertialFrame(told[3], told[4])
+        self._frame = None if frame.is_the_links else frame
         return robot
+
+    def _name_joints(self, robot: int) -> None:
+        client, spec = self._client, self._spec.robot
+        infos = [
+            pybullet.getJointInfo(robot, index, physicsClientId=client)
+            for index in range(pybullet.getNumJoints(robot, physicsClientId=client))
+        ]
+        base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
+        self._joints = {info[1].decode(): info[0] for info in infos}
+        self._links = {base: -1} | {info[12].decode(): info[0] for info in infos}
+        self._movable = [info[0] for info in infos if info[2] != pybullet.JOINT_FIXED]
+        fault = spec.missing_from(self._joints, self._links)
+        if fault:
+            raise PhysicsError(fault)
+        self._drive_joints = [self._joints[name] for name in spec.drive_joints]
+        self._ground_links = {self._links[name] for name in spec.ground_links}
+
+    def _set_up_link(self, robot: int, link: int) -> None:
+        spec = self._spec.robot
+        if link in self._ground_links:
+            meets = spec.ground_links_meet_obstacles
+            group, mask = (_HULL, _GROUND | _OBSTACLE) if meets else (_WHEEL, _GROUND)
+            friction = spec.ground_friction
+        else:
+            group, mask, friction = _HULL, _GROUND | _OBSTACLE, spec.hull_friction
+        pybullet.setCollisionFilterGroupMask(robot, link, group, mask, physicsClientId=self._client)
+        pybullet.changeDynamics(
+            robot,
+            link,
+            lateralFriction=friction,
+            restitution=0.0,
+            jointDamping=0.0,
+            physicsClientId=self._client,
+        )
+
+    def _set_up_joints(self, robot: int) -> None:
+        """Free the joints that PyBullet holds by motors of its own, and couple those that are."""
+        client, spec = self._client, self._spec.robot
+        friction = {self._joints[joint.joint]: joint.friction_nm for joint in spec.passive}
+        for joint in self._movable:
+            if joint not in self._drive_joints:
+                pybullet.setJointMotorControl2(
+                    robot,
+                    joint,
+                    pybullet.VELOCITY_CONTROL,
+                    targetVelocity=0.0,
+                    force=friction.get(joint, 0.0),
+                    physicsClientId=client,
+                )
+        for passive in spec.passive:
+            pybullet.changeDynamics(
+                robot,
+                self._joints[passive.joint],
+                jointDamping=passive.damping_nms_per_rad,
+                physicsClientId=client,
+            )
+        for motor in spec.motors:
+            if motor.rest_rad:
+                pybullet.resetJointState(
+                    robot, self._joints[motor.joint], motor.rest_rad, physicsClientId=client
+                )
+        for coupling in spec.couplings:
+            self._couple(robot, coupling)
+
+    def _couple(self, robot: int, coupling: Coupling) -> None:
+        gear = pybullet.createConstraint(
+            robot,
+            self._joints[coupling.leader],
+            robot,
+            self._joints[coupling.follower],
+            pybullet.JOINT_GEAR,
+            (0.0, 1.0, 0.0),
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0),
+            physicsClientId=self._client,
+        )
+        # Bullet's ratio is that of what cancels, hence the sign.
+        pybullet.changeConstraint(
+            gear, gearRatio=-coupling.ratio, maxForce=_GEAR_FORCE, erp=_GEAR_ERP, physicsClientId=self._client
+        )
 
     def _move(self, index: int, pose: list[float]) -> None:
         x, y, z, yaw = pose
@@ -175,19 +240,12 @@ class BulletScene:
             physicsClientId=self._client,
         )
 
-    def step(
-        self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
-        client, advance = self._client, pybullet.stepSimulation
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+        client = self._client
         push, self._push = self._push, None
-        pybullet.setJointMotorControlArray(
-            self._robot,
-            self._drive_joints,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=drive_velocities,
-            forces=self._torques,
-            physicsClientId=client,
-        )
+        self._commands = commands
+        if self._plain:
+            self._hold(commands, self._torques)
         near: list[tuple[int, list[float], list[float]]] = []
         if self._kinematics:
             (x, y, _), _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=client)
@@ -209,7 +267,7 @@ class BulletScene:
                 self._move(index, [*pose, new[3]])
             if push is not None:
                 self._apply(push)
-            advance(physicsClientId=client)
+            self.coast(1)
 
     def push(self, force_w: Sequence[float]) -> None:
         self._push = force_w if any(force_w) else None
@@ -224,13 +282,33 @@ class BulletScene:
     def coast(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation
         for _ in range(count):
+            if not self._plain:
+                self._drive()
             advance(physicsClientId=client)
+
+    def _hold(self, speeds: Sequence[float], torques: Sequence[float]) -> None:
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._drive_joints,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=speeds,
+            forces=torques,
+            physicsClientId=self._client,
+        )
+
+    def _drive(self) -> None:
+        """Have the motors do what they can toward their commands in the next physics step."""
+        states = pybullet.getJointStates(self._robot, self._drive_joints, physicsClientId=self._client)
+        angles, speeds, _, _ = zip(*states, strict=True)
+        self._hold(*servo(self._motors, self._commands, angles, speeds))
 
     def body_state(self) -> tuple[float, ...]:
         position, quaternion = pybullet.getBasePositionAndOrientation(
             self._robot, physicsClientId=self._client
         )
         linear, angular = pybullet.getBaseVelocity(self._robot, physicsClientId=self._client)
+        if self._frame is not None:
+            position, quaternion, linear = self._frame.of_the_link(position, quaternion, linear, angular)
         return (*position, *quaternion, *linear, *angular)
 
     def drive_state(self) -> tuple[float, ...]:
@@ -238,8 +316,13 @@ class BulletScene:
         angles, speeds, _, torques = zip(*states, strict=True)
         return (*angles, *speeds, *torques)
 
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        indices = [self._joints[name] for name in joints]
+        states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
+        return tuple(state[0] for state in states)
+
     def touched(self) -> list[int]:
-        # Wheels meet nothing but ground, so the hull's contacts are all that can be collisions.
+        # The ground has no number, so that what is left is collisions.
         contacts = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
         numbers = self._numbers
         return [

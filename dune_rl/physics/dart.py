@@ -6,19 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
+from defusedxml.ElementTree import parse
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.interface import (
-    CAPSULE_FRICTION,
-    HULL_FRICTION,
-    KinematicCapsule,
-    RobotBody,
-    SceneSpec,
-    StaticBody,
-)
+from dune_rl.physics.interface import CAPSULE_FRICTION, Coupling, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.motors import servo
 
 try:
     import dartpy
@@ -31,6 +27,12 @@ except ImportError as error:
 # DART takes the lesser coefficient of two bodies that touch. The robot's is always the greater, so
 # that the other body's, which is the product of both, counts.
 _NEVER_THE_LESSER = 1e3
+
+# Softness of servos, of every scene in the process. Rigid ones on one body push against each other by
+# any torque at all; these give way by less than 1 % of a rover's speed and share a load alike.
+dartpy.constraint.JointConstraint.setConstraintForceMixing(0.1)
+
+_GEAR_TORQUE_NM = 1e4
 
 # A kinematic body farther than this from the robot is moved once per control
 # step: it cannot touch the robot before the next one.
@@ -50,28 +52,31 @@ class DartScene:
         self._spec = spec
         self._meshes = _shared_meshes(spec.statics)
         self._robot_as_read = _read_robot(spec.robot)
-        self._ground = _Ground(spec, self._meshes, self._robot_as_read)
+        self._surroundings = _Surroundings(spec, self._meshes, self._robot_as_read)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
-        self._first_kinematic = len(spec.statics)
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
-        self._world: Any = None
+        self._motors = spec.robot.motors
+        # Most wheels take a command as it is, once a control step; others need a look in every physics step.
+        self._plain = all(motor.is_plain for motor in self._motors)
+        self._commands: Sequence[float] = spec.robot.rest_commands()
         self._push: Sequence[float] | None = None
+        self._world: Any = None
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
         # All that remembers is made anew: the robot, the kinematic bodies, and the world with the
         # collision detector's pairs and contacts. Meshes, which are slow to build, remember nothing.
-        spec, self._push = self._spec, None
+        spec = self._spec
         self._robot = robot = self._robot_as_read.clone()
-        self._base_joint = robot.getJoint(0)
+        self._base, self._base_joint = robot.getBodyNode(0), robot.getJoint(0)
         x, y, z, w = quaternion
         self._base_joint.setTransform(
             dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position_w))
         )
-        self._base = robot.getBodyNode(0)
-        self._drives = [robot.getJoint(name).getIndexInSkeleton(0) for name in spec.robot.drive_joints]
-        self._capsules = _capsules(spec.kinematics)
+        self._drives = self._indices(spec.robot.drive_joints)
+        self._commands, self._push = spec.robot.rest_commands(), None
+        self._capsules = _Capsules(spec)
         self._rest(self._centres(kinematic_poses))
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
@@ -84,22 +89,23 @@ class DartScene:
         if self._cone is not None:
             solver.setBoxedLcpSolver(self._cone)
         self._part(solver.getCollisionOption().collisionFilter)
-        for skeleton in (self._ground.skeleton, self._capsules, robot):
+        for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, robot):
             world.addSkeleton(skeleton)
+
+    def _indices(self, joints: Sequence[str]) -> list[int]:
+        return [self._robot.getJoint(name).getIndexInSkeleton(0) for name in joints]
 
     def _part(self, collision_filter: Any) -> None:
         """Say who does not meet whom."""
-        ground, capsules = self._ground, self._capsules.getBodyNodes()
-        drives = set(self._spec.robot.drive_joints)
+        for_feet = [self._surroundings.for_feet, *self._capsules.for_feet]
+        for_hull = [self._surroundings.for_hull, self._surroundings.obstacles, *self._capsules.for_hull]
+        for_feet += self._surroundings.obstacles_for_feet
         for body in self._robot.getBodyNodes():
-            if body.getParentJoint().getName() in drives:
-                strangers = [ground.under_hull, ground.obstacles, *capsules]
-            else:
-                strangers = [ground.under_wheels]
-            for stranger in strangers:
+            stands = body.getName() in self._spec.robot.ground_links
+            for stranger in for_hull if stands else for_feet:
                 collision_filter.addBodyNodePairToBlackList(body, stranger)
-        for capsule in capsules:
-            for stranger in (ground.under_wheels, ground.under_hull, ground.obstacles):
+        for capsule in (*self._capsules.for_hull, *self._capsules.for_feet):
+            for stranger in self._surroundings.skeleton.getBodyNodes():
                 collision_filter.addBodyNodePairToBlackList(capsule, stranger)
 
     def _centres(self, kinematic_poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -108,17 +114,17 @@ class DartScene:
         return centres
 
     def _rest(self, centres: NDArray[np.float64]) -> None:
+        capsules, still = self._capsules.skeleton, np.zeros(centres.size)
         self._capsule_centres = centres
-        self._capsules.setPositions(centres.ravel())
-        still = np.zeros(centres.size)
-        self._capsules.setVelocities(still)
-        self._capsules.setCommands(still)
+        capsules.setPositions(centres.ravel())
+        capsules.setVelocities(still)
+        capsules.setCommands(still)
 
-    def step(
-        self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         push, self._push = self._push, None
-        self._robot.setCommands(self._drives, drive_velocities)
+        self._commands = commands
+        if self._plain:
+            self._robot.setCommands(self._drives, commands)
         if not len(kinematic_poses):
             self._advance(count, push)
             return
@@ -126,9 +132,10 @@ class DartScene:
         x, y = self._base_joint.getPositions()[3:5]
         near = np.abs(centres[:, :2] - (x, y)).max(axis=1) < _NEAR_M
         start = np.where(near[:, None], self._capsule_centres, centres)
-        self._capsules.setPositions(start.ravel())
+        self._capsules.skeleton.setPositions(start.ravel())
         # They move at these speeds by themselves, and what they meet feels it.
-        self._capsules.setCommands((centres - start).ravel() / (count * self._spec.timestep_s))
+        speeds = (centres - start).ravel() / (count * self._spec.timestep_s)
+        self._capsules.skeleton.setCommands(speeds)
         self._advance(count, push)
         self._rest(centres)
 
@@ -136,11 +143,11 @@ class DartScene:
         if push is None:
             self.coast(count)
             return
-        base, advance, centre = self._base, self._world.step, self._base.getLocalCOM()
+        base, centre = self._base, self._base.getLocalCOM()
         for _ in range(count):
             # The engine keeps a force in the body's frame, which may turn.
             base.setExtForce(push, centre, False, True)
-            advance(False)
+            self.coast(1)
         base.clearExternalForces()
 
     def push(self, force_w: Sequence[float]) -> None:
@@ -149,8 +156,19 @@ class DartScene:
     def coast(self, count: int) -> None:
         advance = self._world.step
         for _ in range(count):
+            if not self._plain:
+                self._drive()
             # False: joints keep their commands.
             advance(False)
+
+    def _drive(self) -> None:
+        """Have the motors do what they can toward their commands in the next physics step."""
+        robot, drives = self._robot, self._drives
+        angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
+        targets, torques = servo(self._motors, self._commands, angles, speeds)
+        robot.setCommands(drives, targets)
+        robot.setForceUpperLimits(drives, torques)
+        robot.setForceLowerLimits(drives, [-torque for torque in torques])
 
     def body_state(self) -> tuple[float, ...]:
         # Asking the joint costs a tenth of asking the body for what it derives from it.
@@ -169,14 +187,12 @@ class DartScene:
             *(robot.getJointConstraintImpulses()[drives] / self._spec.timestep_s).tolist(),
         )
 
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        return tuple(self._robot.getPositions(self._indices(joints)).tolist())
+
     def touched(self) -> list[int]:
-        # Obstacles and kinematic bodies meet nothing but the hull.
         met = self._world.getLastCollisionResult().inCollision
-        found = self._ground.numbers(met)
-        for number, body in enumerate(self._capsules.getBodyNodes(), start=self._first_kinematic):
-            if met(body):
-                found.append(number)
-        return found
+        return [*self._surroundings.touched(met), *self._capsules.touched(met)]
 
     def close(self) -> None:
         self._world = self._robot = self._base = self._base_joint = self._capsules = None
@@ -188,48 +204,74 @@ def _cone_solver(sweeps: int) -> Any:
     return dartpy.constraint.NsgsFrictionSolver(options)
 
 
-class _Ground:
-    """Everything that never moves, in one skeleton of three bodies.
+class _Surroundings:
+    """Everything that never moves, in one skeleton.
 
-    The ground is there twice, for wheels and for the hull, as each pair has a
-    friction of its own; obstacles are for the hull alone.
+    The ground is there twice, for links that stand on it and for the hull, as
+    each pair has a friction of its own; so are obstacles, where feet meet them.
     """
 
     def __init__(self, spec: SceneSpec, meshes: "_Meshes", robot: Any) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("statics")
-        self.under_wheels, self.under_hull, self.obstacles = (
-            self.skeleton.createWeldJointAndBodyNodePair()[1] for _ in range(3)
-        )
-        self._numbered = []
-        wheel_gap, hull_gap = (_contact_gap(robot, spec.robot, wheels=wheels) for wheels in (True, False))
-        wheel_friction = spec.robot.wheel_friction
+        self.for_feet, self.for_hull, self.obstacles = (self._body() for _ in range(3))
+        self.obstacles_for_feet = [self._body()] if spec.robot.ground_links_meet_obstacles else []
+        self._numbered: list[tuple[int, Any]] = []
+        gap_of_feet, gap_of_hull = (_contact_gap(robot, spec.robot, feet=feet) for feet in (True, False))
         for number, (body, shape) in enumerate(zip(spec.statics, meshes.shapes, strict=True)):
+            feet_friction = body.friction * spec.robot.ground_friction
+            hull_friction = body.friction * spec.robot.hull_friction
             if body.ground:
                 hollow = meshes.hollow[number]
-                wheels = _add_shape(self.under_wheels, shape, body.friction * wheel_friction)
-                wheels.setRelativeTranslation([0.0, 0.0, -wheel_gap * hollow])
-                hull = _add_shape(self.under_hull, shape, body.friction * HULL_FRICTION)
-                hull.setRelativeTranslation([0.0, 0.0, -hull_gap * hollow])
-            else:
-                self._numbered.append(
-                    (number, _add_shape(self.obstacles, shape, body.friction * HULL_FRICTION))
-                )
+                _add_shape(self.for_feet, shape, feet_friction, -gap_of_feet * hollow)
+                _add_shape(self.for_hull, shape, hull_friction, -gap_of_hull * hollow)
+                continue
+            self._numbered.append((number, _add_shape(self.obstacles, shape, hull_friction)))
+            for other in self.obstacles_for_feet:
+                self._numbered.append((number, _add_shape(other, shape, feet_friction)))
         self.skeleton.setMobile(False)
 
-    def numbers(self, met: Any) -> list[int]:
+    def _body(self) -> Any:
+        return self.skeleton.createWeldJointAndBodyNodePair()[1]
+
+    def touched(self, met: Any) -> list[int]:
         """Numbers of the obstacles that are `met`."""
-        if not met(self.obstacles):
+        if not any(met(body) for body in (self.obstacles, *self.obstacles_for_feet)):
             return []
         return [number for number, shape in self._numbered if met(shape)]
 
 
-def _contact_gap(robot: Any, spec: RobotBody, *, wheels: bool) -> float:
-    """How far the detector holds the wheels, or the other links, off triangles that are no solid [m]."""
-    bodies = [
-        body
-        for body in robot.getBodyNodes()
-        if (body.getParentJoint().getName() in spec.drive_joints) == wheels
-    ]
+class _Capsules:
+    """Bodies that move at the speed they are told, whatever they meet; they never turn."""
+
+    def __init__(self, spec: SceneSpec) -> None:
+        self.skeleton = dartpy.dynamics.Skeleton("kinematics")
+        self.for_hull: list[Any] = []
+        self.for_feet: list[Any] = []
+        self._first = len(spec.statics)
+        for body in spec.kinematics:
+            joint, node = self.skeleton.createTranslationalJointAndBodyNodePair()
+            joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
+            shape = dartpy.dynamics.CapsuleShape(body.radius_m, body.height_m - 2 * body.radius_m)
+            _add_shape(node, shape, CAPSULE_FRICTION * spec.robot.hull_friction)
+            self.for_hull.append(node)
+            if spec.robot.ground_links_meet_obstacles:
+                _, other = self.skeleton.createWeldJointAndBodyNodePair(node)
+                _add_shape(other, shape, CAPSULE_FRICTION * spec.robot.ground_friction)
+                self.for_feet.append(other)
+
+    def touched(self, met: Any) -> list[int]:
+        """Numbers of the bodies that are `met`."""
+        return [
+            self._first + number
+            for bodies in (self.for_hull, self.for_feet)
+            for number, body in enumerate(bodies)
+            if met(body)
+        ]
+
+
+def _contact_gap(robot: Any, spec: RobotBody, *, feet: bool) -> float:
+    """How far the detector holds the feet, or the other links, off triangles that are no solid [m]."""
+    bodies = [body for body in robot.getBodyNodes() if (body.getName() in spec.ground_links) == feet]
     shapes = [
         node.getShape() for body in bodies for node in body.getShapeNodes() if node.hasCollisionAspect()
     ]
@@ -237,50 +279,64 @@ def _contact_gap(robot: Any, spec: RobotBody, *, wheels: bool) -> float:
     return 0.0 if all(spheres) else _TRIANGLE_MARGIN_M
 
 
-def _add_shape(body: Any, shape: Any, friction: float) -> Any:
+def _add_shape(body: Any, shape: Any, friction: float, raised_m: float = 0.0) -> Any:
     node = body.createShapeNode(shape)
     node.createCollisionAspect()
     node.createDynamicsAspect().setFrictionCoeff(friction)
+    node.setRelativeTranslation([0.0, 0.0, raised_m])
     return node
 
 
-def _capsules(bodies: Sequence[KinematicCapsule]) -> Any:
-    """Bodies that move at the speed they are told, whatever they meet; they never turn."""
-    skeleton = dartpy.dynamics.Skeleton("kinematics")
-    for body in bodies:
-        joint, node = skeleton.createTranslationalJointAndBodyNodePair()
-        joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
-        shape = dartpy.dynamics.CapsuleShape(body.radius_m, body.height_m - 2 * body.radius_m)
-        _add_shape(node, shape, CAPSULE_FRICTION * HULL_FRICTION)
-    return skeleton
-
-
 def _read_robot(spec: RobotBody) -> Any:
-    robot = _parsed(spec.urdf) if spec.urdf.is_file() else None
+    robot = _parsed(spec.urdf, spec.couplings) if spec.urdf.is_file() else None
     if robot is None:
         raise PhysicsError(f"DART cannot load {spec.urdf}")
-    joints = {joint.getName(): joint for joint in robot.getJoints() if joint.getNumDofs() == 1}
-    missing = [name for name in spec.drive_joints if name not in joints]
-    if missing:
-        raise PhysicsError(f"{spec.urdf.name} has no joint {', '.join(missing)}; it has {', '.join(joints)}")
+    joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
+    fault = spec.missing_from(joints, [body.getName() for body in robot.getBodyNodes()])
+    if fault:
+        raise PhysicsError(fault)
     for body in robot.getBodyNodes():
         for node in body.getShapeNodes():
             if node.hasDynamicsAspect():
                 node.getDynamicsAspect().setFrictionCoeff(_NEVER_THE_LESSER)
-    for name, joint in joints.items():
-        joint.setDampingCoefficient(0, 0.0)
-        joint.setCoulombFriction(0, 0.0)
-        joint.setLimitEnforcement(True)
-        if name in spec.drive_joints:
-            joint.setActuatorType(dartpy.dynamics.ActuatorType.SERVO)
-            joint.setForceLowerLimit(0, -spec.max_torque_nm)
-            joint.setForceUpperLimit(0, spec.max_torque_nm)
+    for joint in joints.values():
+        if joint.getNumDofs() == 1:
+            joint.setDampingCoefficient(0, 0.0)
+            joint.setCoulombFriction(0, 0.0)
+            joint.setLimitEnforcement(True)
+            # A motor's speed is its own affair.
+            joint.setVelocityLowerLimit(0, -math.inf)
+            joint.setVelocityUpperLimit(0, math.inf)
+    for passive in spec.passive:
+        joints[passive.joint].setDampingCoefficient(0, passive.damping_nms_per_rad)
+        joints[passive.joint].setCoulombFriction(0, passive.friction_nm)
+    for motor in spec.motors:
+        joint = joints[motor.joint]
+        joint.setActuatorType(dartpy.dynamics.ActuatorType.SERVO)
+        joint.setForceLowerLimit(0, -motor.max_torque_nm)
+        joint.setForceUpperLimit(0, motor.max_torque_nm)
+        joint.setPosition(0, motor.rest_rad)
+    for coupling in spec.couplings:
+        follower = joints[coupling.follower]
+        # As a constraint on both, and not a motor on one, what turns the follower turns the leader too.
+        follower.setUseCouplerConstraint(True)
+        follower.setForceLowerLimit(0, -_GEAR_TORQUE_NM)
+        follower.setForceUpperLimit(0, _GEAR_TORQUE_NM)
     return robot
 
 
-def _parsed(urdf: Path) -> Any:
+def _parsed(urdf: Path, couplings: Sequence[Coupling] = ()) -> Any:
+    root = parse(urdf).getroot()
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    for coupling in couplings:
+        if coupling.follower in joints:
+            # The one way to a coupling that DART's Python has.
+            gear = {"joint": coupling.leader, "multiplier": repr(coupling.ratio), "offset": "0"}
+            joints[coupling.follower].append(Element("mimic", gear))
     # The reader takes a path as it is: it does not know percent signs.
-    return dartpy.utils.DartLoader().parseSkeleton(f"file://{urdf.resolve()}")
+    return dartpy.utils.DartLoader().parseSkeletonString(
+        tostring(root, encoding="unicode"), f"file://{urdf.resolve()}"
+    )
 
 
 class _Meshes:

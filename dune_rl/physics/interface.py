@@ -1,6 +1,6 @@
 """What an engine must do: the narrow interface that everything above sees of physics."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, Self, get_args
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.physics.motors import Motor
 from dune_rl.settings import Settings
 
 Engine = Literal["bullet", "dart"]
@@ -17,8 +18,7 @@ ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 BODY_STATE_SIZE = 13
 
-# Friction of the robot's links that are no wheels, and of kinematic bodies.
-HULL_FRICTION = 0.3
+# Friction of kinematic bodies.
 CAPSULE_FRICTION = 0.5
 
 
@@ -82,18 +82,62 @@ class KinematicCapsule:
 
 
 @dataclass(frozen=True)
-class RobotBody:
-    """A URDF and what its joints are for.
+class PassiveJoint:
+    """A joint that turns as it is pushed, against dry friction and damping; its limits are the URDF's."""
 
-    `drive_joints` take velocity commands, limited to `max_torque_nm` each.
-    Links of drive joints roll on the ground and touch nothing else; all other
-    links touch everything. The base link's inertial origin is its own origin.
+    joint: str
+    friction_nm: float = 0.0
+    damping_nms_per_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A gear without play: joint `follower` turns `ratio` times what joint `leader` does."""
+
+    leader: str
+    follower: str
+    ratio: float
+
+
+@dataclass(frozen=True)
+class RobotBody:
+    """A URDF and what its joints and links are for.
+
+    `motors` take commands, in their order. The joints that are neither theirs
+    nor `passive` turn freely. `ground_links`, which are wheels or feet, stand
+    on the ground with `ground_friction` and touch nothing else, unless
+    `ground_links_meet_obstacles`; all other links touch everything, with
+    `hull_friction`. Joints that are not motors start at 0.
     """
 
     urdf: Path
-    drive_joints: tuple[str, ...]
-    max_torque_nm: float
-    wheel_friction: float
+    motors: tuple[Motor, ...]
+    ground_links: tuple[str, ...]
+    ground_friction: float
+    hull_friction: float = 0.3
+    ground_links_meet_obstacles: bool = False
+    passive: tuple[PassiveJoint, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+
+    @property
+    def drive_joints(self) -> tuple[str, ...]:
+        """The motors' joints, in the order of commands and of what is told of them."""
+        return tuple(motor.joint for motor in self.motors)
+
+    def rest_commands(self) -> list[float]:
+        """Commands under which the robot stands as it is put down."""
+        return [motor.rest_command for motor in self.motors]
+
+    def missing_from(self, joints: Collection[str], links: Collection[str]) -> str | None:
+        """What is wrong with the names, given those that the URDF has; None where all are there."""
+        named = [*self.drive_joints, *(joint.joint for joint in self.passive)]
+        for coupling in self.couplings:
+            named += [coupling.leader, coupling.follower]
+        for kind, wanted, known in (("joint", named, joints), ("link", self.ground_links, links)):
+            absent = [name for name in dict.fromkeys(wanted) if name not in known]
+            if absent:
+                return f"{self.urdf.name} has no {kind} {', '.join(absent)}; it has {', '.join(known)}"
+        return None
 
 
 @dataclass(frozen=True)
@@ -113,9 +157,9 @@ class PhysicsScene(Protocol):
     """One simulated scene with one robot. Not thread-safe; scenes are independent of each other.
 
     Between two bodies the friction coefficient is the product of theirs:
-    wheels have `RobotBody.wheel_friction`, other links `HULL_FRICTION`,
-    statics their own, kinematic bodies `CAPSULE_FRICTION`. Nothing bounces,
-    and nothing but contacts and drives slows a body down.
+    a robot's links have those of `RobotBody`, statics their own, kinematic
+    bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
+    joints and motors slows a body down.
     """
 
     def place(
@@ -127,10 +171,8 @@ class PhysicsScene(Protocol):
         """
         ...
 
-    def step(
-        self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
-        """Advance `count` physics steps with the drive joints' target speeds [rad/s].
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+        """Advance `count` physics steps with a command for each motor, a speed [rad/s] or an angle [rad].
 
         Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
         end, and get there in `count` equal parts where the robot is near.
@@ -151,17 +193,21 @@ class PhysicsScene(Protocol):
     def body_state(self) -> tuple[float, ...]:
         """Base position (3) [m], quaternion xyzw (4), linear (3) [m/s] and angular velocity (3) [rad/s].
 
-        All in the world frame.
+        All in the world frame, and of the base link's own frame, wherever its centre of mass is.
         """
         ...
 
     def drive_state(self) -> tuple[float, ...]:
-        """Angles [rad], speeds [rad/s] and torques [N m] of the W drive joints, one after another (3 * W).
+        """Angles [rad], speeds [rad/s] and torques [N m] of the W motors' joints, one after another (3 * W).
 
-        Angles are 0 where the robot is put down and count whole turns. A
-        torque is what the drive gave in the last physics step, positive where
-        it pushes toward a positive speed.
+        The angles of wheels are 0 where the robot is put down and count whole
+        turns. A torque is what turned the joint in the last physics step, gear
+        friction taken off, positive where it pushes toward a positive speed.
         """
+        ...
+
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        """Angles [rad] of any joints of the robot, by name."""
         ...
 
     def touched(self) -> Sequence[int]:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.air import Air
@@ -122,7 +123,7 @@ class Surroundings:
 
     `solid` is all that is solid and still, `figures` are the actors',
     `extent` (xmin, xmax, ymin, ymax) and `heights` (zmin, zmax) [m] where a
-    rover can be, `wheels` its drive, `air` what lies in between. `appearance`
+    rover can be, `wheels` its drive, None where it walks, `air` what lies in between. `appearance`
     and `surface` are called only where a sensor asks for them: they take a
     moment to work out.
     """
@@ -133,7 +134,7 @@ class Surroundings:
     extent: tuple[float, float, float, float]
     heights: tuple[float, float]
     num_wheels: int
-    wheels: DriveGeometry
+    wheels: DriveGeometry | None
     appearance: Callable[[], Baked]
     surface: Callable[[], Surface]
     air: Air = field(default_factory=Air)
@@ -180,6 +181,14 @@ def make_sensors(
         lidar = Lidar3d(scan, solid, around.surface(), figures, num_scenes, around.air, faults)
         return plain(lidar, real.lidar_3d)
 
+    def odometry() -> Sensor:
+        if around.wheels is None:
+            raise ConfigError(
+                "odometry is of wheels, and this robot has none; leave it out of sensors.enabled"
+            )
+        told = Odometry(conf.odometry, conf.encoders, around.wheels, num_scenes, wheels, step_s)
+        return plain(told, real.odometry)
+
     solid, figures, wheels = around.solid, around.figures, around.num_wheels
     makers: dict[str, Callable[[], Sensor]] = {
         "lidar": scanner,
@@ -193,9 +202,7 @@ def make_sensors(
         "camera": camera,
         "velocity": lambda: plain(Speed(num_scenes), real.velocity),
         "encoders": lambda: plain(Encoders(conf.encoders, num_scenes, wheels, step_s), real.encoders),
-        "odometry": lambda: plain(
-            Odometry(conf.odometry, conf.encoders, around.wheels, num_scenes, wheels, step_s), real.odometry
-        ),
+        "odometry": odometry,
         "currents": lambda: plain(Currents(conf.currents, num_scenes, wheels), real.currents),
         "position": lambda: plain(
             Position(conf.position, around.extent, around.heights, num_scenes, step_s), real.position

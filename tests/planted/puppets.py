@@ -31,9 +31,7 @@ class PuppetScene:
         self.state = np.array([*position_w, *quaternion, *[0.0] * 6])
         self.touching = []
 
-    def step(
-        self, count: int, drive_velocities: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         pass
 
     def push(self, force_w: Sequence[float]) -> None:
@@ -44,6 +42,9 @@ class PuppetScene:
 
     def drive_state(self) -> tuple[float, ...]:
         return (0.0,) * (3 * len(self.spec.robot.drive_joints))
+
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        return (0.0,) * len(joints)
 
     def touched(self) -> Sequence[int]:
         return self.touching

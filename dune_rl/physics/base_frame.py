@@ -1,0 +1,61 @@
+"""From the frame that an engine tells of, which is that of a link's inertia, to the link's own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Triple = tuple[float, float, float]
+Quadruple = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class InertialFrame:
+    """Where the inertia's frame lies in the link's: its origin (3) [m] and quaternion xyzw (4)."""
+
+    centre_b: Sequence[float]
+    turn_b: Sequence[float]
+
+    @property
+    def is_the_links(self) -> bool:
+        """Whether the two are one."""
+        return not any(self.centre_b) and not any(self.turn_b[:3])
+
+    def of_the_link(
+        self,
+        centre_w: Sequence[float],
+        quaternion: Sequence[float],
+        velocity_w: Sequence[float],
+        angular_w: Sequence[float],
+    ) -> tuple[Triple, Quadruple, Triple]:
+        """Position [m], quaternion and velocity [m/s] of the link's origin, given those of the inertia's."""
+        x, y, z, w = self.turn_b
+        own = _product(quaternion, (-x, -y, -z, w))
+        ax, ay, az = _turned(own, self.centre_b)
+        ox, oy, oz = angular_w
+        return (
+            (centre_w[0] - ax, centre_w[1] - ay, centre_w[2] - az),
+            own,
+            (
+                velocity_w[0] - (oy * az - oz * ay),
+                velocity_w[1] - (oz * ax - ox * az),
+                velocity_w[2] - (ox * ay - oy * ax),
+            ),
+        )
+
+
+def _product(first: Sequence[float], second: Sequence[float]) -> Quadruple:
+    x1, y1, z1, w1 = first
+    x2, y2, z2, w2 = second
+    return (
+        w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+        w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+        w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+    )
+
+
+def _turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
+    x, y, z, w = quaternion
+    a, b, c = vector
+    # v + 2 q x (q x v + w v)
+    i, j, k = y * c - z * b + w * a, z * a - x * c + w * b, x * b - y * a + w * c
+    return a + 2 * (y * k - z * j), b + 2 * (z * i - x * k), c + 2 * (x * j - y * i)

@@ -1,0 +1,77 @@
+"""Motors on joints: what they are told, and what they can give at the speed they turn at."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What turns a joint: a servo that holds a speed as far as its torque lets it.
+
+    In mode `velocity` a command is the speed [rad/s]. In mode `position` it is
+    an angle [rad], and the speed held is `position_gain_per_s` times what is
+    missing of it, as in the servos of walking robots. Either way the speed held
+    is at most `max_speed_radps`.
+
+    Torque falls in a straight line from `max_torque_nm` at rest to nothing at
+    `no_load_speed_radps`, as a DC motor's does, and `gear_friction_nm` comes
+    off it; against its motion a motor brakes with all of it, friction
+    included. `rest_rad` is the joint's angle where the robot is put down.
+    """
+
+    joint: str
+    max_torque_nm: float
+    mode: Literal["velocity", "position"] = "velocity"
+    position_gain_per_s: float = 20.0
+    max_speed_radps: float = math.inf
+    no_load_speed_radps: float = math.inf
+    gear_friction_nm: float = 0.0
+    rest_rad: float = 0.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it takes its command as a speed and gives the same torque at any."""
+        return (
+            self.mode == "velocity"
+            and self.gear_friction_nm == 0.0
+            and math.isinf(self.no_load_speed_radps)
+            and math.isinf(self.max_speed_radps)
+        )
+
+    @property
+    def rest_command(self) -> float:
+        """The command that keeps the joint where the robot is put down."""
+        return self.rest_rad if self.mode == "position" else 0.0
+
+    def target_speed_radps(self, command: float, angle_rad: float) -> float:
+        """The speed to hold, for a command and the joint's present angle."""
+        wanted = command if self.mode == "velocity" else self.position_gain_per_s * (command - angle_rad)
+        return min(max(wanted, -self.max_speed_radps), self.max_speed_radps)
+
+    def torque_limit_nm(self, target_radps: float, speed_radps: float) -> float:
+        """The most that it can turn the joint by, either way, on its way from a speed to a target."""
+        push = target_radps - speed_radps
+        if push * speed_radps >= 0.0 and push != 0.0:
+            share = 1.0 - abs(speed_radps) / self.no_load_speed_radps
+            return max(0.0, self.max_torque_nm * share - self.gear_friction_nm)
+        return self.max_torque_nm + self.gear_friction_nm
+
+
+def servo(
+    motors: Sequence[Motor], commands: Sequence[float], angles: Sequence[float], speeds: Sequence[float]
+) -> tuple[list[float], list[float]]:
+    """Speeds to hold [rad/s] and torques to do it with [N m], for the next physics step, a number a motor.
+
+    `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
+    """
+    targets = [
+        motor.target_speed_radps(command, angle)
+        for motor, command, angle in zip(motors, commands, angles, strict=True)
+    ]
+    limits = [
+        motor.torque_limit_nm(target, speed)
+        for motor, target, speed in zip(motors, targets, speeds, strict=True)
+    ]
+    return targets, limits
