@@ -24,6 +24,7 @@ from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
@@ -61,6 +62,7 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
     ("physics", "dart"): PhysicsConf(backend="dart"),
+    ("robot", "leo_rover"): LeoRoverConf(),
     ("robot", "rover_zero"): RoverZeroConf(),
     ("sensors", "default"): SensorsConf(),
     ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),

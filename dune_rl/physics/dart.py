@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
-from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
-from defusedxml.ElementTree import parse
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.interface import CAPSULE_FRICTION, Coupling, RobotBody, SceneSpec, StaticBody
-from dune_rl.physics.motors import servo
+from dune_rl.physics.dart_files import TYRE, is_open, robot_urdf, write_meshes
+from dune_rl.physics.interface import CAPSULE_FRICTION, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.motors import servo, work_w
 
 try:
     import dartpy
@@ -28,9 +27,12 @@ except ImportError as error:
 # that the other body's, which is the product of both, counts.
 _NEVER_THE_LESSER = 1e3
 
-# Softness of servos, of every scene in the process. Rigid ones on one body push against each other by
-# any torque at all; these give way by less than 1 % of a rover's speed and share a load alike.
-dartpy.constraint.JointConstraint.setConstraintForceMixing(0.1)
+# Four rigid wheels on rigid ground can share a weight in many ways, and servos on one body push against
+# each other by any torque at all: a direct solver then has a rover stand on two of its wheels, and turn
+# by fits and starts. Tyres that give by less than a millimetre and servos that give way by 0.5 % of a
+# rover's speed settle both. The servos' softness is that of every scene in the process.
+_TYRE_STIFFNESS_NPM = 1e5
+dartpy.constraint.JointConstraint.setConstraintForceMixing(0.07)
 
 _GEAR_TORQUE_NM = 1e4
 
@@ -42,7 +44,6 @@ _NEAR_M = 2.0
 _CONE_TOLERANCE = 1e-3
 # Bullet's margin round the triangles of a mesh that is no solid, which spheres alone do not feel.
 _TRIANGLE_MARGIN_M = 0.01
-_FOLD_DEPTH_M = 10.0
 
 
 class DartScene:
@@ -60,6 +61,9 @@ class DartScene:
         self._plain = all(motor.is_plain for motor in self._motors)
         self._commands: Sequence[float] = spec.robot.rest_commands()
         self._push: Sequence[float] | None = None
+        self._measures_work = spec.measures_work and bool(self._motors)
+        self._work = 0.0
+        self._speeds: Sequence[float] = ()
         self._world: Any = None
 
     def place(
@@ -76,6 +80,7 @@ class DartScene:
         )
         self._drives = self._indices(spec.robot.drive_joints)
         self._commands, self._push = spec.robot.rest_commands(), None
+        self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         self._capsules = _Capsules(spec)
         self._rest(self._centres(kinematic_poses))
         self._world = world = dartpy.simulation.World()
@@ -160,12 +165,30 @@ class DartScene:
                 self._drive()
             # False: joints keep their commands.
             advance(False)
+            if self._measures_work:
+                self._count_work()
+
+    def _count_work(self) -> None:
+        speeds = self._robot.getVelocities(self._drives).tolist()
+        # A torque acts from the speed before a step to the one after it.
+        means = [(one + other) / 2 for one, other in zip(self._speeds, speeds, strict=True)]
+        self._speeds = speeds
+        self._work += work_w(self._motors, means, self._torques()) * self._spec.timestep_s
+
+    def work_j(self) -> float:
+        done, self._work = self._work, 0.0
+        return done
+
+    def _torques(self) -> list[float]:
+        impulses = self._robot.getJointConstraintImpulses()[self._drives]
+        torques: list[float] = (impulses / self._spec.timestep_s).tolist()
+        return torques
 
     def _drive(self) -> None:
         """Have the motors do what they can toward their commands in the next physics step."""
         robot, drives = self._robot, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
-        targets, torques = servo(self._motors, self._commands, angles, speeds)
+        targets, torques = servo(self._motors, self._commands, angles, speeds, self._spec.timestep_s)
         robot.setCommands(drives, targets)
         robot.setForceUpperLimits(drives, torques)
         robot.setForceLowerLimits(drives, [-torque for torque in torques])
@@ -184,7 +207,7 @@ class DartScene:
         return (
             *robot.getPositions(drives).tolist(),
             *robot.getVelocities(drives).tolist(),
-            *(robot.getJointConstraintImpulses()[drives] / self._spec.timestep_s).tolist(),
+            *self._torques(),
         )
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
@@ -195,7 +218,8 @@ class DartScene:
         return [*self._surroundings.touched(met), *self._capsules.touched(met)]
 
     def close(self) -> None:
-        self._world = self._robot = self._base = self._base_joint = self._capsules = None
+        # What the engine holds goes with the last reference to it.
+        self._world = self._robot = self._base = self._base_joint = None
 
 
 def _cone_solver(sweeps: int) -> Any:
@@ -288,18 +312,15 @@ def _add_shape(body: Any, shape: Any, friction: float, raised_m: float = 0.0) ->
 
 
 def _read_robot(spec: RobotBody) -> Any:
-    robot = _parsed(spec.urdf, spec.couplings) if spec.urdf.is_file() else None
+    robot = _parsed(robot_urdf(spec), spec.urdf.parent)
     if robot is None:
         raise PhysicsError(f"DART cannot load {spec.urdf}")
-    joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
-    fault = spec.missing_from(joints, [body.getName() for body in robot.getBodyNodes()])
-    if fault:
-        raise PhysicsError(fault)
     for body in robot.getBodyNodes():
         for node in body.getShapeNodes():
             if node.hasDynamicsAspect():
                 node.getDynamicsAspect().setFrictionCoeff(_NEVER_THE_LESSER)
-    for joint in joints.values():
+    joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
+    for name, joint in joints.items():
         if joint.getNumDofs() == 1:
             joint.setDampingCoefficient(0, 0.0)
             joint.setCoulombFriction(0, 0.0)
@@ -307,6 +328,8 @@ def _read_robot(spec: RobotBody) -> Any:
             # A motor's speed is its own affair.
             joint.setVelocityLowerLimit(0, -math.inf)
             joint.setVelocityUpperLimit(0, math.inf)
+            if name.endswith(TYRE):
+                joint.setSpringStiffness(0, _TYRE_STIFFNESS_NPM)
     for passive in spec.passive:
         joints[passive.joint].setDampingCoefficient(0, passive.damping_nms_per_rad)
         joints[passive.joint].setCoulombFriction(0, passive.friction_nm)
@@ -318,25 +341,16 @@ def _read_robot(spec: RobotBody) -> Any:
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
         follower = joints[coupling.follower]
-        # As a constraint on both, and not a motor on one, what turns the follower turns the leader too.
+        # As a constraint on both, and not a motor on one: what turns the follower turns the leader too.
         follower.setUseCouplerConstraint(True)
         follower.setForceLowerLimit(0, -_GEAR_TORQUE_NM)
         follower.setForceUpperLimit(0, _GEAR_TORQUE_NM)
     return robot
 
 
-def _parsed(urdf: Path, couplings: Sequence[Coupling] = ()) -> Any:
-    root = parse(urdf).getroot()
-    joints = {joint.get("name"): joint for joint in root.findall("joint")}
-    for coupling in couplings:
-        if coupling.follower in joints:
-            # The one way to a coupling that DART's Python has.
-            gear = {"joint": coupling.leader, "multiplier": repr(coupling.ratio), "offset": "0"}
-            joints[coupling.follower].append(Element("mimic", gear))
+def _parsed(urdf: str, folder: Path) -> Any:
     # The reader takes a path as it is: it does not know percent signs.
-    return dartpy.utils.DartLoader().parseSkeletonString(
-        tostring(root, encoding="unicode"), f"file://{urdf.resolve()}"
-    )
+    return dartpy.utils.DartLoader().parseSkeletonString(urdf, f"file://{folder.resolve()}/")
 
 
 class _Meshes:
@@ -345,8 +359,8 @@ class _Meshes:
     def __init__(self, statics: tuple[StaticBody, ...]) -> None:
         self.statics = statics
         self.detector = dartpy.collision.BulletCollisionDetector()
-        self.hollow = [_is_open(body) for body in statics]
-        self.shapes = _read_meshes(statics, self.hollow)
+        self.hollow = [is_open(body) for body in statics]
+        self.shapes = self._read()
         # The detector forgets a mesh that is in no group.
         self._holder = dartpy.dynamics.Skeleton("meshes")
         body = self._holder.createWeldJointAndBodyNodePair()[1]
@@ -354,6 +368,20 @@ class _Meshes:
             _add_shape(body, shape, 0.0)
         self._group = self.detector.createCollisionGroup()
         self._group.addShapeFrames([*body.getShapeNodes()])
+
+    def _read(self) -> list[Any]:
+        if not self.statics:
+            return []
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            read = _parsed(write_meshes(self.statics, self.hollow, folder), folder)
+            nodes = [] if read is None else read.getBodyNode(0).getShapeNodes()
+            if len(nodes) != len(self.statics):
+                raise PhysicsError(
+                    f"DART read {len(nodes)} of {len(self.statics)} meshes from {folder}; "
+                    "set TMPDIR to a folder with room"
+                )
+            return [node.getShape() for node in nodes]
 
 
 # Scenes of one batch have the same statics; each entry lives as long as one of them does, and holds
@@ -366,47 +394,3 @@ def _shared_meshes(statics: tuple[StaticBody, ...]) -> _Meshes:
     if meshes is None:
         _in_use[id(statics)] = meshes = _Meshes(statics)
     return meshes
-
-
-def _read_meshes(statics: Sequence[StaticBody], hollow: Sequence[bool]) -> list[Any]:
-    """Shapes of triangles, which DART reads from files alone."""
-    if not statics:
-        return []
-    with tempfile.TemporaryDirectory() as folder:
-        elements = []
-        for number, body in enumerate(statics):
-            path = Path(folder).resolve() / f"{number}.stl"
-            path.write_bytes(_stl(_folded(body) if hollow[number] else body.vertices[body.faces]))
-            elements.append(f'<collision><geometry><mesh filename="file://{path}"/></geometry></collision>')
-        urdf = Path(folder) / "statics.urdf"
-        urdf.write_text(f'<robot name="statics"><link name="statics">{"".join(elements)}</link></robot>')
-        read = _parsed(urdf)
-    nodes = [] if read is None else read.getBodyNode(0).getShapeNodes()
-    if len(nodes) != len(statics):
-        raise PhysicsError(f"DART read {len(nodes)} of {len(statics)} meshes; is {folder} writable?")
-    return [node.getShape() for node in nodes]
-
-
-def _is_open(body: StaticBody) -> bool:
-    """Whether it is a surface with a border, and not a closed solid."""
-    edges = np.sort(body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 1).any())
-
-
-def _folded(body: StaticBody) -> NDArray[np.float64]:
-    """Corners (F, 3, 3) of a surface's triangles, and of a fold far below it.
-
-    Flat ground would otherwise be taken for a convex solid, whose vertices are
-    all searched at every contact.
-    """
-    x, y = body.vertices[:, :2].mean(axis=0)
-    below = [x, y, body.vertices[:, 2].min() - _FOLD_DEPTH_M]
-    fold = np.array([[[0, 0, 0], [1, 0, 1], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [-1, 0, 1]]])
-    return np.concatenate([body.vertices[body.faces], fold + below])
-
-
-def _stl(corners: NDArray[np.float64]) -> bytes:
-    """Triangles (F, 3, 3) as a binary STL file."""
-    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    facets["corners"] = corners
-    return bytes(80) + np.uint32(len(facets)).tobytes() + facets.tobytes()

@@ -18,7 +18,10 @@ class Motor:
     Torque falls in a straight line from `max_torque_nm` at rest to nothing at
     `no_load_speed_radps`, as a DC motor's does, and `gear_friction_nm` comes
     off it; against its motion a motor brakes with all of it, friction
-    included. `rest_rad` is the joint's angle where the robot is put down.
+    included. `rotor_inertia_kgm2` is the rotor's as felt at the joint, the
+    square of the gears' ratio times its own: no speed changes faster than it
+    lets it, which keeps light wheels that lose their grip from racing.
+    `rest_rad` is the joint's angle where the robot is put down.
     """
 
     joint: str
@@ -28,6 +31,7 @@ class Motor:
     max_speed_radps: float = math.inf
     no_load_speed_radps: float = math.inf
     gear_friction_nm: float = 0.0
+    rotor_inertia_kgm2: float = 0.0
     rest_rad: float = 0.0
 
     @property
@@ -36,6 +40,7 @@ class Motor:
         return (
             self.mode == "velocity"
             and self.gear_friction_nm == 0.0
+            and self.rotor_inertia_kgm2 == 0.0
             and math.isinf(self.no_load_speed_radps)
             and math.isinf(self.max_speed_radps)
         )
@@ -60,18 +65,35 @@ class Motor:
 
 
 def servo(
-    motors: Sequence[Motor], commands: Sequence[float], angles: Sequence[float], speeds: Sequence[float]
+    motors: Sequence[Motor],
+    commands: Sequence[float],
+    angles: Sequence[float],
+    speeds: Sequence[float],
+    step_s: float,
 ) -> tuple[list[float], list[float]]:
-    """Speeds to hold [rad/s] and torques to do it with [N m], for the next physics step, a number a motor.
+    """Speeds to hold [rad/s] and the most torque for it [N m], by motor, in a physics step of `step_s`.
 
     `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
     """
-    targets = [
-        motor.target_speed_radps(command, angle)
-        for motor, command, angle in zip(motors, commands, angles, strict=True)
-    ]
-    limits = [
-        motor.torque_limit_nm(target, speed)
-        for motor, target, speed in zip(motors, targets, speeds, strict=True)
-    ]
+    targets: list[float] = []
+    limits: list[float] = []
+    for motor, command, angle, speed in zip(motors, commands, angles, speeds, strict=True):
+        target = motor.target_speed_radps(command, angle)
+        limit = motor.torque_limit_nm(target, speed)
+        if motor.rotor_inertia_kgm2:
+            reach = limit * step_s / motor.rotor_inertia_kgm2
+            target = min(max(target, speed - reach), speed + reach)
+        targets.append(target)
+        limits.append(limit)
     return targets, limits
+
+
+def work_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Sequence[float]) -> float:
+    """Power [W] that motors give at joints' speeds [rad/s] and torques [N m], gear friction included.
+
+    One that brakes gives nothing back.
+    """
+    power = 0.0
+    for motor, speed, torque in zip(motors, speeds, torques, strict=True):
+        power += max(0.0, torque * speed + motor.gear_friction_nm * abs(speed))
+    return power
