@@ -3,6 +3,7 @@
 import math
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -34,7 +35,7 @@ _NEVER_THE_LESSER = 1e3
 _TYRE_STIFFNESS_NPM = 1e5
 dartpy.constraint.JointConstraint.setConstraintForceMixing(0.07)
 
-_GEAR_TORQUE_NM = 1e4
+_GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
 # A kinematic body farther than this from the robot is moved once per control
 # step: it cannot touch the robot before the next one.
@@ -64,6 +65,7 @@ class DartScene:
         self._measures_work = spec.measures_work and bool(self._motors)
         self._work = 0.0
         self._speeds: Sequence[float] = ()
+        self._gears: list[_Gear] = []
         self._world: Any = None
 
     def place(
@@ -80,6 +82,10 @@ class DartScene:
         )
         self._drives = self._indices(spec.robot.drive_joints)
         self._commands, self._push = spec.robot.rest_commands(), None
+        self._gears = [
+            _Gear(*self._indices((coupling.leader, coupling.follower)), coupling.ratio)
+            for coupling in spec.robot.couplings
+        ]
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         self._capsules = _Capsules(spec)
         self._rest(self._centres(kinematic_poses))
@@ -165,8 +171,19 @@ class DartScene:
                 self._drive()
             # False: joints keep their commands.
             advance(False)
+            if self._gears:
+                self._react()
             if self._measures_work:
                 self._count_work()
+
+    def _react(self) -> None:
+        """Have the leaders of couplings feel what their followers take."""
+        impulses = self._robot.getJointConstraintImpulses()
+        for gear in self._gears:
+            wanted = -gear.ratio * impulses[gear.follower] / self._spec.timestep_s
+            # At once, the torque of one step on the motion of the next would swing up.
+            gear.torque_nm += _GEAR_RESPONSE * (wanted - gear.torque_nm)
+            self._robot.setCommand(gear.leader, gear.torque_nm)
 
     def _count_work(self) -> None:
         speeds = self._robot.getVelocities(self._drives).tolist()
@@ -220,6 +237,14 @@ class DartScene:
     def close(self) -> None:
         # What the engine holds goes with the last reference to it.
         self._world = self._robot = self._base = self._base_joint = None
+
+
+@dataclass
+class _Gear:
+    leader: int
+    follower: int
+    ratio: float
+    torque_nm: float = 0.0
 
 
 def _cone_solver(sweeps: int) -> Any:
@@ -340,9 +365,18 @@ def _read_robot(spec: RobotBody) -> Any:
         joint.setForceUpperLimit(0, motor.max_torque_nm)
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
-        follower = joints[coupling.follower]
-        # As a constraint on both, and not a motor on one: what turns the follower turns the leader too.
-        follower.setUseCouplerConstraint(True)
+        leader, follower = joints[coupling.leader], joints[coupling.follower]
+        # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
+        # holds the one holds the other, so that the leader has the friction and the damping of both.
+        share = abs(coupling.ratio)
+        friction = leader.getCoulombFriction(0) + share * follower.getCoulombFriction(0)
+        damping = leader.getDampingCoefficient(0) + share**2 * follower.getDampingCoefficient(0)
+        leader.setCoulombFriction(0, friction)
+        leader.setDampingCoefficient(0, damping)
+        follower.setCoulombFriction(0, 0.0)
+        follower.setDampingCoefficient(0, 0.0)
+        follower.setLimitEnforcement(False)
+        follower.setUseCouplerConstraint(False)
         follower.setForceLowerLimit(0, -_GEAR_TORQUE_NM)
         follower.setForceUpperLimit(0, _GEAR_TORQUE_NM)
     return robot
