@@ -24,16 +24,16 @@ _SETTLING_S = 1.0
 
 @dataclass(frozen=True)
 class Run:
-    """What came of all phases in one engine: means over scenes and time, by phase, and the ends.
+    """What came of all phases in one engine: means over time, by scene and phase, and the ends.
 
-    `speed` [m/s], `yaw_rate` [rad/s] and `slip` (1 - speed over what the wheels
-    turned) are (P,); `end` (M, 4) is x, y, z [m] and yaw [rad]. `touched` (M,)
+    `speed` [m/s], `yaw_rate` [rad/s] and `rolled` [m/s], what the wheels turned,
+    are (M, P); `end` (M, 4) is x, y, z [m] and yaw [rad]. `touched` (M,)
     tells which scenes ever met an obstacle.
     """
 
     speed: Array
     yaw_rate: Array
-    slip: Array
+    rolled: Array
     end: Array
     touched: NDArray[np.bool_]
 
@@ -43,7 +43,7 @@ def run(place: str, engine: Engine, robot: str, scenes: int, seed: int) -> Run:
     batch, watched = watched_batch(place, engine, robot, scenes, seed, {})
     batch.reset()
     step_s, wheels = batch.physics.control_step_s, batch.robot.wheels
-    speed, rate, slip = (np.full(len(PHASES), np.nan) for _ in range(3))
+    means = np.full((3, scenes, len(PHASES)), np.nan)
     for phase, (_, seconds, share, heading) in enumerate(PHASES):
         command = np.tile(np.array([share * batch.robot.max_speed_mps, heading], np.float32), (scenes, 1))
         rows = []
@@ -51,19 +51,15 @@ def run(place: str, engine: Engine, robot: str, scenes: int, seed: int) -> Run:
             batch.step(command)
             # Endings begin no new episode here: a robot that is stuck stays so.
             if step * step_s >= _SETTLING_S:
-                turned = np.nan
+                turned = np.full(scenes, np.nan)
                 if wheels is not None:
-                    turned = float(np.mean([scene.wheel_speeds for scene in watched])) * wheels.radius_m
-                motion = batch.motion
-                rows.append((motion.velocity_b[:, 0].mean(), motion.angular_b[:, 2].mean(), turned))
-        ahead, turn, rolled = np.mean(rows, axis=0)
-        speed[phase], rate[phase] = ahead, turn
-        if share:
-            slip[phase] = 1.0 - ahead / rolled
+                    turned = np.array([scene.wheel_speeds.mean() for scene in watched]) * wheels.radius_m
+                rows.append((batch.motion.velocity_b[:, 0], batch.motion.angular_b[:, 2], turned))
+        means[:, :, phase] = np.mean(rows, axis=0)
     motion = batch.motion
     end = np.column_stack([motion.position_w, motion.roll_pitch_yaw[:, 2]])
     batch.close()
-    return Run(speed, rate, slip, end, np.array([scene.has_touched for scene in watched]))
+    return Run(*means, end, np.array([scene.has_touched for scene in watched]))
 
 
 def table(robot: str, places: tuple[str, ...], scenes: int, seed: int) -> str:
@@ -78,29 +74,35 @@ def table(robot: str, places: tuple[str, ...], scenes: int, seed: int) -> str:
     ]
     for place in places:
         runs = {engine: run(place, engine, robot, scenes, seed) for engine in ENGINES}
-        for number, (name, *_) in enumerate(PHASES):
-            cells = [
-                _figure(getattr(runs[engine], field)[number]) + unit
-                for field, unit in _MEASURES.values()
-                for engine in ENGINES
-            ]
-            phases.append(_row((place, name, *cells)))
         one, other = (runs[engine] for engine in ENGINES)
+        # Who meets a wall in one engine and just misses it in the other tells nothing of either.
         free = ~(one.touched | other.touched)
+        if not free.any():
+            continue
+        for number, (name, _, share, _) in enumerate(PHASES):
+            cells = []
+            for what, unit in _MEASURES.items():
+                for engine in ENGINES:
+                    figure = _measure(what, runs[engine], free, number)
+                    shown = not np.isnan(figure) and (what != "slip" or share != 0.0)
+                    cells.append(f"{figure + 0.0:.3f}{unit}" if shown else "-")
+            phases.append(_row((place, name, *cells)))
         apart = np.linalg.norm(one.end[:, :3] - other.end[:, :3], axis=1)[free]
         turned = np.abs(wrap_angle(one.end[:, 3] - other.end[:, 3]))[free]
-        if free.any():
-            greatest = f"{np.median(apart):.2f} m / {apart.max():.2f} m"
-            ends.append(_row((place, f"{free.sum()} of {scenes}", greatest, f"{np.median(turned):.2f} rad")))
+        greatest = f"{np.median(apart):.2f} m / {apart.max():.2f} m"
+        ends.append(_row((place, f"{free.sum()} of {scenes}", greatest, f"{np.median(turned):.2f} rad")))
     return "\n".join([*phases, "", *ends])
 
 
-_MEASURES = {"speed": ("speed", " m/s"), "yaw rate": ("yaw_rate", " rad/s"), "slip": ("slip", "")}
+_MEASURES = {"speed": " m/s", "yaw rate": " rad/s", "slip": ""}
+
+
+def _measure(what: str, run: Run, free: NDArray[np.bool_], phase: int) -> float:
+    speed, rolled = run.speed[free, phase].mean(), run.rolled[free, phase].mean()
+    if what == "slip":
+        return float(1.0 - speed / rolled)
+    return float(speed if what == "speed" else run.yaw_rate[free, phase].mean())
 
 
 def _row(cells: tuple[str, ...] | list[str]) -> str:
     return f"| {' | '.join(cells)} |"
-
-
-def _figure(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value + 0.0:.3f}"

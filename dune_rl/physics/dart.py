@@ -80,10 +80,10 @@ class DartScene:
         self._base_joint.setTransform(
             dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position_w))
         )
-        self._drives = self._indices(spec.robot.drive_joints)
+        self._drives = [self._index(joint) for joint in spec.robot.drive_joints]
         self._commands, self._push = spec.robot.rest_commands(), None
         self._gears = [
-            _Gear(*self._indices((coupling.leader, coupling.follower)), coupling.ratio)
+            _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in spec.robot.couplings
         ]
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
@@ -103,8 +103,9 @@ class DartScene:
         for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, robot):
             world.addSkeleton(skeleton)
 
-    def _indices(self, joints: Sequence[str]) -> list[int]:
-        return [self._robot.getJoint(name).getIndexInSkeleton(0) for name in joints]
+    def _index(self, joint: str) -> int:
+        index: int = self._robot.getJoint(joint).getIndexInSkeleton(0)
+        return index
 
     def _part(self, collision_filter: Any) -> None:
         """Say who does not meet whom."""
@@ -228,7 +229,7 @@ class DartScene:
         )
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        return tuple(self._robot.getPositions(self._indices(joints)).tolist())
+        return tuple(self._robot.getPositions([self._index(joint) for joint in joints]).tolist())
 
     def touched(self) -> list[int]:
         met = self._world.getLastCollisionResult().inCollision
