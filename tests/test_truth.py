@@ -75,7 +75,7 @@ def sled(folder: Path, friction: float, half_track_m: float, centre_m: float) ->
 
 
 def cart(folder: Path, friction: float, half_track_m: float, centre_m: float) -> RobotBody:
-    """A mass on four braked wheels, its centre `centre_m` above the ground."""
+    """10 kg, `centre_m` above the ground, on four braked wheels of 0.5 kg."""
     across, radius = [half_track_m, -half_track_m], 0.05
     wheels = [(f"wheel{x:+}{y:+}", x, y) for x in across for y in across]
     return body(
@@ -267,9 +267,11 @@ def test_a_differential_drive_turns_with_the_radius_v_over_omega(backend, tmp_pa
 
 @every_backend
 def test_a_cart_tips_when_its_centre_of_mass_leaves_its_base(backend, tmp_path):
-    # 0.2 m of half a track, and the centre of mass 0.3 m up: atan(2/3), two degrees either side.
-    tipping = np.arctan(0.2 / 0.3)
-    for off, tips in ((-2.0, False), (2.0, True)):
+    # Four degrees either side, as tyres of one engine lean by one. 10 kg are 0.3 m up, wheels of
+    # 2 kg 0.05 m.
+    centre = (10.0 * 0.3 + 2.0 * 0.05) / 12.0
+    tipping = np.arctan(0.2 / centre)
+    for off, tips in ((-4.0, False), (4.0, True)):
         slope = tipping + np.deg2rad(off)
         stage = on_slope(backend, cart(tmp_path, 1.5, 0.2, 0.3), slope, 0.3, np.pi / 2)
         upright = stage.rotation[:, 2]
