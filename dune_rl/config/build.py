@@ -12,6 +12,7 @@ from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf, UrdfRobot
 from dune_rl.worlds.construction import ConstructionConf, build_construction
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
@@ -61,6 +62,8 @@ def build_robot(conf: RobotConf, num_scenes: int) -> Robot:
             return RoverZero(conf, num_scenes)
         case LeoRoverConf():
             return LeoRover(conf, num_scenes)
+        case UrdfConf():
+            return UrdfRobot(conf, num_scenes)
 
 
 @lru_cache(maxsize=4)

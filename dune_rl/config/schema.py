@@ -15,6 +15,7 @@ from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
@@ -39,7 +40,7 @@ WorldConf = Annotated[
     Field(discriminator="name"),
 ]
 
-RobotConf = Annotated[RoverZeroConf | LeoRoverConf, Field(discriminator="name")]
+RobotConf = Annotated[RoverZeroConf | LeoRoverConf | UrdfConf, Field(discriminator="name")]
 
 
 class EnvConf(Settings):
