@@ -60,7 +60,7 @@ def block(folder: Path, friction: float = 1.0, size: str = "0.4 0.3 0.2") -> Rob
 
 
 def sled(folder: Path, friction: float, half_track_m: float, centre_m: float) -> RobotBody:
-    """A mass on four feet that slide, its centre `centre_m` above the ground: no box has to find its edges."""
+    """A mass on four feet that slide, its centre `centre_m` above the ground: no edges."""
     across = [half_track_m, -half_track_m]
     feet = [(f"foot{x:+}{y:+}", x, y) for x in across for y in across]
     return body(

@@ -117,7 +117,7 @@ class Conf(SingleAgentConf):
 class BenchmarkConf(SingleAgentConf):
     """A measurement of what a step costs."""
 
-    parts: tuple[Literal["environment", "cameras", "sensors", "processes"], ...] = (
+    parts: tuple[Literal["environment", "cameras", "sensors", "processes", "engines"], ...] = (
         "environment",
         "cameras",
         "sensors",

@@ -59,7 +59,8 @@ def run(place: str, engine: Engine, robot: str, scenes: int, seed: int) -> Run:
     motion = batch.motion
     end = np.column_stack([motion.position_w, motion.roll_pitch_yaw[:, 2]])
     batch.close()
-    return Run(*means, end, np.array([scene.has_touched for scene in watched]))
+    speed, yaw_rate, rolled = means
+    return Run(speed, yaw_rate, rolled, end, np.array([scene.has_touched for scene in watched]))
 
 
 def table(robot: str, places: tuple[str, ...], scenes: int, seed: int) -> str:

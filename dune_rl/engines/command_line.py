@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def _main(parsed: Namespace) -> None:
-    conf = _settings(parsed.overrides)
+    conf = settings(parsed.overrides)
     if "agreement" in conf.parts:
         for robot in conf.robots:
             _say(f"\n### {robot}\n\n{table(robot, conf.places, conf.scenes, conf.seed)}")
@@ -78,7 +78,8 @@ def _main(parsed: Namespace) -> None:
                     )
 
 
-def _settings(words: list[str]) -> EnginesConf:
+def settings(words: list[str]) -> EnginesConf:
+    """The settings that the words of a command line say; `ConfigError` where they say something else."""
     try:
         return EnginesConf.model_validate(OmegaConf.to_object(OmegaConf.from_dotlist(words)))
     except (OmegaConfBaseException, ValidationError, ValueError) as error:
