@@ -81,6 +81,8 @@ class DartScene:
             dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position_w))
         )
         self._drives = [self._index(joint) for joint in spec.robot.drive_joints]
+        self._wheels = [robot.getJoint(name).getChildBodyNode() for name in spec.robot.drive_joints]
+        self._surroundings.take_friction_back()
         self._commands, self._push = spec.robot.rest_commands(), None
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
@@ -164,6 +166,32 @@ class DartScene:
 
     def push(self, force_w: Sequence[float]) -> None:
         self._push = force_w if any(force_w) else None
+
+    def set_wheel_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        """Set how the driven wheels, in the order of the motors, meet the ground from now until `place`.
+
+        `friction` takes the place of the robot's; it multiplies with that of
+        the terrain. Tyres yield as springs of `stiffness` [N/m] with `damping`
+        [N s/m]. DART has `restitution` multiply with the ground's own.
+        """
+        ground = self._surroundings.give_friction_to_feet()
+        for number, wheel in enumerate(self._wheels):
+            for node in wheel.getShapeNodes():
+                if node.hasDynamicsAspect():
+                    node.getDynamicsAspect().setFrictionCoeff(friction[number] * ground)
+                    node.getDynamicsAspect().setRestitutionCoeff(restitution[number])
+            tyre = wheel.getParentBodyNode().getParentJoint()
+            if tyre.getName().endswith(TYRE):
+                if stiffness is not None:
+                    tyre.setSpringStiffness(0, stiffness[number])
+                if damping is not None:
+                    tyre.setDampingCoefficient(0, damping[number])
 
     def coast(self, count: int) -> None:
         advance = self._world.step
@@ -266,19 +294,38 @@ class _Surroundings:
         self.for_feet, self.for_hull, self.obstacles = (self._body() for _ in range(3))
         self.obstacles_for_feet = [self._body()] if spec.robot.ground_links_meet_obstacles else []
         self._numbered: list[tuple[int, Any]] = []
+        self._underfoot: list[tuple[Any, float]] = []
+        self._given = False
+        self._terrain_friction = next((body.friction for body in spec.statics if body.ground), 1.0)
         gap_of_feet, gap_of_hull = (_contact_gap(robot, spec.robot, feet=feet) for feet in (True, False))
         for number, (body, shape) in enumerate(zip(spec.statics, meshes.shapes, strict=True)):
             feet_friction = body.friction * spec.robot.ground_friction
             hull_friction = body.friction * spec.robot.hull_friction
             if body.ground:
                 hollow = meshes.hollow[number]
-                _add_shape(self.for_feet, shape, feet_friction, -gap_of_feet * hollow)
+                node = _add_shape(self.for_feet, shape, feet_friction, -gap_of_feet * hollow)
+                self._underfoot.append((node, feet_friction))
                 _add_shape(self.for_hull, shape, hull_friction, -gap_of_hull * hollow)
                 continue
             self._numbered.append((number, _add_shape(self.obstacles, shape, hull_friction)))
             for other in self.obstacles_for_feet:
                 self._numbered.append((number, _add_shape(other, shape, feet_friction)))
         self.skeleton.setMobile(False)
+
+    def give_friction_to_feet(self) -> float:
+        """Let links that stand on the ground say what friction they have there; returns the ground's own."""
+        if not self._given:
+            self._given = True
+            for node, _ in self._underfoot:
+                node.getDynamicsAspect().setFrictionCoeff(_NEVER_THE_LESSER)
+        return self._terrain_friction
+
+    def take_friction_back(self) -> None:
+        """Undo `give_friction_to_feet`."""
+        if self._given:
+            self._given = False
+            for node, friction in self._underfoot:
+                node.getDynamicsAspect().setFrictionCoeff(friction)
 
     def _body(self) -> Any:
         return self.skeleton.createWeldJointAndBodyNodePair()[1]
