@@ -16,6 +16,7 @@ from dune_rl.geometry.frames import (
 )
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.bullet import BulletScene
+from dune_rl.physics.dart import DartScene
 from dune_rl.physics.interface import KinematicCapsule, PhysicsScene, RobotBody, SceneSpec, StaticBody
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.wheeled import WheeledRobot
@@ -25,8 +26,10 @@ Backend = Callable[[SceneSpec], PhysicsScene]
 
 BACKENDS: dict[str, Backend] = {
     "bullet": BulletScene,
+    "dart": DartScene,
 }
 every_backend = pytest.mark.parametrize("backend", BACKENDS.values(), ids=BACKENDS.keys())
+bullet_alone = pytest.mark.parametrize("backend", [BACKENDS["bullet"]], ids=["bullet"])
 
 GRAVITY_MPS2 = 9.81
 TIMESTEP_S = 0.005

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from test_config import CHOOSE, NO_MOON
 
-from dune_rl import benchmark, evaluate, train
+from dune_rl import benchmark, engines, evaluate, train
 from dune_rl.learning.progress import Lines, Status
 
 TINY = [
@@ -198,6 +198,29 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert min(new_world[f"{name}_ms"] for name in ("build", "fresh", "load", "kept")) > 0
     assert together["processes"] == 1
     assert together["core_steps_per_s"] > 0
+
+
+def test_engines_are_compared_in_tables(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(engines.main, "places=[slope]", "worlds=[flat]", "minutes=0.1", "scenes=2") == 0
+    lines = capsys.readouterr().out.splitlines()
+    straight = next(line for line in lines if line.startswith("| slope | straight |")).split("|")
+    speeds = [float(cell.split()[0]) for cell in straight[3:5]]
+    assert speeds == pytest.approx([0.8, 0.8], abs=0.01)
+    # Nothing is amiss in six seconds of flat ground.
+    for engine in ("bullet", "dart"):
+        assert f"| rover_zero | flat | {engine} | 0.1 | 2 | 0 | 0 | 0 | 0 |" in lines
+
+
+def test_a_wrong_setting_of_engines_is_named(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(engines.main, "minute=1") == 2
+    assert "minute" in capsys.readouterr().err
+
+
+def test_both_engines_are_timed_in_one_run(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["world=flat", "actors=none", "parts=[engines]", "scenes=2", "rounds=1", "steps=2"]
+    assert call(benchmark.main, *words) == 0
+    (line,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(line[f"{engine}_physics_steps_per_s"] > 0 for engine in ("bullet", "dart"))
 
 
 def test_two_policies_are_compared_on_the_same_episodes(

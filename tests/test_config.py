@@ -72,6 +72,7 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
         sun_elevation_rad=Uniform(low=0.25, high=1.3),
         brightness=LogUniform(low=0.7, high=1.4),
     ),
+    ("physics", "dart"): PhysicsConf(backend="dart"),
     ("robot", "leo_rover"): LeoRoverConf(),
     ("robot", "rover_zero"): RoverZeroConf(),
     ("robot", "urdf"): UrdfConf(path=GIVEN),
@@ -224,7 +225,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["world=flat", "max_steps=64"],
          "max_steps is not a setting; did you mean task.termination.max_steps?"),
         (["world=flat", "physics.zzz=1"],
-         "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations"),
+         "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations, "
+         "friction"),
         (["world=flat", "actors.1.speed_mps=9"], "actors.1.speed_mps must be at most 5.0 (got 9)"),
         (["world=flat", "physics.control_hz=30"],
          "physics: control_hz must divide physics_hz (30 does not divide 200); "

@@ -17,6 +17,7 @@ from dune_rl.config.compose import (
     compose_view,
     given,
 )
+from dune_rl.engines.command_line import settings as engines_settings
 from dune_rl.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,6 +45,8 @@ def compose_command(words: list[str]) -> None:
         check_sweep(overrides, folders) if parsed.multirun else compose(overrides, folders)
     elif program == "dune_rl.evaluate":
         compose_evaluation(overrides, folders, saved if given(overrides, "checkpoint") else None)
+    elif program == "dune_rl.engines":
+        engines_settings(overrides)
     elif program == "dune_rl.view":
         compose_view(overrides, folders, saved if given(overrides, "checkpoint") else None)
     else:

@@ -6,6 +6,7 @@ from argparse import Namespace
 from typing import Any
 
 from dune_rl import command
+from dune_rl.benchmark.engines import measure_engines
 from dune_rl.benchmark.environment import measure, measure_overhead, measure_processes
 from dune_rl.benchmark.new_world import measure_new_world
 from dune_rl.benchmark.sensors import measure_sensors
@@ -21,7 +22,7 @@ SETTINGS = (
     ("scenes=N", "stepped as one batch"),
     ("rounds=N", "in each, everything that is compared takes its turn"),
     ("steps=N", "of every scene in a turn"),
-    ("parts=[environment]", "what to measure: environment, cameras, sensors, terrain, new_world, processes"),
+    ("parts=[environment]", "of environment, cameras, sensors, terrain, new_world, processes, engines"),
     ("processes=[1,2]", "how many batch cores to run at once, one after the other"),
 )
 CLOSING = "Ratios compare things within one run, so that they hold on a busy machine too."
@@ -53,6 +54,8 @@ def _main(parsed: Namespace) -> None:
         _emit(benchmark="terrain", world=conf.world.name, **measure_terrain(conf))
     if "new_world" in conf.parts:
         _emit(benchmark="new_world", **place, **measure_new_world(conf))
+    if "engines" in conf.parts:
+        _emit(benchmark="engines", **place, **measure_engines(conf))
     if "processes" in conf.parts:
         for processes in conf.processes:
             _emit(benchmark="processes", world=conf.world.name, **measure_processes(conf, processes))

@@ -50,6 +50,11 @@ def _core_step(batch: Batch, driver: _Driver) -> None:
         batch.reset(done)
 
 
+def core_stepper(batch: Batch) -> Callable[[], None]:
+    """A step of all scenes under random commands, observations and new episodes included."""
+    return partial(_core_step, batch, _Driver(batch.num_scenes))
+
+
 def _torchrl_stepper(conf: BenchmarkConf) -> Callable[[], None]:
     env = make_torchrl_env(conf, conf.scenes, conf.seed)
     driver = _Driver(conf.scenes)

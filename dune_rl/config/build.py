@@ -9,7 +9,7 @@ from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.env.variety import Variety
-from dune_rl.physics.bullet import BulletScene
+from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
@@ -37,7 +37,7 @@ def make_batch(
     return Batch(
         world=world_of(conf.world),
         make_robot=lambda scenes: build_robot(conf.robot, scenes),
-        make_scene=BulletScene,
+        make_scene=scene_class(conf.physics.backend),
         actors=conf.actors,
         sensors=conf.sensors,
         physics=conf.physics,
@@ -48,6 +48,20 @@ def make_batch(
         num_scenes=num_scenes,
         seed=seed,
     )
+
+
+def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
+    """What makes scenes of the engine of this name; raises `PhysicsError` if it is not installed."""
+    # An engine is loaded when it is asked for: one may be missing.
+    match backend:
+        case "bullet":
+            from dune_rl.physics.bullet import BulletScene
+
+            return BulletScene
+        case "dart":
+            from dune_rl.physics.dart import DartScene
+
+            return DartScene
 
 
 def build_robot(conf: RobotConf, num_scenes: int) -> Robot:

@@ -105,7 +105,9 @@ class Conf(SingleAgentConf):
 class BenchmarkConf(SingleAgentConf):
     """A measurement of what a step costs."""
 
-    parts: tuple[Literal["environment", "cameras", "sensors", "terrain", "new_world", "processes"], ...] = (
+    parts: tuple[
+        Literal["environment", "cameras", "sensors", "terrain", "new_world", "processes", "engines"], ...
+    ] = (
         "environment",
         "cameras",
         "sensors",

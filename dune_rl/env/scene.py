@@ -44,6 +44,7 @@ def scene_spec(
         robot=robot.body,
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
+        friction=physics.friction,
         measures_work=measures_work,
     )
 

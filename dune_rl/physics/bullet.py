@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame
-from dune_rl.physics.interface import Coupling, KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.interface import CAPSULE_FRICTION, Coupling, KinematicCapsule, SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.motors import servo, work_w
 from dune_rl.physics.quiet import silent_stderr
@@ -40,6 +40,11 @@ class BulletScene:
         if not pybullet.isNumpyEnabled():
             raise PhysicsError(
                 "this PyBullet was built without NumPy; install the wheel: pip install pybullet"
+            )
+        if spec.friction != "pyramid":
+            raise PhysicsError(
+                "PyBullet's friction cone turns robots at rates that depend on their heading; "
+                "take physics.friction=pyramid, or physics=dart"
             )
         self._spec = spec
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
@@ -117,7 +122,7 @@ class BulletScene:
         )
         handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
         pybullet.setCollisionFilterGroupMask(handle, -1, _OBSTACLE, _HULL, physicsClientId=self._client)
-        pybullet.changeDynamics(handle, -1, lateralFriction=0.5, physicsClientId=self._client)
+        pybullet.changeDynamics(handle, -1, lateralFriction=CAPSULE_FRICTION, physicsClientId=self._client)
         return handle
 
     def place(

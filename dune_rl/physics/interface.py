@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +12,31 @@ from pydantic import Field, model_validator
 from dune_rl.physics.motors import Motor
 from dune_rl.settings import Settings
 
+Engine = Literal["bullet", "dart"]
+FrictionModel = Literal["pyramid", "cone"]
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+
 BODY_STATE_SIZE = 13
+
+# Friction of kinematic bodies.
+CAPSULE_FRICTION = 0.5
 
 
 class PhysicsConf(Settings):
-    """Engine and rates. `control_hz` must divide `physics_hz`."""
+    """Engine and rates. `control_hz` must divide `physics_hz`.
 
-    backend: Literal["bullet"] = "bullet"
+    `friction` is a pyramid in both engines, so that what slides askew to the
+    world's axes is held by up to sqrt(2) times as much; DART can have the
+    true cone, which makes its physics several times slower.
+    `solver_iterations` are those of iterative contact solvers: Bullet's, and
+    DART's for the cone; DART's for the pyramid is direct.
+    """
+
+    backend: Engine = "bullet"
     physics_hz: int = Field(200, ge=20, le=10_000)
     control_hz: int = Field(20, ge=1, le=1_000)
     solver_iterations: int = Field(10, ge=1, le=1_000)
+    friction: FrictionModel = "pyramid"
 
     @model_validator(mode="after")
     def _whole_substeps(self) -> Self:
@@ -144,11 +159,18 @@ class SceneSpec:
     timestep_s: float
     solver_iterations: int
     gravity_mps2: float = 9.81
+    friction: FrictionModel = "pyramid"
     measures_work: bool = False
 
 
 class PhysicsScene(Protocol):
-    """One simulated scene with one robot. Not thread-safe; scenes are independent of each other."""
+    """One simulated scene with one robot. Not thread-safe; scenes are independent of each other.
+
+    Between two bodies the friction coefficient is the product of theirs:
+    a robot's links have those of `RobotBody`, statics their own, kinematic
+    bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
+    joints and motors slows a body down.
+    """
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -187,6 +209,8 @@ class PhysicsScene(Protocol):
         `restitution` multiply with the ground's. Contacts yield as springs of
         `stiffness` [N/m] with `damping` [N s/m]; without these they yield as
         they did before, which after `place` is as little as the engine can.
+
+        An engine whose contacts are rigid takes `friction` alone.
         """
         ...
 
