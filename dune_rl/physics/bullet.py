@@ -1,6 +1,7 @@
 """The PyBullet backend."""
 
 import math
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -50,6 +51,9 @@ class BulletScene:
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise PhysicsError("PyBullet opened no further client in this process; use fewer scenes")
+        # A client holds some 30 MB, which PyBullet keeps until it is told to end it.
+        self._end = weakref.finalize(self, _disconnect, self._client)
+        self._end.atexit = False
         iterations = spec.solver_iterations
         if spec.robot.couplings:
             iterations = max(iterations, _GEAR_ITERATIONS)
@@ -400,6 +404,10 @@ class BulletScene:
         ]
 
     def close(self) -> None:
-        if self._client is not None and pybullet.isConnected(self._client):
-            pybullet.disconnect(self._client)
+        self._end()
         self._client = None
+
+
+def _disconnect(client: int) -> None:
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)
