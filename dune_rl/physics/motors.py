@@ -11,7 +11,8 @@ class Motor:
     """What turns a joint: a servo that holds a speed as far as its torque lets it.
 
     In mode `velocity` a command is the speed [rad/s]. In mode `position` it is
-    an angle [rad], and the speed held is `position_gain_per_s` times what is
+    the angle [rad] to be told at the end of a control step, on the way to
+    which the servo is led in equal parts, and the speed held is `position_gain_per_s` times what is
     missing of it, as in the servos of walking robots. Either way the speed held
     is at most `max_speed_radps`.
 
@@ -59,19 +60,41 @@ class Motor:
         return self.max_torque_nm + self.gear_friction_nm
 
 
-def servo(
-    motors: Sequence[Motor], commands: Sequence[float], angles: Sequence[float], speeds: Sequence[float]
-) -> tuple[list[float], list[float]]:
-    """Speeds to hold [rad/s] and torques to do it with [N m], for the next physics step, a number a motor.
+class Servos:
+    """The motors of one robot, and what they are told: asked before each physics step."""
 
-    `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
-    """
-    targets = [
-        motor.target_speed_radps(command, angle)
-        for motor, command, angle in zip(motors, commands, angles, strict=True)
-    ]
-    limits = [
-        motor.torque_limit_nm(target, speed)
-        for motor, target, speed in zip(motors, targets, speeds, strict=True)
-    ]
-    return targets, limits
+    def __init__(self, motors: Sequence[Motor]) -> None:
+        self._motors = motors
+        self.rest()
+
+    def rest(self) -> None:
+        """Keep the joints where the robot is put down."""
+        self._held = [motor.rest_command for motor in self._motors]
+        self._commands: Sequence[float] = self._held
+        self._left = 0
+
+    def command(self, commands: Sequence[float], count: int) -> None:
+        """Take speeds at once, and angles in equal parts over the next `count` physics steps."""
+        self._commands, self._left = commands, count
+
+    def next(self, angles: Sequence[float], speeds: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Speeds to hold [rad/s] and torques to do it with [N m] in the next physics step, a number a motor.
+
+        `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
+        """
+        if self._left:
+            part = 1.0 / self._left
+            self._held = [
+                command if motor.mode == "velocity" else held + part * (command - held)
+                for motor, held, command in zip(self._motors, self._held, self._commands, strict=True)
+            ]
+            self._left -= 1
+        targets = [
+            motor.target_speed_radps(held, angle)
+            for motor, held, angle in zip(self._motors, self._held, angles, strict=True)
+        ]
+        limits = [
+            motor.torque_limit_nm(target, speed)
+            for motor, target, speed in zip(self._motors, targets, speeds, strict=True)
+        ]
+        return targets, limits

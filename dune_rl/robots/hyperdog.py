@@ -1,0 +1,149 @@
+"""HyperDog: a quadruped of twelve servos that walks where a rover would drive."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import within
+from dune_rl.paths import assets_folder
+from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.motors import Motor
+from dune_rl.robots.heading import HeadingConf, HeadingController
+from dune_rl.robots.leg_kinematics import Leg
+from dune_rl.robots.robot import BodyMotion, rectangle_outline, speed_and_heading_bounds
+from dune_rl.robots.trot import Trot, TrotConf
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+_LEGS = ("front_left", "front_right", "rear_left", "rear_right")
+_JOINTS = ("hip", "upper", "lower")
+_HIPS_B = np.array([[0.175, 0.066, 0.0], [0.175, -0.066, 0.0], [-0.175, 0.066, 0.0], [-0.175, -0.066, 0.0]])
+_SIDE = np.sign(_HIPS_B[:, 1])
+_LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
+_LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
+_FOOT_RADIUS_M = 0.02
+_MAX_CORRECTION_RADPS = 0.8
+
+
+class HyperDogConf(Settings):
+    """Settings of the dog: what its actions are, its gait and its servos.
+
+    `action` is `speed_and_heading`, as for rovers, or `joints`: the twelve
+    angles, legs front left, front right, rear left, rear right, each hip,
+    upper and lower, from -1 to 1 over each joint's range.
+    """
+
+    name: Literal["hyperdog"] = "hyperdog"
+    action: Literal["speed_and_heading", "joints"] = "speed_and_heading"
+    heading: HeadingConf = HeadingConf()
+    gait: TrotConf = TrotConf()
+    max_speed_mps: float = Field(0.4, gt=0.0, le=1.0)
+    max_yaw_rate_radps: float = Field(1.0, gt=0.0, le=3.0)
+    max_acceleration_mps2: float = Field(1.0, gt=0.0)
+    max_yaw_acceleration_radps2: float = Field(2.0, gt=0.0)
+    yaw_rate_ki_per_s: float = Field(1.0, ge=0.0, le=10.0)
+    max_torque_nm: float = Field(10.0, gt=0.0)
+    max_joint_speed_radps: float = Field(10.0, gt=0.0)
+    foot_friction: float = Field(1.0, gt=0.0, le=3.0)
+
+
+class HyperDog:
+    """M dogs: a `Robot`.
+
+    Frame: x forward, y left, z up, origin at the body's centre,
+    `standing_height_m` above level ground.
+    """
+
+    length_m = 0.43
+    width_m = 0.40
+    height_m = 0.30
+    contact_radius_m = _FOOT_RADIUS_M
+    wheels = None
+
+    def __init__(self, conf: HyperDogConf, num_scenes: int) -> None:
+        self.conf = conf
+        self._heading = HeadingController(conf.heading, conf.max_yaw_rate_radps, num_scenes)
+        self._trot = Trot(conf.gait, _HIPS_B, num_scenes)
+        self._speed = np.zeros(num_scenes)
+        self._yaw_rate = np.zeros(num_scenes)
+        self._correction = np.zeros(num_scenes)
+        rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
+        self.standing_height_m = conf.gait.height_m + _FOOT_RADIUS_M
+        self.body = RobotBody(
+            urdf=assets_folder() / "robots" / "hyperdog" / "hyperdog.urdf",
+            motors=tuple(
+                Motor(
+                    f"{leg}_{joint}_joint",
+                    conf.max_torque_nm,
+                    mode="position",
+                    position_gain_per_s=80.0,
+                    max_speed_radps=conf.max_joint_speed_radps,
+                    rest_rad=float(angle),
+                )
+                for leg, angles in zip(_LEGS, rest, strict=True)
+                for joint, angle in zip(_JOINTS, angles, strict=True)
+            ),
+            ground_links=tuple(f"{leg}_lower" for leg in _LEGS),
+            ground_friction=conf.foot_friction,
+            ground_links_meet_obstacles=True,
+        )
+
+    @property
+    def contact_centres_b(self) -> Array:
+        """Middles (4, 3) [m] of the feet as it stands."""
+        return self._trot.rest_b
+
+    @property
+    def max_speed_mps(self) -> float:
+        """Largest speed that can be commanded."""
+        return self.conf.max_speed_mps
+
+    @property
+    def footprint_radius_m(self) -> float:
+        """Radius of the circle round the origin that holds the dog at any yaw."""
+        return float(np.hypot(self.length_m / 2, self.width_m / 2))
+
+    def outline(self) -> Array:
+        """Points (P, 2) round the feet and the body in the body frame [m], seen from above."""
+        return rectangle_outline(self.length_m, self.width_m)
+
+    def action_bounds(self) -> tuple[Array, Array]:
+        """Bounds of speed and heading, each (2,), or of the joints, each (12,)."""
+        if self.conf.action == "joints":
+            return -np.ones(12), np.ones(12)
+        return speed_and_heading_bounds(self.max_speed_mps)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Stand still and forget the past in the scenes in `mask` (M,)."""
+        self._heading.reset(mask)
+        self._trot.reset(mask)
+        self._speed[mask] = 0.0
+        self._yaw_rate[mask] = 0.0
+        self._correction[mask] = 0.0
+
+    def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
+        """Angle of each joint [rad], (M, 12), to be reached at the end of the step."""
+        if self.conf.action == "joints":
+            low, high = np.tile(_LIMITS_RAD, (4, 1)).T
+            return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        twist = self._twist(action, motion.angular_b[:, 2], step_s)
+        feet = self._trot.feet(twist, motion.velocity_b[:, :2], motion.roll_pitch_yaw[:, :2], step_s)
+        return _LEG.angles(feet - _HIPS_B, _SIDE).reshape(len(action), 12)
+
+    def _twist(self, action: Array, measured_yaw_rate: Array, step_s: float) -> Array:
+        conf = self.conf
+        wanted = within(action[:, 0], -conf.max_speed_mps, conf.max_speed_mps)
+        gain = conf.max_acceleration_mps2 * step_s
+        self._speed = within(wanted, self._speed - gain, self._speed + gain)
+        turn = self._heading.yaw_rate(within(action[:, 1], -np.pi, np.pi), step_s)
+        turn_gain = conf.max_yaw_acceleration_radps2 * step_s
+        self._yaw_rate = within(turn, self._yaw_rate - turn_gain, self._yaw_rate + turn_gain)
+        # Feet slip when they turn the body: what is missing is added up.
+        missing = conf.yaw_rate_ki_per_s * step_s * (self._yaw_rate - measured_yaw_rate)
+        self._correction = within(
+            self._correction + missing, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS
+        )
+        return np.column_stack([self._speed, self._yaw_rate + self._correction])
