@@ -130,7 +130,7 @@ class HyperDog:
             low, high = np.tile(_LIMITS_RAD, (4, 1)).T
             return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         twist = self._twist(action, motion.angular_b[:, 2], step_s)
-        feet = self._trot.feet(twist, motion.velocity_b[:, :2], motion.roll_pitch_yaw[:, :2], step_s)
+        feet = self._trot.feet(twist, motion.roll_pitch_yaw[:, :2], step_s)
         return _LEG.angles(feet - _HIPS_B, _SIDE).reshape(len(action), 12)
 
     def _twist(self, action: Array, measured_yaw_rate: Array, step_s: float) -> Array:
@@ -143,7 +143,5 @@ class HyperDog:
         self._yaw_rate = within(turn, self._yaw_rate - turn_gain, self._yaw_rate + turn_gain)
         # Feet slip when they turn the body: what is missing is added up.
         missing = conf.yaw_rate_ki_per_s * step_s * (self._yaw_rate - measured_yaw_rate)
-        self._correction = within(
-            self._correction + missing, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS
-        )
+        self._correction = within(self._correction + missing, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS)
         return np.column_stack([self._speed, self._yaw_rate + self._correction])

@@ -14,7 +14,6 @@ Flags = NDArray[np.bool_]
 _LATE = np.array([0.0, 0.5, 0.5, 0.0])
 _SLOWEST_MPS, _SLOWEST_RADPS = 0.01, 0.02
 _STEEPEST = 0.45
-_LONGEST_CATCH_M = 0.06
 # Share of the way to their places that feet go in a control step, when the walk ends.
 _SETTLE = 0.2
 
@@ -24,9 +23,7 @@ class TrotConf(Settings):
 
     In a cycle of `cycle_s` each foot is in the air for `swing_share` of it,
     rising by `lift_m` on half a sine. The hips are carried `height_m` over the
-    feet, which stand `out_m` outward of them. A foot lands farther out by
-    `catch_s` times the velocity that the body has beside the wanted one, which
-    catches it (Raibert 1986, Legged Robots That Balance).
+    feet, which stand `out_m` outward of them.
     """
 
     cycle_s: float = Field(0.5, ge=0.2, le=2.0)
@@ -34,7 +31,6 @@ class TrotConf(Settings):
     lift_m: float = Field(0.045, gt=0.0, le=0.1)
     height_m: float = Field(0.22, ge=0.15, le=0.27)
     out_m: float = Field(0.10, ge=0.0, le=0.15)
-    catch_s: float = Field(0.1, ge=0.0, le=0.5)
 
 
 class Trot:
@@ -54,13 +50,12 @@ class Trot:
         self._feet[mask] = self.rest_b
         self._lift_off[mask] = self.rest_b
 
-    def feet(self, twist: Array, velocity_b: Array, tilt: Array, step_s: float) -> Array:
+    def feet(self, twist: Array, tilt: Array, step_s: float) -> Array:
         """Positions (M, 4, 3) [m] of the feet after a further `step_s`.
 
-        `twist` (M, 2) is the wanted speed [m/s] and yaw rate [rad/s],
-        `velocity_b` (M, 2) how the body really moves, forward and left [m/s],
-        and `tilt` (M, 2) its roll and pitch [rad]: on a slope feet land plumb
-        under the hips. A robot that is to stand still stands on all feet.
+        `twist` (M, 2) is the wanted speed [m/s] and yaw rate [rad/s], and
+        `tilt` (M, 2) the body's roll and pitch [rad]: on a slope feet land
+        plumb under the hips. A robot that is to stand still stands on all feet.
         """
         conf = self._conf
         going = (np.abs(twist[:, 0]) > _SLOWEST_MPS) | (np.abs(twist[:, 1]) > _SLOWEST_RADPS)
@@ -68,13 +63,11 @@ class Trot:
         phase = (self._phase[:, None] + _LATE) % 1.0
         swinging = (phase < conf.swing_share) & going[:, None]
         share = np.minimum(phase / conf.swing_share, 1.0)
-        air = self._in_the_air(share, self._landing(twist, velocity_b, tilt))
+        air = self._in_the_air(share, self._landing(twist, tilt))
         ground = self._feet - step_s * self._passing(twist)
         ground[..., 2] = self.rest_b[:, 2]
         stand = self._feet + _SETTLE * (self.rest_b - self._feet)
-        self._feet = np.where(
-            swinging[..., None], air, np.where(going[:, None, None], ground, stand)
-        )
+        self._feet = np.where(swinging[..., None], air, np.where(going[:, None, None], ground, stand))
         self._lift_off = np.where(swinging[..., None], self._lift_off, self._feet)
         return self._feet
 
@@ -85,14 +78,12 @@ class Trot:
         across = turn * self.rest_b[:, 0]
         return np.stack([along, across, np.zeros_like(along)], axis=-1)
 
-    def _landing(self, twist: Array, velocity_b: Array, tilt: Array) -> Array:
-        """Where feet come down: half a stance ahead of the place under their hips."""
+    def _landing(self, twist: Array, tilt: Array) -> Array:
+        """Where feet come down: half a stance ahead of the place plumb under their hips."""
         conf = self._conf
         stance_s = conf.cycle_s * (1.0 - conf.swing_share)
-        astray = velocity_b - np.column_stack([twist[:, 0], np.zeros(len(twist))])
-        catch = within(conf.catch_s * astray, -_LONGEST_CATCH_M, _LONGEST_CATCH_M)
         lean = conf.height_m * within(np.tan(tilt), -_STEEPEST, _STEEPEST)
-        aside = np.column_stack([catch[:, 0] + lean[:, 1], catch[:, 1] - lean[:, 0], np.zeros(len(twist))])
+        aside = np.stack([lean[:, 1], -lean[:, 0], np.zeros(len(twist))], axis=-1)
         landing: Array = self.rest_b + self._passing(twist) * (stance_s / 2) + aside[:, None]
         return landing
 
