@@ -1,6 +1,7 @@
 """Worlds of a few boxes, LiDARs in them, and other sensors."""
 
 import numpy as np
+from mounted import lidar_conf
 from scenes import about
 
 from dune_rl.actors.actor import ActorConf
@@ -29,7 +30,7 @@ def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
 def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
     solid = world.solid_mesh()
     return Lidar(
-        conf or LidarConf(), RayScene(solid.vertices, solid.faces), [each.rays for each in figures(actors)]
+        conf or lidar_conf(), RayScene(solid.vertices, solid.faces), [each.rays for each in figures(actors)]
     )
 
 

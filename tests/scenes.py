@@ -18,6 +18,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.physics.interface import KinematicCapsule, PhysicsScene, RobotBody, SceneSpec, StaticBody
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.robots.wheeled import WheeledRobot
 from dune_rl.worlds.props import upright_box
 
 Backend = Callable[[SceneSpec], PhysicsScene]
@@ -110,6 +111,7 @@ class Stage:
     kinematics: Sequence[KinematicCapsule] = ()
     robot: RobotBody = field(default_factory=rover_body)
     gravity_mps2: float = GRAVITY_MPS2
+    measures_work: bool = False
 
     def __post_init__(self) -> None:
         self.scene = self.backend(
@@ -120,6 +122,7 @@ class Stage:
                 timestep_s=TIMESTEP_S,
                 solver_iterations=10,
                 gravity_mps2=self.gravity_mps2,
+                measures_work=self.measures_work,
             )
         )
         self.actors = np.zeros((len(self.kinematics), 4))
@@ -202,8 +205,9 @@ class Drive:
         yaw: float = 0.0,
         quaternion: np.ndarray | None = None,
         position_w: Sequence[float] = (0.0, 0.0, WHEEL_RADIUS_M),
+        rover: WheeledRobot | None = None,
     ) -> None:
-        self.rover = RoverZero(conf or RoverZeroConf(), 1)
+        self.rover = rover or RoverZero(conf or RoverZeroConf(), 1)
         self.stage = Stage(backend, statics or [plane()], robot=self.rover.body)
         self.start(yaw, quaternion, position_w)
 

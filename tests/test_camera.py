@@ -14,6 +14,7 @@ from conformance import check_gymnasium, check_kept, check_parallel_api, check_s
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moments import moment_at
+from mounted import camera_conf
 from PIL import Image
 from scanning import turned
 from scenes import about
@@ -67,7 +68,7 @@ def with_boxes(*boxes: Box) -> World:
 
 
 def camera_in(world: World, actors: tuple[ActorConf, ...] = (), light=None, **settings) -> Camera:
-    conf = CameraConf(**({"outputs": EVERYTHING, "width": 32, "height": 24} | settings))
+    conf = camera_conf(**({"outputs": EVERYTHING, "width": 32, "height": 24} | settings))
     return Camera(conf, baked(world, light or LightConf()), figures(actors))
 
 
@@ -210,7 +211,7 @@ def test_a_camera_s_pitch_is_the_rover_s():
     world = with_boxes(AHEAD)
     tilted = look(camera_in(world, pitch_rad=0.3))
     rotation = pitched(0.3)
-    mount = np.array(CameraConf().mount_b)
+    mount = np.array(camera_conf().mount_b)
     leaning = look(camera_in(world), STANDING + mount - rotation @ mount, rotation)
     for name in ("depth", "normals"):
         np.testing.assert_allclose(tilted[name], leaning[name], rtol=1e-4, atol=1e-5)
@@ -455,7 +456,9 @@ def test_a_wall_that_faces_the_sun_is_brighter_than_its_back():
 def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
         light = Light.of(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
-        camera = Camera(CameraConf(width=16, height=12), Baked(scenery(with_boxes(WALL)), light), figures(()))
+        camera = Camera(
+            camera_conf(width=16, height=12), Baked(scenery(with_boxes(WALL)), light), figures(())
+        )
         red, _, blue = look(camera)["rgb"][6].mean(axis=0)
         return red / blue
 

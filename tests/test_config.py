@@ -24,6 +24,7 @@ from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
@@ -60,6 +61,7 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("learning", "sac"): LearningConf(),
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
+    ("robot", "leo_rover"): LeoRoverConf(),
     ("robot", "rover_zero"): RoverZeroConf(),
     ("sensors", "default"): SensorsConf(),
     ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moments import moment_at
+from mounted import depth_strip_conf
 from pydantic import ValidationError
 from scanning import flat_with, turned
 from scenes import about
@@ -29,7 +30,7 @@ BEARINGS = 1.5 * ((np.arange(32) + 0.5) / 32 - 0.5)
 def strip_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 1, **conf: object) -> DepthStrip:
     solid = world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    return DepthStrip(DepthStripConf(**conf), rays, figures(actors), scenes)
+    return DepthStrip(depth_strip_conf(**conf), rays, figures(actors), scenes)
 
 
 def depths(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from batches import idle, real_batch
 from instruments import moment
+from mounted import camera_conf, depth_strip_conf, lidar_3d_conf, lidar_conf
 from planted.puppets import puppet_batch
 from scenes import Stage, every_backend
 
@@ -18,10 +19,9 @@ from dune_rl.rendering.foliage import Foliage
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.picture import Painter, Viewpoint
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import Camera, CameraConf
-from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
-from dune_rl.sensors.lidar import LidarConf
-from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
+from dune_rl.sensors.camera import Camera
+from dune_rl.sensors.depth_strip import DepthStrip
+from dune_rl.sensors.lidar_3d import Lidar3d
 from dune_rl.sensors.medium import InGrass
 from dune_rl.worlds.appearance import baked
 from dune_rl.worlds.flat import FlatConf, build_flat
@@ -252,7 +252,7 @@ def ahead_world() -> World:
 def test_rings_tell_grass_from_ground():
     world = ahead_world()
     solid = world.solid_mesh()
-    conf = Lidar3dConf(n_rings=8, n_beams=64, range_m=8.0, outputs=("range", "intensity", "segmentation"))
+    conf = lidar_3d_conf(n_rings=8, n_beams=64, range_m=8.0, outputs=("range", "intensity", "segmentation"))
     lidar = Lidar3d(
         conf,
         RayScene(solid.vertices, solid.faces),
@@ -273,7 +273,7 @@ def test_rings_tell_grass_from_ground():
 
 
 def camera_in(world: World, air: Air, actors: tuple[ActorConf, ...] = ()) -> Camera:
-    conf = CameraConf(width=16, height=16, range_m=50.0, outputs=("rgb", "depth", "segmentation", "normals"))
+    conf = camera_conf(width=16, height=16, range_m=50.0, outputs=("rgb", "depth", "segmentation", "normals"))
     return Camera(conf, baked(world, LightConf()), figures(actors), air)
 
 
@@ -305,7 +305,7 @@ def test_a_depth_strip_ends_in_it():
     world = ahead_world()
     solid = world.solid_mesh()
     static = RayScene(solid.vertices, solid.faces)
-    conf = DepthStripConf(fov_rad=6.28, columns=32)
+    conf = depth_strip_conf(fov_rad=6.28, columns=32)
     bare, seen = (
         DepthStrip(conf, static, (), 1, air).depths(STANDING, LEVEL, NOBODY)[0]
         for air in (Air(), Air(foliage=world.grass.foliage))
@@ -413,4 +413,4 @@ def test_scenes_in_grass_are_independent_and_repeat():
         seen.append({name: value[0].tobytes() for name, value in batch.observe().items()})
         batch.close()
     assert seen[0] == seen[1]
-    assert LidarConf().n_segments * 4 == len(seen[0]["lidar"])
+    assert lidar_conf().n_segments * 4 == len(seen[0]["lidar"])

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moments import moment_at
+from mounted import height_scan_conf
 from pydantic import ValidationError
 from scanning import flat_with
 
@@ -23,7 +24,7 @@ every_source = pytest.mark.parametrize("source", ["terrain", "solid"])
 def scan_in(world: World, scenes: int = 1, **conf: object) -> HeightScan:
     solid = world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    return HeightScan(HeightScanConf(**conf), rays, world.terrain, scenes)
+    return HeightScan(height_scan_conf(**conf), rays, world.terrain, scenes)
 
 
 def heights(scan: HeightScan, position: np.ndarray = STANDING, yaw: float = 0.0) -> np.ndarray:
@@ -196,4 +197,4 @@ def test_faulty_settings_are_refused(wrong, message):
 
 
 def test_bare_terrain_needs_no_height_to_look_from():
-    assert HeightScanConf(source="terrain", limit_m=3.0).above_m == 1.0
+    assert height_scan_conf(source="terrain", limit_m=3.0).above_m == 1.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mounted import imu_conf
 from scanning import sensed_speed, turned
 from scenes import SUBSTEPS, Drive, Stage, about, every_backend
 
@@ -17,7 +18,7 @@ ALL = np.array([True])
 def imu_after(
     *motions: tuple[np.ndarray, np.ndarray, np.ndarray], conf: ImuConf | None = None, step_s=0.05
 ) -> Imu:
-    imu = Imu(conf or ImuConf(), 1)
+    imu = Imu(conf or imu_conf(), 1)
     first, *others = [tuple(part[None] for part in motion) for motion in motions]
     imu.begin(ALL, *first)
     for motion in others:
@@ -47,7 +48,7 @@ def test_at_rest_it_reads_what_holds_it_up(axis, angle):
 def test_a_resting_rover_reads_gravity_upward(backend):
     drive = Drive(backend)
     motion = Motion(1, drive.rover)
-    imu = Imu(ImuConf(), 1)
+    imu = Imu(imu_conf(), 1)
     for step in range(20):
         drive.stage.step(SUBSTEPS)
         motion.update(drive.stage.state[None])
@@ -65,7 +66,7 @@ def test_a_falling_rover_reads_nothing(backend):
     stage = Stage(backend)
     stage.place([0.0, 0.0, 6.0], about([0.6, 0.8, 0.0], 0.5))
     motion = Motion(1, RoverZero(RoverZeroConf(), 1))
-    imu = Imu(ImuConf(), 1)
+    imu = Imu(imu_conf(), 1)
     motion.update(stage.state[None])
     imu.begin(ALL, motion.rotation, motion.velocity_w, motion.angular_w)
     for _ in range(5):
@@ -80,7 +81,7 @@ def test_a_falling_rover_reads_nothing(backend):
 def test_acceleration_is_the_second_difference_of_true_positions(backend):
     drive = Drive(backend)
     motion = Motion(1, drive.rover)
-    imu = Imu(ImuConf(mount_b=(0.0, 0.0, 0.0)), 1)
+    imu = Imu(imu_conf(mount_b=(0.0, 0.0, 0.0)), 1)
     felt, places, speeds = [], [], []
     motion.update(drive.stage.state[None])
     imu.begin(ALL, motion.rotation, motion.velocity_w, motion.angular_w)
@@ -109,7 +110,7 @@ def test_off_the_axis_it_feels_the_turn():
     rate, radius, step = 2.0, 0.3, 1e-3
     spin = np.array([0.0, 0.0, rate])
     motions = [(turned(rate * step * k), np.zeros(3), spin) for k in (0, 1)]
-    imu = imu_after(*motions, conf=ImuConf(mount_b=(radius, 0.0, 0.1)), step_s=step)
+    imu = imu_after(*motions, conf=imu_conf(mount_b=(radius, 0.0, 0.1)), step_s=step)
     np.testing.assert_allclose(read(imu, motions[1][0])[:3], [-radius * rate**2, 0.0, 9.81], atol=5e-3)
 
 
@@ -121,7 +122,7 @@ def test_acceleration_is_told_in_the_body_frame():
 
 
 def test_begin_takes_motion_as_unaccelerated_only_where_told():
-    imu = Imu(ImuConf(), 2)
+    imu = Imu(imu_conf(), 2)
     rotation, still, fast = np.tile(LEVEL, (2, 1, 1)), np.zeros((2, 3)), np.tile([1.0, 0, 0], (2, 1))
     imu.begin(np.array([True, True]), rotation, still, still)
     imu.measure(rotation, fast, still, 0.05)
@@ -131,7 +132,7 @@ def test_begin_takes_motion_as_unaccelerated_only_where_told():
 
 
 def test_gyroscope_attitude_and_ranges():
-    conf = ImuConf(acceleration_range_mps2=20.0, angular_range_radps=3.0)
+    conf = imu_conf(acceleration_range_mps2=20.0, angular_range_radps=3.0)
     imu = imu_after(
         (LEVEL, np.zeros(3), np.zeros(3)), (LEVEL, np.array([-50.0, 0, 0.1]), np.zeros(3)), conf=conf
     )

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mounted import camera_conf
 from pydantic import ValidationError
 
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError
-from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lens import Lens, LensConf
 
 
@@ -278,7 +278,7 @@ def test_impossible_lenses_are_refused_in_words(camera, message):
 def test_a_pinhole_reaches_170_degrees_and_no_farther():
     assert edge_to_edge(Lens(LensConf(fov_rad=np.deg2rad(170.0)))) == pytest.approx(np.deg2rad(170.0))
     with pytest.raises(ValidationError, match="projection=fisheye reaches farther"):
-        CameraConf(fov_rad=np.deg2rad(170.1))
+        camera_conf(fov_rad=np.deg2rad(170.1))
     # Half of all there is to see.
     assert edge_to_edge(Lens(LensConf(fov_rad=np.pi, projection="fisheye"))) == pytest.approx(np.pi)
 

@@ -5,6 +5,7 @@ import pybullet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
@@ -14,12 +15,12 @@ from dune_rl.config.build import build_world, make_batch
 from dune_rl.config.schema import EnvConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.sensors.lidar import LidarConf, beam_angles
+from dune_rl.sensors.lidar import beam_angles
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection import InspectionConf
 from dune_rl.worlds.world import World
 
-CONF = LidarConf()
+CONF = lidar_conf()
 LEVEL = np.eye(3)
 STANDING = np.array([0.0, 0.0, 0.125])
 NOBODY = np.zeros((1, 0, 4))
@@ -65,7 +66,7 @@ def test_a_full_circle_leaves_out_its_last_beam():
 
 
 def test_part_of_a_circle_has_beams_at_both_ends():
-    angles = beam_angles(LidarConf(n_beams=5, n_segments=5, fov_rad=2.0))
+    angles = beam_angles(lidar_conf(n_beams=5, n_segments=5, fov_rad=2.0))
     np.testing.assert_allclose(angles, [-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
@@ -193,9 +194,9 @@ def test_a_segment_is_the_nearest_of_its_four_beams():
 
 def test_faulty_lidar_settings_are_refused():
     with pytest.raises(ValidationError, match="n_segments must divide n_beams"):
-        LidarConf(n_segments=33)
+        lidar_conf(n_segments=33)
     with pytest.raises(ValidationError, match="min_range_m"):
-        LidarConf(min_range_m=12.0)
+        lidar_conf(min_range_m=12.0)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moments import moment_at
+from mounted import lidar_3d_conf, lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
@@ -16,7 +17,6 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import linear
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.surface import luminance
-from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection import InspectionConf, build_inspection
@@ -35,7 +35,7 @@ MAST_M = 0.125 + 0.196
 
 def lidar_3d_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 1, **conf: object) -> Lidar3d:
     solid = world.solid_mesh()
-    settings = Lidar3dConf(**{"outputs": EVERYTHING, **conf})
+    settings = lidar_3d_conf(**{"outputs": EVERYTHING, **conf})
     return Lidar3d(
         settings, RayScene(solid.vertices, solid.faces), solid_look(world), figures(actors), scenes
     )
@@ -52,7 +52,7 @@ def scan(
 def test_its_level_ring_is_the_planar_lidar():
     world = build_inspection(InspectionConf(seed=2))
     actors = (PERSON, ActorConf(radius_m=0.4))
-    conf = LidarConf(n_beams=180, n_segments=180, range_m=20.0, fov_rad=4.0)
+    conf = lidar_conf(n_beams=180, n_segments=180, range_m=20.0, fov_rad=4.0)
     planar = lidar_in(world, actors, conf)
     rings = lidar_3d_in(
         world,

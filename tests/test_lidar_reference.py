@@ -4,6 +4,7 @@ import numpy as np
 import pybullet
 import pytest
 import trimesh
+from mounted import camera_conf, lidar_3d_conf, lidar_conf
 from scanning import lidar_in, turned
 from scenes import about
 
@@ -14,7 +15,7 @@ from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import Camera, CameraConf
+from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.worlds.appearance import baked
@@ -176,7 +177,7 @@ def beside(picture: np.ndarray, depths: np.ndarray) -> np.ndarray:
 
 
 def test_the_planar_lidar_is_pybullet_s(site):
-    conf = LidarConf()
+    conf = lidar_conf()
     lidar = lidar_in(site.world, PEOPLE, conf)
     bearing = -np.pi + 2 * np.pi / 128 * np.arange(128)
     beams_b = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(128)])
@@ -195,7 +196,7 @@ def test_the_planar_lidar_is_pybullet_s(site):
 
 
 def test_the_rings_are_pybullet_s(site):
-    conf = Lidar3dConf(outputs=("range", "segmentation"))
+    conf = lidar_3d_conf(outputs=("range", "segmentation"))
     solid = site.world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
     lidar = Lidar3d(conf, rays, solid_look(site.world), figures(PEOPLE), 1)
@@ -221,7 +222,7 @@ def test_the_rings_are_pybullet_s(site):
 
 
 def test_the_camera_s_depths_are_pybullet_s(site):
-    conf = CameraConf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_rad=0.1)
+    conf = camera_conf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_rad=0.1)
     look = baked(site.world, LightConf())
     camera = Camera(conf, look, figures(PEOPLE))
     upward = np.array([[0.0, 0.0, 1.0]], np.float32)

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from mounted import lidar_conf
 from scanning import flat_with, lidar_in, turned
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.sensors.lidar import Lidar, LidarConf
+from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.past_scan import PastScan
 
-CONF = LidarConf()
+CONF = lidar_conf()
 STANDING = np.array([0.0, 0.0, 0.125])
 NOBODY = np.zeros((1, 0, 4))
 ALL = np.array([True])
@@ -97,7 +98,7 @@ def test_it_is_as_old_as_asked_for_and_no_older_than_its_episode():
 
 
 def test_half_a_circle_does_not_wrap_round():
-    conf = LidarConf(n_beams=64, n_segments=16, fov_rad=np.pi)
+    conf = lidar_conf(n_beams=64, n_segments=16, fov_rad=np.pi)
     lidar = lidar_in(flat_with(*WALLS), conf=conf)
     past = PastScan(conf, 1, 1)
     past.restart(ALL, sensed(lidar, STANDING, turned(0.0))[1])

@@ -525,6 +525,8 @@ def test_joint_angles_turn_the_wheels_and_nothing_else():
 
 def test_shapes_that_cannot_be_drawn_are_refused_in_words(tmp_path: Path):
     path = tmp_path / "robot.urdf"
-    path.write_text(CRANE.replace('<sphere radius="0.15"/>', '<mesh filename="hook.obj"/>'))
-    with pytest.raises(ValueError, match=r"a visual <mesh> cannot be drawn; use box, cylinder or sphere"):
+    path.write_text(CRANE.replace('<sphere radius="0.15"/>', '<capsule radius="0.1" length="1"/>'))
+    with pytest.raises(
+        ValueError, match=r"a visual <capsule> cannot be drawn; use box, cylinder, sphere or mesh"
+    ):
         RobotVisual(path)

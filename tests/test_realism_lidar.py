@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from instruments import moment
+from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from test_past_scan import STANDING, WALLS
@@ -11,8 +12,8 @@ from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.sensors.realism_lidar import BeamFaults, LidarRealismConf
 from dune_rl.sensors.scanner import Scanner
 
-CONF = LidarConf()
-FINE = LidarConf(n_beams=1024)
+CONF = lidar_conf()
+FINE = lidar_conf(n_beams=1024)
 SCENES = 200
 
 
@@ -84,7 +85,7 @@ def test_drop_out_and_fall_off_are_independent():
 
 
 def test_slanted_walls_return_less():
-    lidar = LidarConf(n_beams=1024, range_m=60.0)
+    lidar = lidar_conf(n_beams=1024, range_m=60.0)
     true = wall_at(3.0, lidar)
     seen = faulty(true, lidar, half_return_m=6.0)
     bearing = beam_angles(lidar)
@@ -133,7 +134,7 @@ def test_faults_depend_on_the_moment_alone():
         assert not np.array_equal(faults.applied(true[[1]], other)[0], seen[1])
 
 
-@pytest.mark.parametrize("lidar", [LidarConf(n_beams=1, n_segments=1), LidarConf(n_beams=2, n_segments=1)])
+@pytest.mark.parametrize("lidar", [lidar_conf(n_beams=1, n_segments=1), lidar_conf(n_beams=2, n_segments=1)])
 def test_few_beams_have_faults_too(lidar):
     seen = faulty(np.full(lidar.n_beams, 6.0), lidar, half_return_m=6.0, noise_m=0.01)
     assert (seen < 12.0).mean() == pytest.approx(0.5, abs=0.12)

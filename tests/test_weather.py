@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from batches import real_batch
 from instruments import moment
+from mounted import camera_conf
 from scanning import flat_with, lidar_in
 from scipy import integrate
 
@@ -15,7 +16,7 @@ from dune_rl.rendering.light import Light, LightConf, srgb
 from dune_rl.rendering.light import linear as decoded
 from dune_rl.rendering.picture import Painter, Viewpoint
 from dune_rl.rendering.weather import Haze, WeatherConf, light_in, sun_at
-from dune_rl.sensors.camera import Camera, CameraConf
+from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.medium import InHaze, effects_of
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.worlds.appearance import baked, in_weather
@@ -111,7 +112,7 @@ OUTPUTS = ("rgb", "grey", "depth", "segmentation", "normals")
 
 
 def pictures(look, air: Air) -> dict[str, np.ndarray]:
-    camera = Camera(CameraConf(width=24, height=24, outputs=OUTPUTS, range_m=60.0), look, (), air)
+    camera = Camera(camera_conf(width=24, height=24, outputs=OUTPUTS, range_m=60.0), look, (), air)
     return camera.frames(STANDING, LEVEL, NOBODY)
 
 
@@ -147,7 +148,7 @@ def test_the_sky_of_a_weather_has_its_haze(world):
 def test_clear_air_keeps_the_bytes(world):
     look = in_weather(world, CLEAR)
     assert look is baked(world, LightConf())
-    plain = Camera(CameraConf(width=24, height=24, outputs=OUTPUTS, range_m=60.0), look, ())
+    plain = Camera(camera_conf(width=24, height=24, outputs=OUTPUTS, range_m=60.0), look, ())
     for name, picture in plain.frames(STANDING, LEVEL, NOBODY).items():
         np.testing.assert_array_equal(picture, pictures(look, Air())[name])
     view = Viewpoint((0.0, 0.0, 1.0), (10.0, 0.0, 0.8))

@@ -63,7 +63,7 @@ def measure_sensors(conf: BenchmarkConf) -> dict[str, Any]:
 
 def _lidar(conf: BenchmarkConf, batch: Batch, reference: BulletReference) -> dict[str, float]:
     solid = batch.world.solid_mesh()
-    lidar = Lidar(conf.sensors.lidar, RayScene(solid.vertices, solid.faces), [])
+    lidar = Lidar(batch.sensors.lidar, RayScene(solid.vertices, solid.faces), [])
     nobody = np.zeros((conf.scenes, 0, 4))
     position, rotation = batch.motion.position_w, batch.motion.rotation
     angles = beam_angles(conf.sensors.lidar)

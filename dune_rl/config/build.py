@@ -2,13 +2,16 @@
 
 from functools import lru_cache
 
-from dune_rl.config.schema import EnvConf, SingleAgentConf, WorldConf
+from dune_rl.config.schema import EnvConf, RobotConf, SingleAgentConf, WorldConf
 from dune_rl.env.batch import Batch
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.physics.bullet import BulletScene
-from dune_rl.robots.rover_zero import RoverZero
+from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
+from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
+from dune_rl.robots.robot import Robot
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.worlds.construction import ConstructionConf, build_construction
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
@@ -24,7 +27,7 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
     """The batch core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found."""
     return Batch(
         world=build_world(conf.world),
-        make_robot=lambda scenes: RoverZero(conf.robot, scenes),
+        make_robot=lambda scenes: build_robot(conf.robot, scenes),
         make_scene=BulletScene,
         actors=conf.actors,
         sensors=conf.sensors,
@@ -35,6 +38,17 @@ def make_batch(conf: EnvConf, num_scenes: int, seed: int) -> Batch:
         num_scenes=num_scenes,
         seed=seed,
     )
+
+
+def build_robot(conf: RobotConf, num_scenes: int) -> Robot:
+    """`num_scenes` robots of the kind that `conf` is of."""
+    match conf:
+        case RoverZeroConf():
+            return RoverZero(conf, num_scenes)
+        case LeoRoverConf():
+            return LeoRover(conf, num_scenes)
+        case HyperDogConf():
+            return HyperDog(conf, num_scenes)
 
 
 @lru_cache(maxsize=4)

@@ -13,7 +13,9 @@ from dune_rl.learning.sac import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.robots.hyperdog import HyperDogConf
+from dune_rl.robots.leo_rover import LeoRoverConf
+from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
@@ -38,13 +40,15 @@ WorldConf = Annotated[
     Field(discriminator="name"),
 ]
 
+RobotConf = Annotated[RoverZeroConf | LeoRoverConf | HyperDogConf, Field(discriminator="name")]
+
 
 class EnvConf(Settings):
     """What an environment is made of; the world has no default."""
 
     world: WorldConf
     weather: WeatherConf = WeatherConf()
-    robot: RoverZeroConf = RoverZeroConf()
+    robot: RobotConf = RoverZeroConf()
     actors: tuple[ActorConf, ...] = ()
     sensors: SensorsConf = SensorsConf()
     physics: PhysicsConf = PhysicsConf()
@@ -58,13 +62,13 @@ class EnvConf(Settings):
 
     @model_validator(mode="after")
     def _mounts_stand_over_the_ground(self) -> Self:
-        lowest = -RoverZero.standing_height_m
+        height = self.robot.standing_height_m
         for name in ("lidar", "lidar_3d", "depth_strip", "camera"):
-            up = getattr(self.sensors, name).mount_b[2]
-            if up <= lowest:
+            mount = getattr(self.sensors, name).mount_b
+            if mount is not None and height is not None and mount[2] <= -height:
                 raise ValueError(
-                    f"sensors.{name}.mount_b lies in the ground: its third value, up of the chassis "
-                    f"centre, must be above {lowest:g} (got {up:g})"
+                    f"sensors.{name}.mount_b lies in the ground: its third value, up of the robot's origin, "
+                    f"must be above {-height:g} (got {mount[2]:g})"
                 )
         return self
 

@@ -14,7 +14,7 @@ from dune_rl.env.encounters import Encounters
 from dune_rl.env.motion import Motion
 from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.env.senses import Senses
-from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
+from dune_rl.metrics.episode import EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
@@ -76,17 +76,19 @@ class Batch:
         first_episode: int = 0,
         weather: WeatherConf = _CLEAR,
     ) -> None:
-        self.world, self.task, self.sensors, self.physics = world, task, sensors, physics
+        self.world, self.task, self.physics = world, task, physics
         self.weather, self.num_scenes = weather, num_scenes
         self.robot = make_robot(num_scenes)
         self.spawner = Spawner(world, task.spawn, self.robot.footprint_radius_m)
         self.actor_confs = actors
         self.actors = self._new_actors(seed)
         self.senses = Senses(sensors, world, self.robot, self.actors, physics, num_scenes, weather)
+        self.sensors = self.senses.conf
         self.motion = Motion(num_scenes, self.robot)
-        spec = scene_spec(world, self.robot, self.actors, physics)
+        spec = scene_spec(world, self.robot, self.actors, physics, metrics.energy)
         self._scenes = [make_scene(spec) for _ in range(num_scenes)]
         self._metrics = EpisodeMetrics(metrics, num_scenes)
+        self._measures_energy = metrics.energy
         bodies = len(spec.statics) + len(spec.kinematics)
         self._encounters = Encounters(num_scenes, bodies, round(_ENCOUNTER_GAP_S * physics.control_hz))
         self._touches: list[tuple[int, int]] = []
@@ -141,6 +143,8 @@ class Batch:
             physics = self._scenes[scene]
             physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
             physics.step(settle, still, self.actors.poses[scene])
+            if self._measures_energy:
+                physics.work_j()
             drive = physics.drive_state() if self.senses.needs_wheels else None
             self.motion.set_row(scene, physics.body_state(), drive)
         self.motion.begin(mask)
@@ -209,6 +213,12 @@ class Batch:
             self._touches += [(index, body) for body in scene.touched()]
         self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
 
+    def joint_angles(self, scene: int) -> dict[str, float]:
+        """Angles [rad] of a robot's joints by name: its motors' and those that turn freely."""
+        body = self.robot.body
+        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
+        return dict(zip(names, self._scenes[scene].joint_angles(names), strict=True))
+
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
         for scene in self._scenes:
@@ -270,7 +280,12 @@ class Batch:
                 "out_of_world": end.out_of_world,
                 "timeout": end.timeout,
             },
+            energy_wh=self._energy_wh() if self._measures_energy else None,
         )
+
+    def _energy_wh(self) -> Array:
+        work = np.array([scene.work_j() for scene in self._scenes])
+        return self.robot.battery.drawn_wh(work, self.physics.control_step_s)
 
     def _renew_goals(self, mask: Flags) -> None:
         for scene in np.flatnonzero(mask).tolist():
@@ -328,7 +343,7 @@ class Batch:
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Names of the columns of `metrics`."""
-        return (*METRICS, *(f"reward/{name}" for name in REWARD_TERMS))
+        return (*self._metrics.names, *(f"reward/{name}" for name in REWARD_TERMS))
 
     def metrics(self) -> Floats:
         """Running values of the present episodes, (M, n), final where an episode has ended."""

@@ -49,7 +49,8 @@ class Pictures:
         """The rover, the actors and a flag at the goal."""
         batch = self._batch
         motion = batch.motion
-        found = self._robot.bodies(motion.position_w[scene], motion.rotation[scene])
+        angles = batch.joint_angles(scene)
+        found = self._robot.bodies(motion.position_w[scene], motion.rotation[scene], angles)
         shapes = figures(batch.actor_confs)
         for figure, (x, y, z, yaw) in zip(shapes, batch.actors.poses[scene], strict=True):
             turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 _DROP_M = 0.005
 
 
-def scene_spec(world: World, robot: Robot, actors: Actors, physics: PhysicsConf) -> SceneSpec:
+def scene_spec(
+    world: World, robot: Robot, actors: Actors, physics: PhysicsConf, measures_work: bool = False
+) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, actors and the robot."""
     vertices, faces = world.terrain.mesh()
     statics = [StaticBody("terrain", vertices, faces, world.friction, ground=True)]
@@ -30,6 +32,7 @@ def scene_spec(world: World, robot: Robot, actors: Actors, physics: PhysicsConf)
         robot=robot.body,
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
+        measures_work=measures_work,
     )
 
 

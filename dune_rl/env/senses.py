@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import Actors
 from dune_rl.actors.shapes import figures
+from dune_rl.errors import ConfigError
 from dune_rl.geometry.rays import RayScene
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.air import Air
@@ -43,6 +44,7 @@ class Senses:
         num_scenes: int,
         weather: WeatherConf,
     ) -> None:
+        self.conf = conf = carried_by(robot, conf)
         solid = world.solid_mesh()
         low, high = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
         around = Surroundings(
@@ -103,6 +105,26 @@ class Senses:
 def air_of(world: World, weather: WeatherConf) -> Air:
     """What lies between sensors or pictures and what they show."""
     return Air(Haze.of(weather), None if world.grass is None else world.grass.foliage)
+
+
+def carried_by(robot: Robot, conf: SensorsConf) -> SensorsConf:
+    """The sensors at their places on `robot`; `ConfigError` where one would lie in the ground."""
+    mounts, height = robot.mounts, robot.standing_height_m
+    placed = conf.on(
+        scanner_b=mounts.scanner_b,
+        camera_b=mounts.camera_b,
+        camera_pitch_rad=mounts.camera_pitch_rad,
+        imu_b=mounts.imu_b,
+        standing_height_m=height,
+    )
+    for name in placed.enabled:
+        mount = getattr(getattr(placed, name, None), "mount_b", None)
+        if mount is not None and name != "imu" and mount[2] <= -height:
+            raise ConfigError(
+                f"sensors.{name}.mount_b lies in the ground: its third value, up of the robot's origin, "
+                f"must be above {-height:g} (got {mount[2]:g})"
+            )
+    return placed
 
 
 def _drive_geometry(robot: Robot) -> DriveGeometry | None:

@@ -90,7 +90,8 @@ class RobotBody:
 
     `motors` take commands, in their order. The joints that are neither theirs
     nor `passive` turn freely. `ground_links`, which are wheels or feet, stand
-    on the ground with `ground_friction` and touch nothing else, unless
+    on the ground with `ground_friction`, along a wheel's axle with
+    `sideways_friction_share` of it, and touch nothing else, unless
     `ground_links_meet_obstacles`; all other links touch everything, with
     `hull_friction`. Joints that are not motors start at 0.
     """
@@ -100,6 +101,7 @@ class RobotBody:
     ground_links: tuple[str, ...]
     ground_friction: float
     hull_friction: float = 0.3
+    sideways_friction_share: float = 1.0
     ground_links_meet_obstacles: bool = False
     passive: tuple[PassiveJoint, ...] = ()
     couplings: tuple[Coupling, ...] = ()
@@ -127,7 +129,10 @@ class RobotBody:
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """All that a scene holds. Bodies are numbered: statics first, then kinematics."""
+    """All that a scene holds. Bodies are numbered: statics first, then kinematics.
+
+    `measures_work` has the motors' work summed up, which costs a look at their joints in every physics step.
+    """
 
     statics: tuple[StaticBody, ...]
     kinematics: tuple[KinematicCapsule, ...]
@@ -135,6 +140,7 @@ class SceneSpec:
     timestep_s: float
     solver_iterations: int
     gravity_mps2: float = 9.81
+    measures_work: bool = False
 
 
 class PhysicsScene(Protocol):
@@ -182,6 +188,10 @@ class PhysicsScene(Protocol):
         turns. A torque is what turned the joint in the last physics step, gear
         friction taken off, positive where it pushes toward a positive speed.
         """
+        ...
+
+    def work_j(self) -> float:
+        """Work [J] that the motors have done since this was asked last; see `motors.work_w`."""
         ...
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:

@@ -11,15 +11,18 @@ class Motor:
     """What turns a joint: a servo that holds a speed as far as its torque lets it.
 
     In mode `velocity` a command is the speed [rad/s]. In mode `position` it is
-    the angle [rad] to be told at the end of a control step, on the way to
-    which the servo is led in equal parts, and the speed held is `position_gain_per_s` times what is
-    missing of it, as in the servos of walking robots. Either way the speed held
+    the angle [rad] that the servo is led to in equal parts of a control step,
+    and the speed held is `position_gain_per_s` times what is missing of the
+    angle led to, as in the servos of walking robots. Either way the speed held
     is at most `max_speed_radps`.
 
     Torque falls in a straight line from `max_torque_nm` at rest to nothing at
     `no_load_speed_radps`, as a DC motor's does, and `gear_friction_nm` comes
     off it; against its motion a motor brakes with all of it, friction
-    included. `rest_rad` is the joint's angle where the robot is put down.
+    included. `rotor_inertia_kgm2` is the rotor's as felt at the joint, the
+    square of the gears' ratio times its own: no speed changes faster than it
+    lets it, which keeps light wheels that lose their grip from racing.
+    `rest_rad` is the joint's angle where the robot is put down.
     """
 
     joint: str
@@ -29,6 +32,7 @@ class Motor:
     max_speed_radps: float = math.inf
     no_load_speed_radps: float = math.inf
     gear_friction_nm: float = 0.0
+    rotor_inertia_kgm2: float = 0.0
     rest_rad: float = 0.0
 
     @property
@@ -37,6 +41,7 @@ class Motor:
         return (
             self.mode == "velocity"
             and self.gear_friction_nm == 0.0
+            and self.rotor_inertia_kgm2 == 0.0
             and math.isinf(self.no_load_speed_radps)
             and math.isinf(self.max_speed_radps)
         )
@@ -60,11 +65,35 @@ class Motor:
         return self.max_torque_nm + self.gear_friction_nm
 
 
-class Servos:
-    """The motors of one robot, and what they are told: asked before each physics step."""
+def servo(
+    motors: Sequence[Motor],
+    commands: Sequence[float],
+    angles: Sequence[float],
+    speeds: Sequence[float],
+    step_s: float,
+) -> tuple[list[float], list[float]]:
+    """Speeds to hold [rad/s] and the most torque for it [N m], by motor, in a physics step of `step_s`.
 
-    def __init__(self, motors: Sequence[Motor]) -> None:
-        self._motors = motors
+    `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
+    """
+    targets: list[float] = []
+    limits: list[float] = []
+    for motor, command, angle, speed in zip(motors, commands, angles, speeds, strict=True):
+        target = motor.target_speed_radps(command, angle)
+        limit = motor.torque_limit_nm(target, speed)
+        if motor.rotor_inertia_kgm2:
+            reach = limit * step_s / motor.rotor_inertia_kgm2
+            target = min(max(target, speed - reach), speed + reach)
+        targets.append(target)
+        limits.append(limit)
+    return targets, limits
+
+
+class Servos:
+    """The motors of one robot, and what they are told: asked before each physics step of `step_s`."""
+
+    def __init__(self, motors: Sequence[Motor], step_s: float) -> None:
+        self._motors, self._step_s = motors, step_s
         self.rest()
 
     def rest(self) -> None:
@@ -89,12 +118,15 @@ class Servos:
                 for motor, held, command in zip(self._motors, self._held, self._commands, strict=True)
             ]
             self._left -= 1
-        targets = [
-            motor.target_speed_radps(held, angle)
-            for motor, held, angle in zip(self._motors, self._held, angles, strict=True)
-        ]
-        limits = [
-            motor.torque_limit_nm(target, speed)
-            for motor, target, speed in zip(self._motors, targets, speeds, strict=True)
-        ]
-        return targets, limits
+        return servo(self._motors, self._held, angles, speeds, self._step_s)
+
+
+def work_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Sequence[float]) -> float:
+    """Power [W] that motors give at joints' speeds [rad/s] and torques [N m], gear friction included.
+
+    One that brakes gives nothing back.
+    """
+    power = 0.0
+    for motor, speed, torque in zip(motors, speeds, torques, strict=True):
+        power += max(0.0, torque * speed + motor.gear_friction_nm * abs(speed))
+    return power

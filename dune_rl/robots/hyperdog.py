@@ -10,8 +10,10 @@ from dune_rl.geometry.frames import within
 from dune_rl.paths import assets_folder
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.leg_kinematics import Leg
+from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.robot import BodyMotion, rectangle_outline, speed_and_heading_bounds
 from dune_rl.robots.trot import Trot, TrotConf
 from dune_rl.settings import Settings
@@ -26,6 +28,15 @@ _LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
 _LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
 _FOOT_RADIUS_M = 0.02
 _MAX_CORRECTION_RADPS = 0.8
+
+
+class HyperDogMountsConf(MountsConf):
+    """A LiDAR on the rear of the back, a camera in the head, and the inertial unit amid the body."""
+
+    scanner_b: tuple[float, float, float] = (-0.06, 0.0, 0.125)
+    camera_b: tuple[float, float, float] = (0.235, 0.0, 0.035)
+    camera_pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class HyperDogConf(Settings):
@@ -46,8 +57,15 @@ class HyperDogConf(Settings):
     max_yaw_acceleration_radps2: float = Field(2.0, gt=0.0)
     yaw_rate_ki_per_s: float = Field(1.0, ge=0.0, le=10.0)
     max_torque_nm: float = Field(10.0, gt=0.0)
-    max_joint_speed_radps: float = Field(10.0, gt=0.0)
+    no_load_speed_radps: float | None = Field(10.0, gt=0.0)
     foot_friction: float = Field(1.0, gt=0.0, le=3.0)
+    mounts: HyperDogMountsConf = HyperDogMountsConf()
+    battery: BatteryConf = BatteryConf(capacity_wh=73.9, idle_w=30.0, efficiency=0.3)
+
+    @property
+    def standing_height_m(self) -> float:
+        """Height of the origin over level ground."""
+        return self.gait.height_m + _FOOT_RADIUS_M
 
 
 class HyperDog:
@@ -71,7 +89,9 @@ class HyperDog:
         self._yaw_rate = np.zeros(num_scenes)
         self._correction = np.zeros(num_scenes)
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
-        self.standing_height_m = conf.gait.height_m + _FOOT_RADIUS_M
+        self.standing_height_m = conf.standing_height_m
+        self.mounts, self.battery = conf.mounts, conf.battery
+        no_load = np.inf if conf.no_load_speed_radps is None else conf.no_load_speed_radps
         self.body = RobotBody(
             urdf=assets_folder() / "robots" / "hyperdog" / "hyperdog.urdf",
             motors=tuple(
@@ -80,7 +100,8 @@ class HyperDog:
                     conf.max_torque_nm,
                     mode="position",
                     position_gain_per_s=80.0,
-                    max_speed_radps=conf.max_joint_speed_radps,
+                    max_speed_radps=no_load,
+                    no_load_speed_radps=no_load,
                     rest_rad=float(angle),
                 )
                 for leg, angles in zip(_LEGS, rest, strict=True)
@@ -130,7 +151,7 @@ class HyperDog:
             low, high = np.tile(_LIMITS_RAD, (4, 1)).T
             return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         twist = self._twist(action, motion.angular_b[:, 2], step_s)
-        feet = self._trot.feet(twist, motion.roll_pitch_yaw[:, :2], step_s)
+        feet = self._trot.feet(twist, motion, step_s)
         return _LEG.angles(feet - _HIPS_B, _SIDE).reshape(len(action), 12)
 
     def _twist(self, action: Array, measured_yaw_rate: Array, step_s: float) -> Array:

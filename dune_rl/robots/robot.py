@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.interface import RobotBody
+from dune_rl.robots.battery import BatteryConf
+from dune_rl.robots.mounts import MountsConf
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -45,7 +47,7 @@ class Robot(Protocol):
     `height_m` are those of the box round it, which the origin is amid, seen
     from above. `contact_centres_b` (N, 3) [m] are the middles of the balls of
     `contact_radius_m` that it stands on: wheels or feet. `wheels` is None for
-    what walks.
+    what walks; `mounts` is where sensors stand, `battery` what feeds the motors.
     """
 
     length_m: float
@@ -54,6 +56,8 @@ class Robot(Protocol):
     standing_height_m: float
     contact_radius_m: float
     body: RobotBody
+    mounts: MountsConf
+    battery: BatteryConf
 
     @property
     def contact_centres_b(self) -> Array:

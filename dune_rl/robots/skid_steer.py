@@ -20,6 +20,11 @@ class SkidSteerConf(Settings):
     so the track that makes commands come true on the average is wider than the
     real one. How much less depends on the ground; a loop on the gyroscope's
     yaw rate makes up the rest.
+
+    A wheel's motor gives `max_torque_nm` at rest and, where `no_load_speed_radps`
+    is given, in a straight line nothing at that speed; `gear_friction_nm` comes
+    off it, and `rotor_inertia_kgm2` is the rotor's as felt at the wheel. A wheel
+    is told to turn at `max_wheel_speed_radps` at the most.
     """
 
     wheel_radius_m: float = Field(0.125, gt=0.0)
@@ -31,6 +36,10 @@ class SkidSteerConf(Settings):
     max_acceleration_mps2: float = Field(5.0, gt=0.0)
     max_yaw_acceleration_radps2: float = Field(4.0, gt=0.0)
     max_torque_nm: float = Field(6.0, gt=0.0)
+    no_load_speed_radps: float | None = Field(None, gt=0.0)
+    gear_friction_nm: float = Field(0.0, ge=0.0)
+    rotor_inertia_kgm2: float = Field(0.0, ge=0.0)
+    max_wheel_speed_radps: float | None = Field(None, gt=0.0)
 
 
 class SkidSteerDrive:

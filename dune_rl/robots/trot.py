@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.geometry.frames import within
+from dune_rl.robots.robot import BodyMotion
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -31,6 +32,12 @@ class TrotConf(Settings):
     lift_m: float = Field(0.045, gt=0.0, le=0.1)
     height_m: float = Field(0.22, ge=0.15, le=0.27)
     out_m: float = Field(0.10, ge=0.0, le=0.15)
+    capture_s: float = Field(0.0, ge=0.0, le=0.5)
+    level: float = Field(0.0, ge=0.0, le=2.0)
+    damping_s: float = Field(0.0, ge=0.0, le=0.5)
+    slow_from_rad: float = 0.2
+    slow_to_rad: float = 0.5
+    slowest: float = 1.0
 
 
 class Trot:
@@ -50,7 +57,7 @@ class Trot:
         self._feet[mask] = self.rest_b
         self._lift_off[mask] = self.rest_b
 
-    def feet(self, twist: Array, tilt: Array, step_s: float) -> Array:
+    def feet(self, twist: Array, motion: BodyMotion, step_s: float) -> Array:
         """Positions (M, 4, 3) [m] of the feet after a further `step_s`.
 
         `twist` (M, 2) is the wanted speed [m/s] and yaw rate [rad/s], and
@@ -58,18 +65,30 @@ class Trot:
         plumb under the hips. A robot that is to stand still stands on all feet.
         """
         conf = self._conf
+        tilt = motion.roll_pitch_yaw[:, :2]
+        steep = np.hypot(tilt[:, 0], tilt[:, 1])
+        slow = 1 - (1 - conf.slowest) * within((steep - conf.slow_from_rad) / (conf.slow_to_rad - conf.slow_from_rad), 0.0, 1.0)
+        twist = twist * slow[:, None]
         going = (np.abs(twist[:, 0]) > _SLOWEST_MPS) | (np.abs(twist[:, 1]) > _SLOWEST_RADPS)
         self._phase = np.where(going, (self._phase + step_s / conf.cycle_s) % 1.0, 0.0)
         phase = (self._phase[:, None] + _LATE) % 1.0
         swinging = (phase < conf.swing_share) & going[:, None]
         share = np.minimum(phase / conf.swing_share, 1.0)
-        air = self._in_the_air(share, self._landing(twist, tilt))
+        air = self._in_the_air(share, self._landing(twist, tilt, motion.velocity_b))
         ground = self._feet - step_s * self._passing(twist)
         ground[..., 2] = self.rest_b[:, 2]
         stand = self._feet + _SETTLE * (self.rest_b - self._feet)
         self._feet = np.where(swinging[..., None], air, np.where(going[:, None, None], ground, stand))
         self._lift_off = np.where(swinging[..., None], self._lift_off, self._feet)
-        return self._feet
+        return self._feet + self._posture(tilt, motion.angular_b)
+
+    def _posture(self, tilt: Array, rates: Array) -> Array:
+        conf = self._conf
+        roll, pitch = (conf.level * within(np.tan(tilt), -_STEEPEST, _STEEPEST) + conf.damping_s * within(rates[:, :2], -2.0, 2.0)).T
+        x, y = self.rest_b[:, 0], self.rest_b[:, 1]
+        up = roll[:, None] * y - pitch[:, None] * x
+        up = within(up, -0.06, 0.06)
+        return np.stack([np.zeros_like(up), np.zeros_like(up), up], axis=-1)
 
     def _passing(self, twist: Array) -> Array:
         """Velocity of the body over the ground at each foot's place (M, 4, 3) [m/s]."""
@@ -78,12 +97,14 @@ class Trot:
         across = turn * self.rest_b[:, 0]
         return np.stack([along, across, np.zeros_like(along)], axis=-1)
 
-    def _landing(self, twist: Array, tilt: Array) -> Array:
+    def _landing(self, twist: Array, tilt: Array, velocity: Array) -> Array:
         """Where feet come down: half a stance ahead of the place plumb under their hips."""
         conf = self._conf
         stance_s = conf.cycle_s * (1.0 - conf.swing_share)
         lean = conf.height_m * within(np.tan(tilt), -_STEEPEST, _STEEPEST)
-        aside = np.stack([lean[:, 1], -lean[:, 0], np.zeros(len(twist))], axis=-1)
+        excess = velocity[:, :2] - np.column_stack([twist[:, 0], np.zeros(len(twist))])
+        caught = within(conf.capture_s * excess, -0.06, 0.06)
+        aside = np.stack([lean[:, 1] + caught[:, 0], -lean[:, 0] + caught[:, 1], np.zeros(len(twist))], axis=-1)
         landing: Array = self.rest_b + self._passing(twist) * (stance_s / 2) + aside[:, None]
         return landing
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dune_rl.rendering.body import Body, Solid
 from dune_rl.rendering.light import linear
 from dune_rl.rendering.scenery import Segment, Shape, joined
+from dune_rl.robots.urdf_meshes import UrdfMeshes
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,8 @@ class _Joint:
 class RobotVisual:
     """The links of a URDF as solids, posed by the base and, where told, by joint angles.
 
-    Boxes, cylinders and spheres are drawn; meshes are the business of whoever imports robots.
+    Boxes, cylinders, spheres and meshes (.stl, .obj, .dae, .glb, .ply) are drawn,
+    these in the URDF's material where it names one, else in their own colours.
     """
 
     def __init__(self, urdf: Path) -> None:
@@ -47,8 +49,9 @@ class RobotVisual:
         children = {joint.child for joint in self._joints}
         self._base = next(name for name in links if name not in children)
         self._solids: dict[str, Solid] = {}
+        meshes = UrdfMeshes(urdf)
         for name, link in links.items():
-            shapes = [_visual(element, colours) for element in link.findall("visual")]
+            shapes = [_visual(element, colours, meshes) for element in link.findall("visual")]
             if shapes:
                 self._solids[name] = Solid(joined(shapes))
 
@@ -115,24 +118,42 @@ def _rgb(material: Element | None) -> tuple[float, float, float]:
     return float(red), float(green), float(blue)
 
 
-def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]]) -> Shape:
+def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]], meshes: UrdfMeshes) -> Shape:
     geometry = element.find("geometry")
     assert geometry is not None and len(geometry), "a visual element has a geometry"
-    mesh = _mesh(geometry[0])
+    own: Array | None = None
+    if geometry[0].tag == "mesh":
+        mesh, own = _from_file(geometry[0], meshes)
+    else:
+        mesh = _primitive(geometry[0])
     mesh.apply_transform(_origin(element))
     material = element.find("material")
     named = None if material is None else colours.get(material.get("name", ""))
-    colour = named if named is not None else _rgb(material)
+    painted = material is not None and (named is not None or material.find("color") is not None)
     count = len(mesh.faces)
+    if own is None or painted:
+        own = np.tile(np.array(named if named is not None else _rgb(material)), (count, 1))
     return Shape(
         np.asarray(mesh.vertices),
         np.asarray(mesh.faces, np.int32),
-        np.tile(linear(np.array(colour)), (count, 1)),
+        linear(own.astype(np.float32)),
         np.full(count, Segment.ROBOT, np.uint8),
     )
 
 
-def _mesh(element: Element) -> trimesh.Trimesh:
+def _from_file(element: Element, meshes: UrdfMeshes) -> tuple[trimesh.Trimesh, Array]:
+    """The mesh that a URDF names, scaled, and the colours of its faces (F, 3) in sRGB."""
+    parts = meshes.parts(element.get("filename", ""))
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
+    vertices = np.concatenate([part.vertices for part in parts])
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    # Mirrored, faces would show their backs: trimesh turns them round.
+    mesh.apply_transform(np.diag([*_numbers(element.get("scale"), (1.0, 1.0, 1.0)), 1.0]))
+    return mesh, np.concatenate([part.colours for part in parts]).astype(np.float64)
+
+
+def _primitive(element: Element) -> trimesh.Trimesh:
     if element.tag == "box":
         return trimesh.creation.box(_numbers(element.get("size"), (1.0, 1.0, 1.0)))
     if element.tag == "cylinder":
@@ -140,4 +161,4 @@ def _mesh(element: Element) -> trimesh.Trimesh:
         return trimesh.creation.cylinder(radius, length, sections=_SECTIONS)
     if element.tag == "sphere":
         return trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0.5)))
-    raise ValueError(f"a visual <{element.tag}> cannot be drawn; use box, cylinder or sphere")
+    raise ValueError(f"a visual <{element.tag}> cannot be drawn; use box, cylinder, sphere or mesh")

@@ -12,7 +12,7 @@ from dune_rl.rendering.baked import Baked
 from dune_rl.rendering.moving import Figure
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_b
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -25,14 +25,14 @@ Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
 class CameraConf(LensConf):
     """Lens, mount and outputs. The defaults are the paper's: 64 by 64 pixels, 60 degrees, RGB.
 
-    `mount_b` is forward, left and up of the chassis centre [m]; `pitch_rad`
+    `mount_b` is forward, left and up of the robot's origin [m]; `pitch_rad`
     tilts the camera down. `range_m` is how far it sees, and the depth where
     nothing is seen.
     """
 
     outputs: tuple[Output, ...] = Field(("rgb",), min_length=1)
-    mount_b: tuple[float, float, float] = (0.2, 0.0, 0.175)
-    pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    mount_b: Mount = None
+    pitch_rad: float | None = Field(None, ge=-np.pi / 2, le=np.pi / 2)
     range_m: float = Field(100.0, gt=0.0, le=10_000.0)
 
     @model_validator(mode="after")
@@ -62,7 +62,8 @@ class Camera:
         self._baked = baked
         self._figures = figures
         lens = Lens(conf)
-        cos, sin = np.cos(conf.pitch_rad), np.sin(conf.pitch_rad)
+        pitch = conf.pitch_rad or 0.0
+        cos, sin = np.cos(pitch), np.sin(pitch)
         self._tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
         self._directions = lens.directions.reshape(-1, 3)
         self._directions_b = np.ascontiguousarray(self._directions @ self._tilt.T, np.float32)
@@ -88,7 +89,7 @@ class Camera:
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the cameras are [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
-        return position_w + rotation @ np.asarray(self.conf.mount_b)
+        return position_w + rotation @ place_b(self.conf.mount_b)
 
     def frames(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, NDArray[Any]]:
         """A picture (M, height, width, channels) of each output.

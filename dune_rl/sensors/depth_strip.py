@@ -11,7 +11,7 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.air import Air
 from dune_rl.rendering.moving import Figure
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class DepthStripConf(Settings):
     lowest_elevation_rad: float = Field(-0.06, ge=-np.pi / 2, le=np.pi / 2)
     highest_elevation_rad: float = Field(0.24, ge=-np.pi / 2, le=np.pi / 2)
     range_m: float = Field(5.0, gt=0.0, le=1_000.0)
-    mount_b: tuple[float, float, float] = (0.174, 0.0, 0.196)
+    mount_b: Mount = None
 
     @model_validator(mode="after")
     def _sound(self) -> Self:

@@ -22,11 +22,12 @@ _HIGHEST_M = 1_000.0
 class HeightScanConf(Settings):
     """Size and place of the grid, and what it shows.
 
-    `ahead_m` is the distance of the first row ahead of the chassis centre.
+    `ahead_m` is the distance of the first row ahead of the robot's origin.
     Heights are clipped to `limit_m` both ways. `source=solid` looks down from
     `above_m` over the ground on which the rover stands and sees decks, walls
     and everything else that is solid and still; `source=terrain` tells the
-    bare ground. `standing_height_m` is the chassis centre's over level ground.
+    bare ground. `standing_height_m` is that of the
+    robot's origin over level ground, None the robot's own.
     """
 
     rows: int = Field(11, ge=1, le=256)
@@ -36,7 +37,7 @@ class HeightScanConf(Settings):
     limit_m: float = Field(1.0, gt=0.0, le=100.0)
     source: Literal["terrain", "solid"] = "solid"
     above_m: float = Field(1.0, gt=0.0, le=100.0)
-    standing_height_m: float = Field(0.125, ge=0.0, le=10.0)
+    standing_height_m: float | None = Field(None, ge=0.0, le=10.0)
 
     @model_validator(mode="after")
     def _sees_its_limit(self) -> Self:
@@ -53,7 +54,7 @@ class HeightScan:
 
     Frame: the rover's position and yaw alone; however it rolls or pitches, the
     grid stays level. Row by row from the nearest, each from right to left.
-    Heights are over the plane `standing_height_m` below the chassis centre, so
+    Heights are over the plane `standing_height_m` below the robot's origin, so
     that level ground reads 0. With `source=solid`, what hangs wholly higher
     than `above_m` is overhead and not seen; walls and hills that reach higher
     read the upper limit, and where there is no ground at all, the lower.
@@ -98,7 +99,7 @@ class HeightScan:
         """The reading of rovers at `position_w` (M, 3) [m] that head `yaw` (M,) [rad]."""
         conf = self.conf
         xy = self.points(position_w, yaw)
-        base = position_w[:, 2, None] - conf.standing_height_m
+        base = position_w[:, 2, None] - (conf.standing_height_m or 0.0)
         if conf.source == "terrain":
             heights = self._terrain.height(xy) - base
         else:

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.geometry.frames import cross, to_body, within
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Reading
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Mount, Reading, place_b
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ class ImuConf(Settings):
 
     acceleration_range_mps2: float = Field(156.9, gt=GRAVITY_MPS2)
     angular_range_radps: float = Field(34.9, gt=0.0)
-    mount_b: tuple[float, float, float] = (0.0, 0.0, 0.096)
+    mount_b: Mount = None
 
 
 class Imu:
@@ -31,7 +31,7 @@ class Imu:
         self.conf = conf
         self._previous_velocity = np.zeros((num_scenes, 3))
         self.acceleration_b = np.zeros((num_scenes, 3))
-        self._mount = np.asarray(conf.mount_b)
+        self._mount = place_b(conf.mount_b)
 
     def begin(self, mask: NDArray[np.bool_], rotation: Array, velocity_w: Array, angular_w: Array) -> None:
         """Start from the present motion, unaccelerated, in the scenes in `mask` (M,)."""

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.rays import RayScene
+from dune_rl.sensors.sensor import Mount, place_b
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -20,8 +21,7 @@ class LidarConf(Settings):
     range_m: float = Field(12.0, gt=0.0, le=1_000.0)
     min_range_m: float = Field(0.1, ge=0.0)
     fov_rad: float = Field(2 * np.pi, gt=0.0, le=2 * np.pi)
-    # Above and ahead of the chassis centre, as the published simulation mounts it.
-    mount_b: tuple[float, float, float] = (0.174, 0.0, 0.196)
+    mount_b: Mount = None
 
     @model_validator(mode="after")
     def _even_segments(self) -> Self:
@@ -80,13 +80,13 @@ class Beams:
     def __init__(
         self,
         directions_b: Array,
-        mount_b: tuple[float, float, float],
+        mount_b: Mount,
         range_m: float,
         static: RayScene,
         actor_shapes: list[RayScene],
     ) -> None:
         self.directions_b = directions_b
-        self._mount_b = np.asarray(mount_b)
+        self._mount_b = place_b(mount_b)
         self._range_m = range_m
         self._static = static
         self._groups = [

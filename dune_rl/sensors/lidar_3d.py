@@ -15,7 +15,7 @@ from dune_rl.rendering.surface import Surface, luminance
 from dune_rl.sensors.camera import groups
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_b
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Lidar3dConf(Settings):
     min_range_m: float = Field(0.1, ge=0.0)
     fov_rad: float = Field(2 * np.pi, gt=0.0, le=2 * np.pi)
     half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0)
-    mount_b: tuple[float, float, float] = (0.174, 0.0, 0.196)
+    mount_b: Mount = None
     outputs: tuple[Lidar3dOutput, ...] = Field(("range",), min_length=1)
 
     @model_validator(mode="after")
@@ -172,7 +172,7 @@ class Lidar3d:
         """Ranges, albedo times incidence, and segments of all beams, each (M, N); ranges alone if they do."""
         conf = self.conf
         scenes, count = len(position_w), len(self._directions_b)
-        origin = position_w + rotation @ np.asarray(conf.mount_b)
+        origin = position_w + rotation @ place_b(conf.mount_b)
         origins32 = origin.astype(np.float32)
         directions = (self._directions_b @ rotation.transpose(0, 2, 1).astype(np.float32)).reshape(-1, 3)
         ranges = np.full(scenes * count, conf.range_m, np.float32)

@@ -12,7 +12,7 @@ from dune_rl.rendering.grass_colour import grass_albedo
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.surface import luminance
 from dune_rl.sensors.draws import uniform
-from dune_rl.sensors.sensor import Moment
+from dune_rl.sensors.sensor import Moment, Mount, place_b
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -113,11 +113,11 @@ class InGrass:
         foliage: Foliage,
         name: str,
         directions_b: NDArray[np.floating],
-        mount_b: tuple[float, float, float],
+        mount_b: Mount,
         min_range_m: float,
     ) -> None:
         self._foliage, self._name, self._min_range_m = foliage, name, np.float32(min_range_m)
-        self._directions_b, self._mount_b = directions_b.astype(np.float32), np.asarray(mount_b)
+        self._directions_b, self._mount_b = directions_b.astype(np.float32), place_b(mount_b)
         self.luminance = float(luminance(grass_albedo()))
 
     def applied(self, ranges: Floats, now: Moment) -> Floats:
@@ -134,7 +134,7 @@ def effects_of(
     air: Air,
     name: str,
     directions_b: NDArray[np.floating],
-    mount_b: tuple[float, float, float],
+    mount_b: Mount,
     limits_m: tuple[float, float],
 ) -> list[InGrass | InHaze]:
     """What the air does to beams whose ranges lie between two `limits_m`; `name` tells their draws apart."""

@@ -10,10 +10,17 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 Reading = NDArray[Any]
+# Forward, left and up of the robot's origin [m]; None is where the robot carries such a sensor.
+Mount = tuple[float, float, float] | None
 # Lowest and highest value of every entry of a reading, in its own shape and type.
 Bounds = tuple[Reading, Reading]
 # The smallest float32 that no angle in [-pi, pi] exceeds.
 PI32 = np.nextafter(np.float32(np.pi), np.float32(4.0))
+
+
+def place_b(mount: Mount) -> Array:
+    """Where a sensor stands in the body frame [m], (3,): at the origin, if no robot gives it a place."""
+    return np.zeros(3) if mount is None else np.asarray(mount, np.float64)
 
 
 @dataclass(frozen=True)

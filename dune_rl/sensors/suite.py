@@ -1,6 +1,6 @@
 """Which sensors a rover carries, and what they give."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -41,6 +41,7 @@ from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.speed import Speed
 from dune_rl.settings import Settings
 
+Place = tuple[float, float, float]
 SensorName = Literal[
     "lidar",
     "lidar_past",
@@ -91,7 +92,8 @@ class SensorsConf(Settings):
     """The sensors whose readings make the observation, in this order, and their settings.
 
     `lidar_past` is the scan of `past_s` ago, carried into the present sensor
-    frame: where it differs from the present scan, something has moved.
+    frame: where it differs from the present scan, something has moved. Mounts
+    that are None are the robot's own.
     """
 
     enabled: tuple[SensorName, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
@@ -108,6 +110,30 @@ class SensorsConf(Settings):
     position: PositionConf = PositionConf()
     realism: SensorRealismConf = SensorRealismConf()
 
+    def on(
+        self,
+        *,
+        scanner_b: Place,
+        camera_b: Place,
+        camera_pitch_rad: float,
+        imu_b: Place,
+        standing_height_m: float,
+    ) -> "SensorsConf":
+        """The same on a robot that carries its scanners, camera and inertial unit there.
+
+        What has a place of its own keeps it.
+        """
+        places = {"lidar": scanner_b, "lidar_3d": scanner_b, "depth_strip": scanner_b}
+        changes: dict[str, Settings] = {}
+        for name, place in {**places, "camera": camera_b, "imu": imu_b}.items():
+            conf: Settings = getattr(self, name)
+            own = (
+                {"mount_b": place, "pitch_rad": camera_pitch_rad} if name == "camera" else {"mount_b": place}
+            )
+            changes[name] = _completed(conf, own)
+        changes["height_scan"] = _completed(self.height_scan, {"standing_height_m": standing_height_m})
+        return self.model_copy(update=changes)
+
     def readings(self) -> list[str]:
         """Names of the readings, in order: a camera and a 3D LiDAR have one for each output."""
         several = {"camera": self.camera.outputs, "lidar_3d": self.lidar_3d.outputs}
@@ -115,6 +141,13 @@ class SensorsConf(Settings):
         for name in self.enabled:
             names += [f"{name}_{output}" for output in several[name]] if name in several else [name]
         return names
+
+
+def _completed(conf: Settings, values: Mapping[str, object]) -> Settings:
+    """The settings with `values` for those that are None."""
+    return conf.model_copy(
+        update={name: value for name, value in values.items() if getattr(conf, name) is None}
+    )
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,9 @@ class PuppetScene:
     def drive_state(self) -> tuple[float, ...]:
         return (0.0,) * (3 * len(self.spec.robot.drive_joints))
 
+    def work_j(self) -> float:
+        return 0.0
+
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         return (0.0,) * len(joints)
 

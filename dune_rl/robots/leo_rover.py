@@ -1,0 +1,113 @@
+"""Leo Rover: four wheels on two rockers, whose differential keeps all of them on the ground."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.paths import assets_folder
+from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
+from dune_rl.robots.battery import BatteryConf
+from dune_rl.robots.heading import HeadingConf
+from dune_rl.robots.mounts import MountsConf
+from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
+from dune_rl.settings import Settings
+
+
+class LeoDriveConf(SkidSteerConf):
+    """Its limits; without load a wheel turns at battery voltage by the motors' torque constant.
+
+    That is 11.1 V / 1.176 Nm/A, both the maker's, as are 0.4 m/s and 60 degrees
+    a second. The rotor's inertia is an estimate, of 9 g cm² behind gears of
+    73.2:1; the effective track is the one that makes turns come true here.
+    """
+
+    wheel_radius_m: float = Field(0.0625, gt=0.0)
+    effective_track_m: float = Field(0.45, gt=0.0)
+    max_speed_mps: float = Field(0.4, gt=0.0, le=10.0)
+    max_yaw_rate_radps: float = Field(1.047, gt=0.0, le=10.0)
+    max_acceleration_mps2: float = Field(2.5, gt=0.0)
+    max_yaw_acceleration_radps2: float = Field(3.0, gt=0.0)
+    max_torque_nm: float = Field(2.0, gt=0.0)
+    no_load_speed_radps: float | None = Field(9.4, gt=0.0)
+    gear_friction_nm: float = Field(0.3125, ge=0.0)
+    rotor_inertia_kgm2: float = Field(0.005, ge=0.0)
+    max_wheel_speed_radps: float | None = Field(None, gt=0.0)
+
+
+class LeoMountsConf(MountsConf):
+    """A LiDAR on a mast, as in the published simulation; camera and inertial unit as the maker has them."""
+
+    scanner_b: tuple[float, float, float] = (0.0, 0.0, 0.6)
+    camera_b: tuple[float, float, float] = (0.097, 0.0, -0.043)
+    camera_pitch_rad: float = Field(0.21, ge=-np.pi / 2, le=np.pi / 2)
+    imu_b: tuple[float, float, float] = (0.063, -0.031, -0.039)
+
+
+class LeoRoverConf(Settings):
+    """Settings of the rover: heading controller, drive, tyres, rockers, its sensors' places and its battery.
+
+    The battery is the maker's, 11.1 V and 5 Ah; what is drawn at rest makes it
+    last the four hours that the maker states.
+    """
+
+    name: Literal["leo_rover"] = "leo_rover"
+    heading: HeadingConf = HeadingConf()
+    drive: LeoDriveConf = LeoDriveConf()
+    wheel_friction: float = Field(1.0, gt=0.0, le=3.0)
+    sideways_friction_share: float = Field(0.5, gt=0.0, le=1.0)
+    rocker_friction_nm: float = Field(1.0, ge=0.0)
+    rocker_damping_nms_per_rad: float = Field(0.1, ge=0.0)
+    mounts: LeoMountsConf = LeoMountsConf()
+    battery: BatteryConf = BatteryConf(capacity_wh=55.5, idle_w=13.9, efficiency=0.7)
+
+    @property
+    def standing_height_m(self) -> float:
+        """Height of the origin over level ground."""
+        return LeoRover.standing_height_m
+
+
+class LeoRover(WheeledRobot):
+    """M rovers driven by (speed, heading) commands: a `Robot`.
+
+    Frame: x forward, y left, z up, origin that of the maker's base link,
+    `standing_height_m` above level ground. A differential turns the right
+    rocker opposite to the left one, so that the body carries their mean.
+    """
+
+    length_m = 0.43
+    width_m = 0.45
+    height_m = 0.25
+    standing_height_m = 0.198
+    contact_radius_m = 0.0625
+    # Middles of the tyres where the rockers are level [m].
+    wheel_positions_b = np.array(
+        [[x, y, -0.1353] for x, y in ((0.1552, 0.1789), (0.1552, -0.1789), (-0.15, 0.1789), (-0.15, -0.1789))]
+    )
+
+    def __init__(self, conf: LeoRoverConf, num_scenes: int) -> None:
+        self.conf = conf
+        wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
+        rockers = ("left_rocker_joint", "right_rocker_joint")
+        super().__init__(
+            heading=conf.heading,
+            drive=conf.drive,
+            body=RobotBody(
+                urdf=assets_folder() / "robots" / "leo_rover" / "leo_rover.urdf",
+                motors=tuple(wheel_motor(f"{wheel}_joint", conf.drive) for wheel in wheels),
+                ground_links=tuple(wheels),
+                ground_friction=conf.wheel_friction,
+                sideways_friction_share=conf.sideways_friction_share,
+                ground_links_meet_obstacles=True,
+                passive=tuple(
+                    PassiveJoint(joint, conf.rocker_friction_nm, conf.rocker_damping_nms_per_rad)
+                    for joint in rockers
+                ),
+                couplings=(Coupling(*rockers, ratio=-1.0),),
+            ),
+            on_left=["left" in wheel for wheel in wheels],
+            mounts=conf.mounts,
+            battery=conf.battery,
+            num_scenes=num_scenes,
+        )

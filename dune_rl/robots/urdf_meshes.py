@@ -1,0 +1,95 @@
+"""The mesh files that a URDF names: found beside it or in a package, read only within those folders."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from dune_rl.errors import RobotError, WorldError
+from dune_rl.worlds.importing.import_files import Folder, Report, shown
+from dune_rl.worlds.importing.mesh_files import FORMATS, mesh_parts
+from dune_rl.worlds.importing.parts import Part
+
+PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
+_PACKAGE = "package://"
+_PACKAGE_FILE = "package.xml"
+
+
+class UrdfMeshes:
+    """The meshes of the URDF file at `urdf`.
+
+    A plain name is looked for beside the file, up to the root of its package
+    (the nearest folder above that has a package.xml). `package://NAME/...` is
+    looked for in the folders above the file that are called NAME or hold a
+    folder NAME, and in those of ROS_PACKAGE_PATH. Nothing outside the folder so
+    found is read, wherever links lead.
+    """
+
+    def __init__(self, urdf: Path) -> None:
+        self._urdf = urdf
+        self._beside = urdf.resolve().parent
+
+    def find(self, name: str) -> Path:
+        """The path of a mesh by its name in the URDF; `RobotError` where there is none to be read."""
+        if name.startswith(_PACKAGE):
+            package, _, rest = name.removeprefix(_PACKAGE).partition("/")
+            folders = list(self._packages(package))
+            if not folders:
+                raise RobotError(
+                    f"{shown(name)}: there is no package {shown(package)!r} above {self._urdf.name} nor in "
+                    f"{PACKAGE_VARIABLE}; put the folder {shown(package)} beside the file, or set "
+                    f"{PACKAGE_VARIABLE}."
+                )
+            searched = [Folder(folder) for folder in folders]
+        else:
+            rest = name
+            searched = [Folder(self._root(), self._beside)]
+        for folder in searched:
+            try:
+                return folder.find(rest)
+            except FileNotFoundError:
+                continue
+            except WorldError as error:
+                raise RobotError(_for_robots(error)) from None
+        where = ", ".join(str(folder.base) for folder in searched)
+        raise RobotError(f"the mesh {shown(name)} is not in {where}; copy it there, or mend the name.")
+
+    def parts(self, name: str) -> list[Part]:
+        """The mesh as coloured parts in metres, in the axes of the file."""
+        path = self.find(name)
+        if path.suffix.lower() not in FORMATS:
+            raise RobotError(
+                f"the mesh {shown(name)} has the ending {path.suffix or '(none)'}; "
+                f"meshes are read from {', '.join(FORMATS)}."
+            )
+        try:
+            # URDF reads files as they are: their own idea of up does not count.
+            return mesh_parts(path, Folder(path.resolve().parent), Report(path.name), up="z")
+        except WorldError as error:
+            raise RobotError(_for_robots(error)) from None
+
+    def _root(self) -> Path:
+        for folder in (self._beside, *self._beside.parents):
+            if (folder / _PACKAGE_FILE).is_file():
+                return folder
+        return self._beside
+
+    def _packages(self, name: str) -> Iterator[Path]:
+        if not name or name in (".", "..") or Path(name).name != name:
+            return
+        for folder in (self._beside, *self._beside.parents):
+            if folder.name == name:
+                yield folder
+            if (folder / name).is_dir():
+                yield folder / name
+        for entry in os.environ.get(PACKAGE_VARIABLE, "").split(os.pathsep):
+            if not entry:
+                continue
+            folder = Path(entry).expanduser()
+            if folder.name == name and (folder / _PACKAGE_FILE).is_file():
+                yield folder
+            if (folder / name).is_dir():
+                yield folder / name
+
+
+def _for_robots(error: WorldError) -> str:
+    return str(error).replace("the world needs", "the robot needs").replace("world.path", "robot.path")
