@@ -4,9 +4,7 @@
 each in its link's frame (x forward, y left, z up); a file for each colour.
 """
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import trimesh
@@ -14,10 +12,10 @@ from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
 from dune_rl.paths import assets_folder
+from dune_rl.robots.drawn_parts import bevelled, box, cylinder, joined, plate
 
 Array = NDArray[np.float64]
 Mesh = trimesh.Trimesh
-Triple = tuple[float, float, float]
 
 # From a left wheel's joint, at the outside of its hub, to the middle of its tyre.
 _TYRE_Y = -0.0449
@@ -30,15 +28,15 @@ _ACROSS = (0.0, 1.0, 0.0)
 def shapes() -> dict[str, Mesh]:
     """Each file's mesh by its name."""
     return {
-        "body": _joined(_body()),
-        "trim": _joined(_trim()),
-        "lens": _cylinder(0.011, 0.006, (0.1215, 0.0, -0.0485), (1.0, 0.0, -0.21)),
-        "mast": _joined(_mast()),
-        "rocker": _joined(_rocker()),
-        "motors": _joined(_motors()),
-        "tyre": _joined(_tyre()),
-        "hub": _joined(_hub()),
-        "hub_cap": _joined(_hub_cap()),
+        "body": joined(_body()),
+        "trim": joined(_trim()),
+        "lens": cylinder(0.011, 0.006, (0.1215, 0.0, -0.0485), (1.0, 0.0, -0.21)),
+        "mast": joined(_mast()),
+        "rocker": joined(_rocker()),
+        "motors": joined(_motors()),
+        "tyre": joined(_tyre()),
+        "hub": joined(_hub()),
+        "hub_cap": joined(_hub_cap()),
     }
 
 
@@ -48,90 +46,48 @@ def write(folder: Path) -> None:
         mesh.export(folder / f"{name}.stl")
 
 
-def _joined(parts: Iterable[Mesh]) -> Mesh:
-    return cast(Mesh, trimesh.util.concatenate(list(parts)))
-
-
-def _box(centre: Triple, size: Triple, pitch: float = 0.0) -> Mesh:
-    box = trimesh.creation.box(size)
-    box.apply_transform(rotation_matrix(pitch, _ACROSS))
-    box.apply_translation(centre)
-    return box
-
-
-def _cylinder(
-    radius: float, length: float, centre: Triple, axis: Triple = _ACROSS, sections: int = 24
-) -> Mesh:
-    mesh = trimesh.creation.cylinder(radius, length, sections=sections)
-    mesh.apply_transform(
-        trimesh.geometry.align_vectors((0.0, 0.0, 1.0), np.array(axis) / np.linalg.norm(axis))
-    )
-    mesh.apply_translation(centre)
-    return mesh
-
-
-def _bevelled(centre: Triple, size: Triple, bevel: float) -> Mesh:
-    """A box whose edges are cut off at 45 degrees."""
-    half = np.array(size) / 2
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    corners = np.concatenate([signs * (half - bevel * np.eye(3)[axis]) for axis in range(3)])
-    return Mesh(corners + centre).convex_hull
-
-
 def _body() -> list[Mesh]:
-    shell = _bevelled((-0.008, 0.0, -0.046), (0.236, 0.206, 0.080), 0.014)
-    nose = _bevelled((0.104, 0.0, -0.050), (0.030, 0.120, 0.056), 0.008)
+    shell = bevelled((-0.008, 0.0, -0.046), (0.236, 0.206, 0.080), 0.014)
+    nose = bevelled((0.104, 0.0, -0.050), (0.030, 0.120, 0.056), 0.008)
     return [shell, nose]
 
 
 def _trim() -> list[Mesh]:
-    plate = _bevelled((-0.008, 0.0, -0.002), (0.246, 0.196, 0.009), 0.003)
-    belly = _bevelled((-0.008, 0.0, -0.087), (0.210, 0.180, 0.010), 0.004)
-    rails = [_box((-0.008, side * 0.086, 0.007), (0.230, 0.012, 0.009)) for side in (-1, 1)]
-    battery = _bevelled((-0.128, 0.0, -0.046), (0.026, 0.120, 0.058), 0.006)
-    camera = _box((0.1175, 0.0, -0.047), (0.010, 0.046, 0.034), 0.21)
-    hinges = [_cylinder(0.022, 0.014, (0.0026, side * 0.108, -0.0473)) for side in (-1, 1)]
-    antenna = _cylinder(0.0055, 0.056, (-0.0052, 0.056, 0.028), (0.0, 0.0, 1.0), 12)
+    deck = bevelled((-0.008, 0.0, -0.002), (0.246, 0.196, 0.009), 0.003)
+    belly = bevelled((-0.008, 0.0, -0.087), (0.210, 0.180, 0.010), 0.004)
+    rails = [box((-0.008, side * 0.086, 0.007), (0.230, 0.012, 0.009)) for side in (-1, 1)]
+    battery = bevelled((-0.128, 0.0, -0.046), (0.026, 0.120, 0.058), 0.006)
+    camera = box((0.1175, 0.0, -0.047), (0.010, 0.046, 0.034), 0.21)
+    hinges = [cylinder(0.022, 0.014, (0.0026, side * 0.108, -0.0473)) for side in (-1, 1)]
+    antenna = cylinder(0.0055, 0.056, (-0.0052, 0.056, 0.028), (0.0, 0.0, 1.0), 12)
     # The bar of the differential, over the back of the body.
-    bar = _box((-0.100, 0.0, 0.012), (0.014, 0.230, 0.010))
-    return [plate, belly, *rails, battery, camera, *hinges, antenna, bar]
+    bar = box((-0.100, 0.0, 0.012), (0.014, 0.230, 0.010))
+    return [deck, belly, *rails, battery, camera, *hinges, antenna, bar]
 
 
 def _mast() -> list[Mesh]:
     up = (0.0, 0.0, 1.0)
-    foot = _cylinder(0.028, 0.010, (0.0, 0.0, 0.008), up)
-    pole = _cylinder(0.008, 0.560, (0.0, 0.0, 0.285), up, 12)
-    shelf = _cylinder(0.040, 0.006, (0.0, 0.0, 0.566), up)
-    lidar = [_cylinder(0.035, 0.024, (0.0, 0.0, 0.581), up), _cylinder(0.031, 0.026, (0.0, 0.0, 0.606), up)]
-    return [foot, pole, shelf, *lidar, _cylinder(0.035, 0.006, (0.0, 0.0, 0.622), up)]
-
-
-def _arm(start: Array, end: Array, radii: tuple[float, float], width: float, y: float = 0.0) -> Mesh:
-    """A plate round two points (x, z), as wide as a disc at each."""
-    angle = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    points = [
-        np.insert(middle + radius * circle, 1, y + side * width / 2, axis=1)
-        for middle, radius in zip((start, end), radii, strict=True)
-        for side in (-1, 1)
-    ]
-    return Mesh(np.concatenate(points)).convex_hull
+    foot = cylinder(0.028, 0.010, (0.0, 0.0, 0.008), up)
+    pole = cylinder(0.008, 0.560, (0.0, 0.0, 0.285), up, 12)
+    shelf = cylinder(0.040, 0.006, (0.0, 0.0, 0.566), up)
+    lidar = [cylinder(0.035, 0.024, (0.0, 0.0, 0.581), up), cylinder(0.031, 0.026, (0.0, 0.0, 0.606), up)]
+    return [foot, pole, shelf, *lidar, cylinder(0.035, 0.006, (0.0, 0.0, 0.622), up)]
 
 
 def _rocker() -> list[Mesh]:
     x, z = _HINGE_TO_HUB
-    parts = [_arm(np.array([-0.045, 0.004]), np.array([0.045, 0.004]), (0.028, 0.028), 0.026)]
+    parts = [plate(np.array([-0.045, 0.004]), np.array([0.045, 0.004]), (0.028, 0.028), 0.026)]
     for end in (-1, 1):
         knee = np.array([end * 0.118, -0.012])
-        parts.append(_arm(np.array([end * 0.045, 0.004]), knee, (0.026, 0.020), 0.026))
-        parts.append(_arm(knee, np.array([end * x, z]), (0.020, 0.023), 0.026))
+        parts.append(plate(np.array([end * 0.045, 0.004]), knee, (0.026, 0.020), 0.026))
+        parts.append(plate(knee, np.array([end * x, z]), (0.020, 0.023), 0.026))
     return parts
 
 
 def _motors() -> list[Mesh]:
     x, z = _HINGE_TO_HUB
-    housings = [_cylinder(0.019, 0.046, (end * x, 0.012, z)) for end in (-1, 1)]
-    return [*housings, _cylinder(0.020, 0.036, (0.0, 0.0, 0.0))]
+    housings = [cylinder(0.019, 0.046, (end * x, 0.012, z)) for end in (-1, 1)]
+    return [*housings, cylinder(0.020, 0.036, (0.0, 0.0, 0.0))]
 
 
 def _tyre() -> list[Mesh]:
@@ -169,15 +125,15 @@ def _hub() -> list[Mesh]:
     rim.apply_translation((0.0, _TYRE_Y, 0.0))
     spokes = []
     for number in range(6):
-        spoke = _box((0.0, _TYRE_Y + 0.024, 0.018), (0.011, 0.010, 0.026))
+        spoke = box((0.0, _TYRE_Y + 0.024, 0.018), (0.011, 0.010, 0.026))
         spoke.apply_transform(rotation_matrix(np.pi * number / 3, _ACROSS))
         spokes.append(spoke)
     return [rim, *spokes]
 
 
 def _hub_cap() -> list[Mesh]:
-    back = _cylinder(0.030, 0.012, (0.0, _TYRE_Y + 0.012, 0.0))
-    nut = _cylinder(0.011, 0.014, (0.0, _TYRE_Y + 0.030, 0.0), sections=6)
+    back = cylinder(0.030, 0.012, (0.0, _TYRE_Y + 0.012, 0.0))
+    nut = cylinder(0.011, 0.014, (0.0, _TYRE_Y + 0.030, 0.0), sections=6)
     return [back, nut]
 
 

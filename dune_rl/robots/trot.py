@@ -34,10 +34,12 @@ class TrotConf(Settings):
     out_m: float = Field(0.10, ge=0.0, le=0.15)
     capture_s: float = Field(0.0, ge=0.0, le=0.5)
     level: float = Field(0.0, ge=0.0, le=2.0)
-    damping_s: float = Field(0.0, ge=0.0, le=0.5)
-    slow_from_rad: float = 0.2
-    slow_to_rad: float = 0.5
+    tilt_filter_s: float = Field(0.0, ge=0.0, le=2.0)
+    steepest: float = 0.45
+    slow_from_rad: float = 0.4
+    slow_to_rad: float = 0.65
     slowest: float = 1.0
+    back_mps: float = 0.0
 
 
 class Trot:
@@ -48,12 +50,14 @@ class Trot:
         outward = conf.out_m * np.sign(hips_b[:, 1])
         self.rest_b: Array = hips_b + np.column_stack([np.zeros(4), outward, np.full(4, -conf.height_m)])
         self._phase = np.zeros(num_scenes)
+        self._tilt = np.zeros((num_scenes, 2))
         self._feet = np.tile(self.rest_b, (num_scenes, 1, 1))
         self._lift_off = self._feet.copy()
 
     def reset(self, mask: Flags) -> None:
         """Stand on all feet in the scenes in `mask` (M,)."""
         self._phase[mask] = 0.0
+        self._tilt[mask] = 0.0
         self._feet[mask] = self.rest_b
         self._lift_off[mask] = self.rest_b
 
@@ -65,10 +69,13 @@ class Trot:
         plumb under the hips. A robot that is to stand still stands on all feet.
         """
         conf = self._conf
-        tilt = motion.roll_pitch_yaw[:, :2]
+        share = 1.0 if conf.tilt_filter_s <= 0 else min(1.0, step_s / conf.tilt_filter_s)
+        self._tilt = self._tilt + share * (motion.roll_pitch_yaw[:, :2] - self._tilt)
+        tilt = self._tilt
         steep = np.hypot(tilt[:, 0], tilt[:, 1])
-        slow = 1 - (1 - conf.slowest) * within((steep - conf.slow_from_rad) / (conf.slow_to_rad - conf.slow_from_rad), 0.0, 1.0)
-        twist = twist * slow[:, None]
+        much = within((steep - conf.slow_from_rad) / (conf.slow_to_rad - conf.slow_from_rad), 0.0, 1.0)
+        twist = twist * (1 - (1 - conf.slowest) * much)[:, None]
+        twist = np.column_stack([twist[:, 0] + conf.back_mps * much * np.sign(tilt[:, 1]), twist[:, 1]])
         going = (np.abs(twist[:, 0]) > _SLOWEST_MPS) | (np.abs(twist[:, 1]) > _SLOWEST_RADPS)
         self._phase = np.where(going, (self._phase + step_s / conf.cycle_s) % 1.0, 0.0)
         phase = (self._phase[:, None] + _LATE) % 1.0
@@ -77,17 +84,19 @@ class Trot:
         air = self._in_the_air(share, self._landing(twist, tilt, motion.velocity_b))
         ground = self._feet - step_s * self._passing(twist)
         ground[..., 2] = self.rest_b[:, 2]
-        stand = self._feet + _SETTLE * (self.rest_b - self._feet)
+        stand = self._feet + _SETTLE * (self.rest_b + self._lean(tilt) - self._feet)
         self._feet = np.where(swinging[..., None], air, np.where(going[:, None, None], ground, stand))
         self._lift_off = np.where(swinging[..., None], self._lift_off, self._feet)
-        return self._feet + self._posture(tilt, motion.angular_b)
+        return self._feet + self._posture(tilt)
 
-    def _posture(self, tilt: Array, rates: Array) -> Array:
-        conf = self._conf
-        roll, pitch = (conf.level * within(np.tan(tilt), -_STEEPEST, _STEEPEST) + conf.damping_s * within(rates[:, :2], -2.0, 2.0)).T
-        x, y = self.rest_b[:, 0], self.rest_b[:, 1]
-        up = roll[:, None] * y - pitch[:, None] * x
-        up = within(up, -0.06, 0.06)
+    def _lean(self, tilt: Array) -> Array:
+        lean = self._conf.height_m * within(np.tan(tilt), -self._conf.steepest, self._conf.steepest)
+        return np.stack([lean[:, 1], -lean[:, 0], np.zeros(len(tilt))], axis=-1)[:, None]
+
+    def _posture(self, tilt: Array) -> Array:
+        roll, pitch = (self._conf.level * within(np.tan(tilt), -self._conf.steepest, self._conf.steepest)).T
+        up = roll[:, None] * self.rest_b[:, 1] - pitch[:, None] * self.rest_b[:, 0]
+        up = within(up, -0.05, 0.05)
         return np.stack([np.zeros_like(up), np.zeros_like(up), up], axis=-1)
 
     def _passing(self, twist: Array) -> Array:
@@ -101,11 +110,10 @@ class Trot:
         """Where feet come down: half a stance ahead of the place plumb under their hips."""
         conf = self._conf
         stance_s = conf.cycle_s * (1.0 - conf.swing_share)
-        lean = conf.height_m * within(np.tan(tilt), -_STEEPEST, _STEEPEST)
         excess = velocity[:, :2] - np.column_stack([twist[:, 0], np.zeros(len(twist))])
         caught = within(conf.capture_s * excess, -0.06, 0.06)
-        aside = np.stack([lean[:, 1] + caught[:, 0], -lean[:, 0] + caught[:, 1], np.zeros(len(twist))], axis=-1)
-        landing: Array = self.rest_b + self._passing(twist) * (stance_s / 2) + aside[:, None]
+        aside = np.column_stack([caught, np.zeros(len(twist))])
+        landing: Array = self.rest_b + self._passing(twist) * (stance_s / 2) + aside[:, None] + self._lean(tilt)
         return landing
 
     def _in_the_air(self, share: Array, landing: Array) -> Array:
