@@ -24,8 +24,10 @@ from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.hyperdog import HyperDogConf
 from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.suite import SensorsConf
@@ -61,8 +63,10 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("learning", "sac"): LearningConf(),
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
+    ("robot", "hyperdog"): HyperDogConf(),
     ("robot", "leo_rover"): LeoRoverConf(),
     ("robot", "rover_zero"): RoverZeroConf(),
+    ("robot", "urdf"): UrdfConf(path=GIVEN),
     ("sensors", "default"): SensorsConf(),
     ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),
     ("sensors", "all"): SensorsConf(
@@ -117,7 +121,7 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
     if group == "learning":
         composed: EnvConf = compose(words(group, option))
     else:
-        words_given = [f"world.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
+        words_given = [f"{group}.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
         composed = compose_environment(option if group == "world" else "flat", words_given, {group: option})
     assert getattr(composed, group) == PLAIN[group, option]
 

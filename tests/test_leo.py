@@ -4,14 +4,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
-import trimesh
 from defusedxml.ElementTree import parse
 from scenes import SUBSTEPS, Drive, Stage, about, every_backend, ground, plane, quaternion_of, slope_stage
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.paths import assets_folder
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
-from dune_rl.robots.leo_shapes import shapes
 
 FOLDER = assets_folder() / "robots" / "leo_rover"
 ROCKERS = ("left_rocker_joint", "right_rocker_joint")
@@ -178,15 +176,3 @@ def test_all_of_it_weighs_what_the_maker_says():
     assert sum(float(each.find("mass").get("value")) for each in _inertials().values()) == pytest.approx(
         5.495
     )
-
-
-def test_its_meshes_are_those_that_the_script_draws():
-    assert {path.stem for path in (FOLDER / "meshes").glob("*.stl")} == set(shapes())
-    for name, mesh in shapes().items():
-        stored = trimesh.load(FOLDER / "meshes" / f"{name}.stl", process=False)
-        np.testing.assert_allclose(stored.triangles, mesh.triangles, atol=1e-6)
-
-
-def test_where_it_comes_from_and_its_licence_are_told():
-    assert "leo_common" in (FOLDER / "PROVENANCE.md").read_text()
-    assert "MIT" in (FOLDER / "LICENSE").read_text()

@@ -12,6 +12,7 @@ from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf, UrdfRobot
 from dune_rl.worlds.construction import ConstructionConf, build_construction
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
@@ -49,6 +50,8 @@ def build_robot(conf: RobotConf, num_scenes: int) -> Robot:
             return LeoRover(conf, num_scenes)
         case HyperDogConf():
             return HyperDog(conf, num_scenes)
+        case UrdfConf():
+            return UrdfRobot(conf, num_scenes)
 
 
 @lru_cache(maxsize=4)

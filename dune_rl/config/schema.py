@@ -16,6 +16,7 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.hyperdog import HyperDogConf
 from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
+from dune_rl.robots.urdf_robot import UrdfConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
@@ -40,7 +41,9 @@ WorldConf = Annotated[
     Field(discriminator="name"),
 ]
 
-RobotConf = Annotated[RoverZeroConf | LeoRoverConf | HyperDogConf, Field(discriminator="name")]
+RobotConf = Annotated[
+    RoverZeroConf | LeoRoverConf | HyperDogConf | UrdfConf, Field(discriminator="name")
+]
 
 
 class EnvConf(Settings):

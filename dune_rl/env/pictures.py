@@ -39,7 +39,8 @@ class Pictures:
 
     @cached_property
     def _robot(self) -> RobotVisual:
-        return RobotVisual(self._batch.robot.body.urdf)
+        body = self._batch.robot.body
+        return RobotVisual(body.look or body.urdf)
 
     @cached_property
     def _flag(self) -> Solid:

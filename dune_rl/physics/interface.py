@@ -93,7 +93,8 @@ class RobotBody:
     on the ground with `ground_friction`, along a wheel's axle with
     `sideways_friction_share` of it, and touch nothing else, unless
     `ground_links_meet_obstacles`; all other links touch everything, with
-    `hull_friction`. Joints that are not motors start at 0.
+    `hull_friction`. Joints that are not motors start at 0. `look` is a URDF
+    of the same links and joints that shows the robot, where `urdf` does not.
     """
 
     urdf: Path
@@ -103,6 +104,7 @@ class RobotBody:
     hull_friction: float = 0.3
     sideways_friction_share: float = 1.0
     ground_links_meet_obstacles: bool = False
+    look: Path | None = None
     passive: tuple[PassiveJoint, ...] = ()
     couplings: tuple[Coupling, ...] = ()
 

@@ -27,14 +27,14 @@ _SIDE = np.sign(_HIPS_B[:, 1])
 _LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
 _LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
 _FOOT_RADIUS_M = 0.02
-_MAX_CORRECTION_RADPS = 0.8
+_MAX_CORRECTION = np.array([0.06, 0.8])
 
 
 class HyperDogMountsConf(MountsConf):
     """A LiDAR on the rear of the back, a camera in the head, and the inertial unit amid the body."""
 
-    scanner_b: tuple[float, float, float] = (-0.06, 0.0, 0.125)
-    camera_b: tuple[float, float, float] = (0.235, 0.0, 0.035)
+    scanner_b: tuple[float, float, float] = (-0.04, 0.0, 0.1)
+    camera_b: tuple[float, float, float] = (0.24, 0.0, 0.028)
     camera_pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -55,6 +55,7 @@ class HyperDogConf(Settings):
     max_yaw_rate_radps: float = Field(1.0, gt=0.0, le=3.0)
     max_acceleration_mps2: float = Field(1.0, gt=0.0)
     max_yaw_acceleration_radps2: float = Field(2.0, gt=0.0)
+    speed_ki_per_s: float = Field(0.5, ge=0.0, le=10.0)
     yaw_rate_ki_per_s: float = Field(1.0, ge=0.0, le=10.0)
     max_torque_nm: float = Field(10.0, gt=0.0)
     no_load_speed_radps: float | None = Field(10.0, gt=0.0)
@@ -85,9 +86,8 @@ class HyperDog:
         self.conf = conf
         self._heading = HeadingController(conf.heading, conf.max_yaw_rate_radps, num_scenes)
         self._trot = Trot(conf.gait, _HIPS_B, num_scenes)
-        self._speed = np.zeros(num_scenes)
-        self._yaw_rate = np.zeros(num_scenes)
-        self._correction = np.zeros(num_scenes)
+        self._wanted = np.zeros((num_scenes, 2))
+        self._correction = np.zeros((num_scenes, 2))
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
         self.standing_height_m = conf.standing_height_m
         self.mounts, self.battery = conf.mounts, conf.battery
@@ -141,8 +141,7 @@ class HyperDog:
         """Stand still and forget the past in the scenes in `mask` (M,)."""
         self._heading.reset(mask)
         self._trot.reset(mask)
-        self._speed[mask] = 0.0
-        self._yaw_rate[mask] = 0.0
+        self._wanted[mask] = 0.0
         self._correction[mask] = 0.0
 
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
@@ -150,19 +149,25 @@ class HyperDog:
         if self.conf.action == "joints":
             low, high = np.tile(_LIMITS_RAD, (4, 1)).T
             return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
-        twist = self._twist(action, motion.angular_b[:, 2], step_s)
-        feet = self._trot.feet(twist, motion, step_s)
+        tilt = motion.roll_pitch_yaw[:, :2]
+        twist = self._twist(action, self._trot.careful(tilt), motion, step_s)
+        feet = self._trot.feet(twist, tilt, step_s)
         return _LEG.angles(feet - _HIPS_B, _SIDE).reshape(len(action), 12)
 
-    def _twist(self, action: Array, measured_yaw_rate: Array, step_s: float) -> Array:
+    def _twist(self, action: Array, careful: Array, motion: BodyMotion, step_s: float) -> Array:
+        """Speed [m/s] and yaw rate [rad/s] for the gait (M, 2)."""
         conf = self.conf
-        wanted = within(action[:, 0], -conf.max_speed_mps, conf.max_speed_mps)
-        gain = conf.max_acceleration_mps2 * step_s
-        self._speed = within(wanted, self._speed - gain, self._speed + gain)
+        most = conf.max_speed_mps
+        speed = careful * within(action[:, 0], -most, most)
         turn = self._heading.yaw_rate(within(action[:, 1], -np.pi, np.pi), step_s)
-        turn_gain = conf.max_yaw_acceleration_radps2 * step_s
-        self._yaw_rate = within(turn, self._yaw_rate - turn_gain, self._yaw_rate + turn_gain)
-        # Feet slip when they turn the body: what is missing is added up.
-        missing = conf.yaw_rate_ki_per_s * step_s * (self._yaw_rate - measured_yaw_rate)
-        self._correction = within(self._correction + missing, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS)
-        return np.column_stack([self._speed, self._yaw_rate + self._correction])
+        gain = step_s * np.array([conf.max_acceleration_mps2, conf.max_yaw_acceleration_radps2])
+        wanted = np.column_stack([speed, turn])
+        self._wanted = within(wanted, self._wanted - gain, self._wanted + gain)
+        # Feet slip: what is missing of the motion is added up.
+        told = np.column_stack([motion.velocity_b[:, 0], motion.angular_b[:, 2]])
+        missing = step_s * np.array([conf.speed_ki_per_s, conf.yaw_rate_ki_per_s]) * (self._wanted - told)
+        self._correction = within(self._correction + missing, -_MAX_CORRECTION, _MAX_CORRECTION)
+        # Told to stand still it does, whatever the sum.
+        still = (speed == 0.0) & (turn == 0.0)
+        self._correction[still] = 0.0
+        return self._wanted + self._correction

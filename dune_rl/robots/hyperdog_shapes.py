@@ -9,13 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from dune_rl.paths import assets_folder
-from dune_rl.robots.drawn_parts import bevelled, box, cylinder, joined, plate
+from dune_rl.robots.drawing import Mesh, bevelled, box, cylinder, joined, plate
 
-Array = NDArray[np.float64]
-Mesh = trimesh.Trimesh
 
 _HIP_X, _HIP_Y = 0.175, 0.066
 _HIP_OUT = 0.104

@@ -12,17 +12,14 @@ from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
 from dune_rl.paths import assets_folder
-from dune_rl.robots.drawn_parts import bevelled, box, cylinder, joined, plate
+from dune_rl.robots.drawing import ACROSS, Mesh, bevelled, box, cylinder, joined, plate, tyre
 
 Array = NDArray[np.float64]
-Mesh = trimesh.Trimesh
 
 # From a left wheel's joint, at the outside of its hub, to the middle of its tyre.
 _TYRE_Y = -0.0449
-_TYRE_RADIUS, _TREAD_RADIUS, _TYRE_WIDTH = 0.057, 0.0625, 0.07
+_TREAD_RADIUS, _TYRE_WIDTH = 0.0625, 0.07
 _HINGE_TO_HUB = np.array([0.1526, -0.088])
-_LUGS = 18
-_ACROSS = (0.0, 1.0, 0.0)
 
 
 def shapes() -> dict[str, Mesh]:
@@ -34,7 +31,7 @@ def shapes() -> dict[str, Mesh]:
         "mast": joined(_mast()),
         "rocker": joined(_rocker()),
         "motors": joined(_motors()),
-        "tyre": joined(_tyre()),
+        "tyre": tyre(_TREAD_RADIUS, _TYRE_WIDTH, 0.0355, 18, 0.0055, _TYRE_Y),
         "hub": joined(_hub()),
         "hub_cap": joined(_hub_cap()),
     }
@@ -90,35 +87,6 @@ def _motors() -> list[Mesh]:
     return [*housings, cylinder(0.020, 0.036, (0.0, 0.0, 0.0))]
 
 
-def _tyre() -> list[Mesh]:
-    half, rim = _TYRE_WIDTH / 2, 0.0355
-    profile = [
-        (rim, -half + 0.004),
-        (0.048, -half),
-        (0.0545, -half + 0.008),
-        (_TYRE_RADIUS, -half + 0.018),
-        (_TYRE_RADIUS, half - 0.018),
-        (0.0545, half - 0.008),
-        (0.048, half),
-        (rim, half - 0.004),
-        (rim, -half + 0.004),
-    ]
-    carcass = trimesh.creation.revolve(np.array(profile), sections=36)
-    carcass.apply_transform(rotation_matrix(-np.pi / 2, (1.0, 0.0, 0.0)))
-    carcass.apply_translation((0.0, _TYRE_Y, 0.0))
-    lugs = []
-    for number in range(2 * _LUGS):
-        side = 1 if number % 2 else -1
-        lug = trimesh.creation.box((0.0075, 0.030, 0.010))
-        # Chevrons: a lug on either side in turn, slanting to the middle.
-        lug.apply_transform(rotation_matrix(side * 0.45, (0.0, 0.0, 1.0)))
-        lug.apply_translation((0.0, side * 0.0165, _TREAD_RADIUS - 0.005))
-        lug.apply_transform(rotation_matrix(np.pi * number / _LUGS, _ACROSS))
-        lug.apply_translation((0.0, _TYRE_Y, 0.0))
-        lugs.append(lug)
-    return [carcass, *lugs]
-
-
 def _hub() -> list[Mesh]:
     rim = trimesh.creation.annulus(0.028, 0.0365, 0.062, sections=32)
     rim.apply_transform(rotation_matrix(np.pi / 2, (1.0, 0.0, 0.0)))
@@ -126,7 +94,7 @@ def _hub() -> list[Mesh]:
     spokes = []
     for number in range(6):
         spoke = box((0.0, _TYRE_Y + 0.024, 0.018), (0.011, 0.010, 0.026))
-        spoke.apply_transform(rotation_matrix(np.pi * number / 3, _ACROSS))
+        spoke.apply_transform(rotation_matrix(np.pi * number / 3, ACROSS))
         spokes.append(spoke)
     return [rim, *spokes]
 

@@ -1,0 +1,23 @@
+"""What a URDF gives for a robot: `python -m dune_rl.robots FILE` prints what is derived, or what is wrong."""
+
+import sys
+
+from dune_rl.errors import RobotError
+from dune_rl.robots.urdf_robot import UrdfConf, UrdfRobot
+
+
+def main(words: list[str]) -> int:
+    """Print the summary of the URDF that `words` name; 2 where it cannot be used."""
+    if len(words) != 1:
+        print("usage: python -m dune_rl.robots FILE.urdf", file=sys.stderr)
+        return 2
+    try:
+        print(UrdfRobot(UrdfConf(path=words[0]), 1).summary())
+    except RobotError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

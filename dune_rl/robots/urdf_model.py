@@ -1,0 +1,320 @@
+"""A URDF as checked data: links with masses and shapes, and the tree of joints between them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh.transformations import euler_matrix
+
+from dune_rl.errors import RobotError, WorldError
+from dune_rl.worlds.importing.import_files import read_bytes, read_xml, shown
+
+Array = NDArray[np.float64]
+JointKind = Literal["fixed", "continuous", "revolute", "prismatic"]
+
+_KINDS = ("fixed", "continuous", "revolute", "prismatic")
+_XACRO = "xacro"
+_MAX_BYTES = 16 * 2**20
+_MOST_LINKS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg m²], in the axes of a frame."""
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+    def moved(self, pose: Array) -> "Inertial":
+        """The same, as seen from the frame in which this one has `pose` (4, 4)."""
+        turn = pose[:3, :3]
+        return Inertial(self.mass, turn @ self.centre + pose[:3, 3], turn @ self.inertia @ turn.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A box, cylinder (along z), sphere or mesh, at `pose` (4, 4) in its link.
+
+    `size` is (3,) lengths, (radius, length), (radius,), or a mesh's (3,) scale; `element` is the
+    URDF's own, for looks.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    pose: Array
+    mesh: str | None
+    element: Element
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A link, with or without a mass."""
+
+    name: str
+    inertial: Inertial | None
+    collisions: tuple[Geometry, ...]
+    visuals: tuple[Geometry, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint; `pose` (4, 4) is the child's in the parent's frame at zero, `axis` (3,) a unit vector in it.
+
+    `effort` and `velocity` are None where the URDF gives no limit; `mimic` is the joint followed and
+    how many times as far.
+    """
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    pose: Array
+    axis: Array
+    lower: float
+    upper: float
+    effort: float | None
+    velocity: float | None
+    friction: float
+    damping: float
+    mimic: tuple[str, float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfModel:
+    """A robot's links and joints by name, its root first; `materials` are the elements at its top."""
+
+    path: Path
+    name: str
+    root: str
+    links: dict[str, Link]
+    joints: dict[str, Joint]
+    materials: tuple[Element, ...] = field(default=())
+
+    def joints_below(self, link: str) -> list[Joint]:
+        """The joints whose parent is `link`, in the file's order."""
+        return [joint for joint in self.joints.values() if joint.parent == link]
+
+
+def read_urdf(path: str | Path) -> UrdfModel:
+    """The URDF at `path`; `RobotError` names the file, the element and the remedy for whatever is wrong."""
+    file = Path(path).expanduser()
+    if not file.exists():
+        raise RobotError(f"there is no file {file}: robot.path must name a URDF that exists.")
+    if file.suffix.lower() == f".{_XACRO}":
+        raise RobotError(_expand(file))
+    try:
+        root = read_xml(read_bytes(file, _MAX_BYTES), file.name)
+    except WorldError as error:
+        raise RobotError(str(error).replace("world.path", "robot.path")) from None
+    if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
+        raise RobotError(_expand(file))
+    if root.tag != "robot":
+        raise RobotError(f"{file.name} begins with <{shown(str(root.tag))}>, and a URDF with <robot>.")
+    try:
+        return _Reader(file).model(root)
+    except _FaultError as fault:
+        raise RobotError(f"{file.name}: {fault}") from None
+
+
+def _expand(file: Path) -> str:
+    return f"{file.name} is a xacro file; expand it first: xacro {file.name} > {file.stem.split('.')[0]}.urdf"
+
+
+class _FaultError(Exception):
+    pass
+
+
+class _Reader:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def model(self, root: Element) -> UrdfModel:
+        links: dict[str, Link] = {}
+        for element in root.findall("link"):
+            link = self._link(element)
+            if link.name in links:
+                raise _FaultError(f"there are two links {shown(link.name)!r}; rename one.")
+            links[link.name] = link
+        if not links:
+            raise _FaultError("it has no links; a robot has one at least.")
+        if len(links) > _MOST_LINKS:
+            raise _FaultError(f"it has {len(links)} links, more than {_MOST_LINKS}; leave some out.")
+        joints: dict[str, Joint] = {}
+        for element in root.findall("joint"):
+            joint = self._joint(element, links)
+            if joint.name in joints:
+                raise _FaultError(f"there are two joints {shown(joint.name)!r}; rename one.")
+            joints[joint.name] = joint
+        base = _base_of(links, list(joints.values()))
+        materials = tuple(root.findall("material"))
+        return UrdfModel(self._path, root.get("name", "robot"), base, links, joints, materials)
+
+    def _link(self, element: Element) -> Link:
+        name = _name(element)
+        where = f"link {shown(name)!r}"
+        inertial = element.find("inertial")
+        return Link(
+            name,
+            None if inertial is None else _inertial(inertial, where),
+            tuple(_geometry(each, where) for each in element.findall("collision")),
+            tuple(_geometry(each, where) for each in element.findall("visual")),
+        )
+
+    def _joint(self, element: Element, links: dict[str, Link]) -> Joint:
+        name, kind = _name(element), element.get("type", "")
+        where = f"joint {shown(name)!r}"
+        if kind not in _KINDS:
+            raise _FaultError(f"{where} has the type {shown(kind)!r}; types are {', '.join(_KINDS)}.")
+        ends = []
+        for end in ("parent", "child"):
+            found = element.find(end)
+            link = None if found is None else found.get("link")
+            if link is None or link not in links:
+                raise _FaultError(f"{where}: its {end} is {shown(str(link))!r}, and no link is called so.")
+            ends.append(link)
+        axis = _numbers(element.find("axis"), "xyz", 3, (1.0, 0.0, 0.0), where)
+        length = float(np.linalg.norm(axis))
+        if kind != "fixed" and length < 1e-9:
+            raise _FaultError(f'{where}: its <axis> has no length; write xyz="0 1 0" or such.')
+        limit, dynamics, mimic = (element.find(tag) for tag in ("limit", "dynamics", "mimic"))
+        lower, upper = (_number(limit, name_, 0.0, where) for name_ in ("lower", "upper"))
+        if kind in ("revolute", "prismatic") and lower > upper:
+            raise _FaultError(f"{where}: its <limit> has lower {lower:g} above upper {upper:g}.")
+        return Joint(
+            name,
+            cast(JointKind, kind),
+            ends[0],
+            ends[1],
+            _pose(element, where),
+            np.array(axis) / max(length, 1e-9),
+            lower,
+            upper,
+            _positive(limit, "effort", where),
+            _positive(limit, "velocity", where),
+            abs(_number(dynamics, "friction", 0.0, where)),
+            abs(_number(dynamics, "damping", 0.0, where)),
+            None if mimic is None else (mimic.get("joint", ""), _number(mimic, "multiplier", 1.0, where)),
+        )
+
+
+def _base_of(links: dict[str, Link], joints: Sequence[Joint]) -> str:
+    parents: dict[str, str] = {}
+    for joint in joints:
+        if joint.child in parents:
+            raise _FaultError(
+                f"link {shown(joint.child)!r} is the child of two joints; a URDF is a tree, so remove one."
+            )
+        parents[joint.child] = joint.parent
+    bases = [name for name in links if name not in parents]
+    if not bases:
+        raise _FaultError("its joints run in a loop, so that no link is the base; remove one of them.")
+    if len(bases) > 1:
+        listed = ", ".join(shown(name) for name in bases[:6])
+        raise _FaultError(f"{len(bases)} links have no parent ({listed}); join all but the base by joints.")
+    for name in links:
+        seen = {name}
+        while name in parents:
+            name = parents[name]
+            if name in seen:
+                raise _FaultError(f"its joints run in a loop by way of link {shown(name)!r}; remove one.")
+            seen.add(name)
+    return bases[0]
+
+
+def _name(element: Element) -> str:
+    name = element.get("name", "")
+    if not name:
+        raise _FaultError(f"a <{element.tag}> has no name; give it one.")
+    return name
+
+
+def _inertial(element: Element, where: str) -> Inertial | None:
+    mass = _number(element.find("mass"), "value", 0.0, where)
+    if mass < 0.0:
+        raise _FaultError(f"{where}: its <mass> is {mass:g} kg; a mass is above 0.")
+    moments = element.find("inertia")
+    xx, yy, zz, xy, xz, yz = (
+        _number(moments, key, 0.0, where) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if mass == 0.0:
+        return None
+    least, middle, most = np.linalg.eigvalsh(inertia)
+    # PyBullet takes none at all in place of such.
+    if least <= 0.0 or most > 1.0001 * (least + middle):
+        raise _FaultError(
+            f"{where}: its <inertia> is that of no body; its moments must be above 0, and none above the sum "
+            "of the other two: a solid box has m (a² + b²) / 12 about each axis."
+        )
+    pose = _pose(element, where)
+    return Inertial(mass, np.zeros(3), inertia).moved(pose)
+
+
+def _geometry(element: Element, where: str) -> Geometry:
+    holder = element.find("geometry")
+    if holder is None or not len(holder):
+        raise _FaultError(f"{where}: a <{element.tag}> has no <geometry>; give it one, or remove it.")
+    shape = holder[0]
+    pose = _pose(element, where)
+    if shape.tag == "box":
+        size = _numbers(shape, "size", 3, None, where)
+    elif shape.tag == "cylinder":
+        size = (_number(shape, "radius", None, where), _number(shape, "length", None, where))
+    elif shape.tag == "sphere":
+        size = (_number(shape, "radius", None, where),)
+    elif shape.tag == "mesh":
+        size = _numbers(shape, "scale", 3, (1.0, 1.0, 1.0), where)
+        if not shape.get("filename"):
+            raise _FaultError(f"{where}: a <mesh> has no filename.")
+        if not all(size):
+            raise _FaultError(f"{where}: a <mesh> has a scale of 0.")
+        return Geometry("mesh", size, pose, shape.get("filename"), element)
+    else:
+        raise _FaultError(
+            f"{where}: a <{shown(str(shape.tag))}> is no shape of a URDF; use box, cylinder, sphere or mesh."
+        )
+    if min(size) <= 0.0:
+        raise _FaultError(f"{where}: a <{shape.tag}> has a size of {min(size):g} m; sizes are above 0.")
+    return Geometry(shape.tag, size, pose, None, element)
+
+
+def _pose(element: Element, where: str) -> Array:
+    origin = element.find("origin")
+    roll, pitch, yaw = _numbers(origin, "rpy", 3, (0.0, 0.0, 0.0), where)
+    pose = np.asarray(euler_matrix(roll, pitch, yaw, axes="sxyz"))
+    pose[:3, 3] = _numbers(origin, "xyz", 3, (0.0, 0.0, 0.0), where)
+    return pose
+
+
+def _numbers(
+    element: Element | None, key: str, count: int, default: tuple[float, ...] | None, where: str
+) -> tuple[float, ...]:
+    text = None if element is None else element.get(key)
+    if text is None:
+        if default is None:
+            raise _FaultError(f"{where}: {key} is missing; write {count} numbers.")
+        return default
+    try:
+        found = tuple(float(word) for word in text.split())
+    except ValueError:
+        found = ()
+    # Beyond this, nothing is a robot's, and squares of it overflow.
+    if len(found) != count or not all(abs(value) < 1e9 for value in found):
+        tag = "" if element is None else f"<{element.tag}> "
+        raise _FaultError(f"{where}: {tag}{key}={shown(text)!r} must be {count} finite numbers.")
+    return found
+
+
+def _number(element: Element | None, key: str, default: float | None, where: str) -> float:
+    fallback = None if default is None else (default,)
+    return _numbers(element, key, 1, fallback, where)[0]
+
+
+def _positive(element: Element | None, key: str, where: str) -> float | None:
+    value = _number(element, key, 0.0, where)
+    return value if value > 0.0 else None
