@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import within, wrap_angle
 from dune_rl.paths import assets_folder
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
@@ -61,7 +61,7 @@ class HyperDogConf(Settings):
     no_load_speed_radps: float | None = Field(10.0, gt=0.0)
     foot_friction: float = Field(1.0, gt=0.0, le=3.0)
     mounts: HyperDogMountsConf = HyperDogMountsConf()
-    battery: BatteryConf = BatteryConf(capacity_wh=73.9, idle_w=30.0, efficiency=0.3)
+    battery: BatteryConf = BatteryConf(capacity_wh=73.9, idle_w=40.0, efficiency=0.16)
 
     @property
     def standing_height_m(self) -> float:
@@ -88,6 +88,7 @@ class HyperDog:
         self._trot = Trot(conf.gait, _HIPS_B, num_scenes)
         self._wanted = np.zeros((num_scenes, 2))
         self._correction = np.zeros((num_scenes, 2))
+        self._yaw = np.full(num_scenes, np.nan)
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
         self.standing_height_m = conf.standing_height_m
         self.mounts, self.battery = conf.mounts, conf.battery
@@ -143,6 +144,7 @@ class HyperDog:
         self._trot.reset(mask)
         self._wanted[mask] = 0.0
         self._correction[mask] = 0.0
+        self._yaw[mask] = np.nan
 
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
         """Angle of each joint [rad], (M, 12), to be reached at the end of the step."""
@@ -152,7 +154,8 @@ class HyperDog:
         tilt = motion.roll_pitch_yaw[:, :2]
         twist = self._twist(action, self._trot.careful(tilt), motion, step_s)
         feet = self._trot.feet(twist, tilt, step_s)
-        return _LEG.angles(feet - _HIPS_B, _SIDE).reshape(len(action), 12)
+        angles = _LEG.angles(feet - _HIPS_B, _SIDE)
+        return within(angles, *_LIMITS_RAD.T).reshape(len(action), 12)
 
     def _twist(self, action: Array, careful: Array, motion: BodyMotion, step_s: float) -> Array:
         """Speed [m/s] and yaw rate [rad/s] for the gait (M, 2)."""
@@ -164,7 +167,11 @@ class HyperDog:
         wanted = np.column_stack([speed, turn])
         self._wanted = within(wanted, self._wanted - gain, self._wanted + gain)
         # Feet slip: what is missing of the motion is added up.
-        told = np.column_stack([motion.velocity_b[:, 0], motion.angular_b[:, 2]])
+        # The turn from one step to the next: the body sways, and the rates at steps' ends are no mean.
+        yaw = motion.roll_pitch_yaw[:, 2]
+        turned = np.where(np.isnan(self._yaw), 0.0, wrap_angle(yaw - self._yaw))
+        self._yaw = yaw.copy()
+        told = np.column_stack([motion.velocity_b[:, 0], turned / step_s])
         missing = step_s * np.array([conf.speed_ki_per_s, conf.yaw_rate_ki_per_s]) * (self._wanted - told)
         self._correction = within(self._correction + missing, -_MAX_CORRECTION, _MAX_CORRECTION)
         # Told to stand still it does, whatever the sum.
