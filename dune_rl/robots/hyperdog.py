@@ -27,7 +27,7 @@ _SIDE = np.sign(_HIPS_B[:, 1])
 _LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
 _LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
 _FOOT_RADIUS_M = 0.02
-_MAX_CORRECTION = np.array([0.06, 0.8])
+_MAX_CORRECTION = np.array([0.06, 0.4])
 
 
 class HyperDogMountsConf(MountsConf):
@@ -177,4 +177,5 @@ class HyperDog:
         # Told to stand still it does, whatever the sum.
         still = (speed == 0.0) & (turn == 0.0)
         self._correction[still] = 0.0
-        return self._wanted + self._correction
+        # With care, it does not push on harder where it does not get along.
+        return self._wanted + self._correction * np.column_stack([careful, np.ones_like(careful)])

@@ -35,8 +35,8 @@ class TrotConf(Settings):
     lift_m: float = Field(0.06, gt=0.0, le=0.1)
     height_m: float = Field(0.22, ge=0.15, le=0.27)
     out_m: float = Field(0.10, ge=0.0, le=0.15)
-    careful_from_rad: float = Field(0.2, ge=0.0, le=1.5)
-    careful_to_rad: float = Field(0.5, ge=0.0, le=1.5)
+    careful_from_rad: float = Field(0.18, ge=0.0, le=1.5)
+    careful_to_rad: float = Field(0.42, ge=0.0, le=1.5)
     careful_share: float = Field(0.25, gt=0.0, le=1.0)
 
     @model_validator(mode="after")
