@@ -346,6 +346,8 @@ class BulletScene:
         return (*angles, *speeds, *torques)
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        if self._robot is None or self._client is None:
+            return (0.0,) * len(joints)
         indices = [self._joints[name] for name in joints]
         states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
         return tuple(state[0] for state in states)

@@ -197,7 +197,7 @@ class PhysicsScene(Protocol):
         ...
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        """Angles [rad] of any joints of the robot, by name."""
+        """Angles [rad] of any joints of the robot, by name; 0 before it is placed and after `close`."""
         ...
 
     def touched(self) -> Sequence[int]:
