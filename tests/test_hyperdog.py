@@ -22,11 +22,12 @@ LEGS = [f"{end}_{side}" for end in ("front", "rear") for side in ("left", "right
 @every_backend
 def test_it_stands_still_at_its_height(backend):
     walk = Walk(backend)
+    walk.walk(0.0, 0.0, 40)
     way, turned = walk.walk(0.0, 0.0, 100)
-    assert np.linalg.norm(way) < 5e-3
-    assert abs(turned) < 0.01
+    assert np.linalg.norm(way) < 2e-3
+    assert abs(turned) < 5e-3
     # Its servos give a little under its weight.
-    assert walk.stage.position[2] == pytest.approx(walk.robot.standing_height_m, abs=2e-3)
+    assert walk.stage.position[2] == pytest.approx(walk.robot.standing_height_m, abs=6e-3)
     assert np.linalg.norm(walk.stage.velocity) < 2e-3
 
 

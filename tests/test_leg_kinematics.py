@@ -17,7 +17,7 @@ def test_at_zero_it_hangs_straight_down_outward_of_the_hip():
 @pytest.mark.parametrize(
     ("angles", "foot"),
     [
-        # Hip: about x, so that a positive turn takes the left leg up and out; upper and lower leg swing forward.
+        # The hip takes the left leg up and out; upper and lower leg swing forward.
         ([np.pi / 2, 0.0, 0.0], [0.0, 0.29, 0.1]),
         ([0.0, np.pi / 2, 0.0], [0.29, 0.1, 0.0]),
         ([0.0, 0.0, np.pi / 2], [0.14, 0.1, -0.15]),

@@ -41,9 +41,7 @@ WorldConf = Annotated[
     Field(discriminator="name"),
 ]
 
-RobotConf = Annotated[
-    RoverZeroConf | LeoRoverConf | HyperDogConf | UrdfConf, Field(discriminator="name")
-]
+RobotConf = Annotated[RoverZeroConf | LeoRoverConf | HyperDogConf | UrdfConf, Field(discriminator="name")]
 
 
 class EnvConf(Settings):

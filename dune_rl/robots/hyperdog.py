@@ -91,7 +91,8 @@ class HyperDog:
         self._yaw = np.full(num_scenes, np.nan)
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
         self.standing_height_m = conf.standing_height_m
-        self.mounts, self.battery = conf.mounts, conf.battery
+        self.mounts: MountsConf = conf.mounts
+        self.battery = conf.battery
         no_load = np.inf if conf.no_load_speed_radps is None else conf.no_load_speed_radps
         self.body = RobotBody(
             urdf=assets_folder() / "robots" / "hyperdog" / "hyperdog.urdf",

@@ -13,7 +13,6 @@ import trimesh
 from dune_rl.paths import assets_folder
 from dune_rl.robots.drawing import Mesh, bevelled, box, cylinder, joined, plate
 
-
 _HIP_X, _HIP_Y = 0.175, 0.066
 _HIP_OUT = 0.104
 _UPPER, _LOWER, _FOOT_RADIUS = 0.150, 0.145, 0.02
@@ -52,7 +51,9 @@ def _body() -> list[Mesh]:
     inner = [bevelled((end * 0.118, 0.0, 0.0), (0.018, 0.160, 0.060), 0.005) for end in (-1, 1)]
     head = bevelled((0.216, 0.0, 0.026), (0.032, 0.096, 0.040), 0.010)
     ribs = [box((x, 0.0, 0.0), (0.010, 0.148, 0.056)) for x in (-0.05, 0.0, 0.05)]
-    posts = [cylinder(0.005, 0.030, (-0.04 + x, y, 0.052), _UP, 10) for x in (-0.03, 0.03) for y in (-0.03, 0.03)]
+    posts = [
+        cylinder(0.005, 0.030, (-0.04 + x, y, 0.052), _UP, 10) for x in (-0.03, 0.03) for y in (-0.03, 0.03)
+    ]
     shelf = cylinder(0.046, 0.005, (-0.04, 0.0, 0.068), _UP)
     return [*frames, *inner, head, *ribs, *posts, shelf]
 
@@ -66,9 +67,7 @@ def _plates() -> list[Mesh]:
 
 def _body_servos() -> list[Mesh]:
     """Black boxes: four servos at the hips, the computer on the back, the camera's face and the LiDAR."""
-    servos = [
-        bevelled((x * 0.152, y * 0.058, 0.0), (0.050, 0.040, 0.044), 0.003) for x, y in _ENDS
-    ]
+    servos = [bevelled((x * 0.152, y * 0.058, 0.0), (0.050, 0.040, 0.044), 0.003) for x, y in _ENDS]
     horns = [cylinder(0.013, 0.012, (x * 0.182, y * _HIP_Y, 0.0), _LENGTHWISE) for x, y in _ENDS]
     computer = bevelled((0.075, 0.0, 0.049), (0.100, 0.084, 0.024), 0.004)
     fins = [box((0.075, y, 0.064), (0.060, 0.004, 0.010)) for y in np.linspace(-0.030, 0.030, 6)]

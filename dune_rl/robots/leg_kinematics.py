@@ -40,7 +40,7 @@ class Leg:
         return np.stack([ahead, across, up], axis=-1)
 
     def angles(self, foot: Array, side: Array) -> Array:
-        """Joint angles (..., 3) [rad] that put the foot at `foot` (..., 3) [m]; the nearest ones where none do."""
+        """Joint angles (..., 3) [rad] that put the foot at `foot` (..., 3) [m], or near it."""
         ahead, across, up = (foot[..., i] for i in range(3))
         out = side * self.offset_m
         down = np.sqrt(np.maximum(across**2 + up**2 - self.offset_m**2, 1e-8))
