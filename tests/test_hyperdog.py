@@ -8,9 +8,11 @@ from defusedxml.ElementTree import parse
 from scenes import STEP_S, every_backend, plane, quaternion_of
 from walking_robots import Walk
 
-from dune_rl.config.build import build_robot, make_batch
+from dune_rl.config.build import build_robot, make_batch, make_torchrl_env
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.policies import GoToGoal
 from dune_rl.paths import assets_folder
 from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 
@@ -173,6 +175,13 @@ def test_instruments_on_joints_read_twelve_and_odometry_is_refused():
     batch.close()
     with pytest.raises(ConfigError, match="odometry is of wheels"):
         make_batch(_conf("sensors=[odometry]"), 1, 0)
+
+
+def test_who_goes_to_goals_by_speed_and_heading_says_that_joints_are_not_for_it():
+    env = make_torchrl_env(_conf("robot.action=joints"), 1, 0)
+    with pytest.raises(ConfigError, match=r"takes 12 numbers; take policy=random, .*learning.warm_up=random"):
+        GoToGoal(Layout.of(env))
+    env.close()
 
 
 def test_its_battery_lasts_about_the_fifty_minutes_that_its_authors_state():
