@@ -43,7 +43,7 @@ class TrotConf(Settings):
     def _careful_in_order(self) -> Self:
         if self.careful_to_rad <= self.careful_from_rad:
             raise ValueError(
-                f"gait.careful_to_rad must be above gait.careful_from_rad "
+                f"careful_to_rad must be above careful_from_rad "
                 f"(got {self.careful_to_rad:g} and {self.careful_from_rad:g})"
             )
         return self
