@@ -30,8 +30,8 @@ class GoToGoal:
     def __init__(self, layout: Layout) -> None:
         if len(layout.high) != _SPEED_AND_HEADING:
             raise ConfigError(
-                f"go_to_goal tells a speed and a heading, and this robot takes {len(layout.high)} numbers; take "
-                f"policy=random, in training learning.warm_up=random, or robot.action=speed_and_heading"
+                f"go_to_goal tells a speed and a heading, and this robot takes {len(layout.high)} numbers; "
+                f"take policy=random, in training learning.warm_up=random, or robot.action=speed_and_heading"
             )
         self._top_speed = layout.high[0]
 
