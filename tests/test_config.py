@@ -26,6 +26,7 @@ from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.hyperdog import HyperDogConf
 from dune_rl.robots.leo_rover import LeoRoverConf
 from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.robots.urdf_robot import UrdfConf
@@ -73,6 +74,7 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
         brightness=LogUniform(low=0.7, high=1.4),
     ),
     ("physics", "dart"): PhysicsConf(backend="dart"),
+    ("robot", "hyperdog"): HyperDogConf(),
     ("robot", "leo_rover"): LeoRoverConf(),
     ("robot", "rover_zero"): RoverZeroConf(),
     ("robot", "urdf"): UrdfConf(path=GIVEN),

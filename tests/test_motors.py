@@ -10,7 +10,7 @@ from scenes import TIMESTEP_S, Stage, about, every_backend, rover_body
 from dune_rl.config.build import make_batch
 from dune_rl.config.compose import compose_environment
 from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
-from dune_rl.physics.motors import Motor, servo, work_w
+from dune_rl.physics.motors import Motor, Servos, servo, work_w
 
 # A heavy box on the ground with an arm on a hinge, and a second arm beside it.
 ARM = """<?xml version="1.0"?><robot name="arm">
@@ -65,6 +65,19 @@ def test_a_servo_goes_for_its_angle_no_faster_than_it_may():
     motor = Motor("j", 1.0, "position", position_gain_per_s=10.0, max_speed_radps=3.0)
     speeds, _ = servo([motor] * 3, [1.0, 1.0, 1.0], [0.0, 0.9, 1.5], [0.0] * 3, TIMESTEP_S)
     np.testing.assert_allclose(speeds, [3.0, 1.0, -3.0])
+
+
+def test_angles_are_led_to_in_equal_parts_and_speeds_told_at_once():
+    motors = [Motor("j", 1.0, "position", position_gain_per_s=10.0, rest_rad=0.5), Motor("k", 1.0)]
+    servos = Servos(motors, TIMESTEP_S)
+    servos.command([1.3, 7.0], 4)
+    led = [servos.next([0.0, 0.0], [0.0, 0.0])[0] for _ in range(6)]
+    np.testing.assert_allclose(led, [[10.0 * angle, 7.0] for angle in (0.7, 0.9, 1.1, 1.3, 1.3, 1.3)])
+    # The next way begins where this one has come to, and a new start where the robot is put down.
+    servos.command([0.9, -1.0], 2)
+    np.testing.assert_allclose(servos.next([0.0, 0.0], [0.0, 0.0])[0], [11.0, -1.0])
+    servos.rest()
+    np.testing.assert_allclose(servos.next([0.0, 0.0], [0.0, 0.0])[0], [5.0, 0.0])
 
 
 def test_a_rotor_bounds_how_fast_a_speed_changes():

@@ -7,9 +7,13 @@ import pytest
 import trimesh
 
 from dune_rl.paths import assets_folder
-from dune_rl.robots import leo_shapes, rover_zero_shapes
+from dune_rl.robots import hyperdog_shapes, leo_shapes, rover_zero_shapes
 
-ROBOTS = {"leo_rover": leo_shapes.shapes, "rover_zero": rover_zero_shapes.shapes}
+ROBOTS = {
+    "hyperdog": hyperdog_shapes.shapes,
+    "leo_rover": leo_shapes.shapes,
+    "rover_zero": rover_zero_shapes.shapes,
+}
 
 
 @pytest.mark.parametrize(("robot", "shapes"), ROBOTS.items(), ids=ROBOTS)

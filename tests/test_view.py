@@ -68,6 +68,12 @@ def test_a_sheet_and_a_film_are_made(call: Call, folder: Path, capsys: pytest.Ca
     assert np.abs(frames[11:].astype(int) - frames[10]).mean() < 3.0
 
 
+def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(call: Call, folder: Path) -> None:
+    assert call(*TINY, "robot=hyperdog", "view=sheet") == 0
+    assert (folder / "views" / "flat_sheet.png").is_file()
+    assert call(*TINY, "robot=hyperdog", "view=sheet", "sensors=[odometry]") != 0
+
+
 def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
     words = ["view=video", BLIND, "longest_s=9", "seed=4", "frames_per_s=4", "task.termination.max_steps=12"]
     assert call(*TINY, *words) == 0

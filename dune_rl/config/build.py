@@ -10,6 +10,7 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.env.variety import Variety
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
+from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
@@ -71,6 +72,8 @@ def build_robot(conf: RobotConf, num_scenes: int) -> Robot:
             return RoverZero(conf, num_scenes)
         case LeoRoverConf():
             return LeoRover(conf, num_scenes)
+        case HyperDogConf():
+            return HyperDog(conf, num_scenes)
         case UrdfConf():
             return UrdfRobot(conf, num_scenes)
 

@@ -13,6 +13,7 @@ from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find,
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
 
+_SPEED_AND_HEADING = 2
 _GUIDE_NOISE = 0.1
 _GUIDE_RANDOM_SHARE = 0.3
 
@@ -27,6 +28,11 @@ class GoToGoal:
     """Turns towards the goal, then drives at it, whatever lies between."""
 
     def __init__(self, layout: Layout) -> None:
+        if len(layout.high) != _SPEED_AND_HEADING:
+            raise ConfigError(
+                f"go_to_goal tells a speed and a heading, and this robot takes {len(layout.high)} numbers; "
+                f"take policy=random, in training learning.warm_up=random, or robot.action=speed_and_heading"
+            )
         self._top_speed = layout.high[0]
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:

@@ -12,7 +12,7 @@ from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame
 from dune_rl.physics.interface import CAPSULE_FRICTION, Coupling, KinematicCapsule, SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
-from dune_rl.physics.motors import servo, work_w
+from dune_rl.physics.motors import Servos, work_w
 from dune_rl.physics.quiet import silent_stderr
 
 with silent_stderr():
@@ -88,7 +88,7 @@ class BulletScene:
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
         self._plain = all(motor.is_plain for motor in self._motors)
         self._torques = [motor.max_torque_nm for motor in self._motors]
-        self._commands: Sequence[float] = spec.robot.rest_commands()
+        self._servos = Servos(self._motors, spec.timestep_s)
         self._frame: InertialFrame | None = None
         self._measures_work = spec.measures_work and bool(self._motors)
         self._work = 0.0
@@ -137,7 +137,7 @@ class BulletScene:
         if self._robot is not None:
             pybullet.removeBody(self._robot, physicsClientId=self._client)
         self._robot = self._load_robot(position_w, quaternion)
-        self._commands = self._spec.robot.rest_commands()
+        self._servos.rest()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         for index in range(len(self._kinematics)):
             self._move(index, kinematic_poses[index].tolist())
@@ -277,9 +277,10 @@ class BulletScene:
     def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         client = self._client
         push, self._push = self._push, None
-        self._commands = commands
         if self._plain:
             self._hold(commands, self._torques)
+        else:
+            self._servos.command(commands, count)
         near: list[tuple[int, list[float], list[float]]] = []
         if self._kinematics:
             (x, y, _), _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=client)
@@ -372,7 +373,7 @@ class BulletScene:
         """Have the motors do what they can toward their commands in the next physics step."""
         states = pybullet.getJointStates(self._robot, self._drive_joints, physicsClientId=self._client)
         angles, speeds, _, _ = zip(*states, strict=True)
-        self._hold(*servo(self._motors, self._commands, angles, speeds, self._spec.timestep_s))
+        self._hold(*self._servos.next(angles, speeds))
 
     def body_state(self) -> tuple[float, ...]:
         position, quaternion = pybullet.getBasePositionAndOrientation(

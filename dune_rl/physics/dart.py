@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart_files import TYRE, is_open, robot_urdf, write_meshes
 from dune_rl.physics.interface import CAPSULE_FRICTION, RobotBody, SceneSpec, StaticBody
-from dune_rl.physics.motors import servo, work_w
+from dune_rl.physics.motors import Servos, work_w
 
 try:
     import dartpy
@@ -60,7 +60,7 @@ class DartScene:
         self._motors = spec.robot.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
         self._plain = all(motor.is_plain for motor in self._motors)
-        self._commands: Sequence[float] = spec.robot.rest_commands()
+        self._servos = Servos(self._motors, spec.timestep_s)
         self._push: Sequence[float] | None = None
         self._measures_work = spec.measures_work and bool(self._motors)
         self._work = 0.0
@@ -83,7 +83,8 @@ class DartScene:
         self._drives = [self._index(joint) for joint in spec.robot.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in spec.robot.ground_links]
         self._surroundings.take_friction_back()
-        self._commands, self._push = spec.robot.rest_commands(), None
+        self._servos.rest()
+        self._push = None
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in spec.robot.couplings
@@ -136,9 +137,10 @@ class DartScene:
 
     def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         push, self._push = self._push, None
-        self._commands = commands
         if self._plain:
             self._robot.setCommands(self._drives, commands)
+        else:
+            self._servos.command(commands, count)
         if not len(kinematic_poses):
             self._advance(count, push)
             return
@@ -222,7 +224,7 @@ class DartScene:
         """Have the motors do what they can toward their commands in the next physics step."""
         robot, drives = self._robot, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
-        targets, torques = servo(self._motors, self._commands, angles, speeds, self._spec.timestep_s)
+        targets, torques = self._servos.next(angles, speeds)
         robot.setCommands(drives, targets)
         robot.setForceUpperLimits(drives, torques)
         robot.setForceLowerLimits(drives, [-torque for torque in torques])

@@ -11,8 +11,9 @@ class Motor:
     """What turns a joint: a servo that holds a speed as far as its torque lets it.
 
     In mode `velocity` a command is the speed [rad/s]. In mode `position` it is
-    an angle [rad], and the speed held is `position_gain_per_s` times what is
-    missing of it, as in the servos of walking robots. Either way the speed held
+    the angle [rad] that the servo is led to in equal parts of a control step,
+    and the speed held is `position_gain_per_s` times what is missing of the
+    angle led to, as in the servos of walking robots. Either way the speed held
     is at most `max_speed_radps`.
 
     Torque falls in a straight line from `max_torque_nm` at rest to nothing at
@@ -86,6 +87,38 @@ def servo(
         targets.append(target)
         limits.append(limit)
     return targets, limits
+
+
+class Servos:
+    """The motors of one robot, and what they are told: asked before each physics step of `step_s`."""
+
+    def __init__(self, motors: Sequence[Motor], step_s: float) -> None:
+        self._motors, self._step_s = motors, step_s
+        self.rest()
+
+    def rest(self) -> None:
+        """Keep the joints where the robot is put down."""
+        self._held = [motor.rest_command for motor in self._motors]
+        self._commands: Sequence[float] = self._held
+        self._left = 0
+
+    def command(self, commands: Sequence[float], count: int) -> None:
+        """Take speeds at once, and angles in equal parts over the next `count` physics steps."""
+        self._commands, self._left = commands, count
+
+    def next(self, angles: Sequence[float], speeds: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Speeds to hold [rad/s] and torques to do it with [N m] in the next physics step, a number a motor.
+
+        `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
+        """
+        if self._left:
+            part = 1.0 / self._left
+            self._held = [
+                command if motor.mode == "velocity" else held + part * (command - held)
+                for motor, held, command in zip(self._motors, self._held, self._commands, strict=True)
+            ]
+            self._left -= 1
+        return servo(self._motors, self._held, angles, speeds, self._step_s)
 
 
 def work_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Sequence[float]) -> float:

@@ -46,6 +46,18 @@ def bevelled(centre: Triple, size: Triple, bevel: float) -> Mesh:
     return Mesh(corners + centre).convex_hull
 
 
+def plate(start: Array, end: Array, radii: tuple[float, float], width: float, y: float = 0.0) -> Mesh:
+    """A plate round two points (x, z), as wide as a disc at each."""
+    angle = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    points = [
+        np.insert(middle + radius * circle, 1, y + side * width / 2, axis=1)
+        for middle, radius in zip((start, end), radii, strict=True)
+        for side in (-1, 1)
+    ]
+    return Mesh(np.concatenate(points)).convex_hull
+
+
 def tyre(radius: float, width: float, rim: float, lugs: int, tread: float, y: float = 0.0) -> Mesh:
     """A tyre about the y axis, its middle at `y`: `lugs` chevrons, `tread` high, reach out to `radius`."""
     half, ground = width / 2, radius - tread

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
 from dune_rl.paths import assets_folder
-from dune_rl.robots.drawing import ACROSS, Mesh, bevelled, box, cylinder, joined, tyre
+from dune_rl.robots.drawing import ACROSS, Mesh, bevelled, box, cylinder, joined, plate, tyre
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def _body() -> list[Mesh]:
 
 
 def _trim() -> list[Mesh]:
-    plate = bevelled((-0.008, 0.0, -0.002), (0.246, 0.196, 0.009), 0.003)
+    deck = bevelled((-0.008, 0.0, -0.002), (0.246, 0.196, 0.009), 0.003)
     belly = bevelled((-0.008, 0.0, -0.087), (0.210, 0.180, 0.010), 0.004)
     rails = [box((-0.008, side * 0.086, 0.007), (0.230, 0.012, 0.009)) for side in (-1, 1)]
     battery = bevelled((-0.128, 0.0, -0.046), (0.026, 0.120, 0.058), 0.006)
@@ -59,7 +59,7 @@ def _trim() -> list[Mesh]:
     antenna = cylinder(0.0055, 0.056, (-0.0052, 0.056, 0.028), (0.0, 0.0, 1.0), 12)
     # The bar of the differential, over the back of the body.
     bar = box((-0.100, 0.0, 0.012), (0.014, 0.230, 0.010))
-    return [plate, belly, *rails, battery, camera, *hinges, antenna, bar]
+    return [deck, belly, *rails, battery, camera, *hinges, antenna, bar]
 
 
 def _mast() -> list[Mesh]:
@@ -71,25 +71,13 @@ def _mast() -> list[Mesh]:
     return [foot, pole, shelf, *lidar, cylinder(0.035, 0.006, (0.0, 0.0, 0.622), up)]
 
 
-def _arm(start: Array, end: Array, radii: tuple[float, float], width: float, y: float = 0.0) -> Mesh:
-    """A plate round two points (x, z), as wide as a disc at each."""
-    angle = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    points = [
-        np.insert(middle + radius * circle, 1, y + side * width / 2, axis=1)
-        for middle, radius in zip((start, end), radii, strict=True)
-        for side in (-1, 1)
-    ]
-    return Mesh(np.concatenate(points)).convex_hull
-
-
 def _rocker() -> list[Mesh]:
     x, z = _HINGE_TO_HUB
-    parts = [_arm(np.array([-0.045, 0.004]), np.array([0.045, 0.004]), (0.028, 0.028), 0.026)]
+    parts = [plate(np.array([-0.045, 0.004]), np.array([0.045, 0.004]), (0.028, 0.028), 0.026)]
     for end in (-1, 1):
         knee = np.array([end * 0.118, -0.012])
-        parts.append(_arm(np.array([end * 0.045, 0.004]), knee, (0.026, 0.020), 0.026))
-        parts.append(_arm(knee, np.array([end * x, z]), (0.020, 0.023), 0.026))
+        parts.append(plate(np.array([end * 0.045, 0.004]), knee, (0.026, 0.020), 0.026))
+        parts.append(plate(knee, np.array([end * x, z]), (0.020, 0.023), 0.026))
     return parts
 
 

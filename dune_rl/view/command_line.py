@@ -46,8 +46,11 @@ def _main(parsed: Namespace) -> None:
     conf = command.settings_around_checkpoint(
         parsed, compose_view, (lambda saved: saved) if on_map else _with_all_sensors
     )
-    if conf is not None:
-        _view(conf)
+    if conf is None:
+        return
+    if given(parsed.overrides, "sensors") is None and conf.checkpoint is None:
+        conf = _without_odometry_on_legs(conf)
+    _view(conf)
 
 
 def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,6 +62,16 @@ def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
         if name not in own["enabled"]:
             sensors[name] = {**own.get(name, {}), "outputs": list(outputs)}
     return {**saved, "sensors": sensors}
+
+
+def _without_odometry_on_legs(conf: ViewConf) -> ViewConf:
+    """The settings with the sensors that the robot can have: all, but odometry only where it has wheels."""
+    from dune_rl.config.build import build_robot
+
+    if build_robot(conf.robot, 1).wheels is not None:
+        return conf
+    enabled = tuple(name for name in conf.sensors.enabled if name != "odometry")
+    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": enabled})})
 
 
 def _view(conf: ViewConf) -> None:
