@@ -4,6 +4,7 @@ import errno
 import logging
 import signal
 import sys
+import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,9 +21,11 @@ from rich.table import Table
 from dune_rl import plugins
 from dune_rl.config.compose import given
 from dune_rl.config.schema import EnvConf
-from dune_rl.errors import ConfigError, DuneError
+from dune_rl.errors import ConfigError, DuneError, DuneWarning
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
 from dune_rl.paths import conf_folder
+
+_SHOW_WARNING = warnings.showwarning
 
 Lines = Sequence[tuple[str, str]]
 Settings = Mapping[str, Any]
@@ -74,6 +77,7 @@ def run(page: Page, body: Callable[[Namespace], None], *, sweeps: bool = False) 
     for SIGTERM. `--help` shows the page; without `sweeps`, `-m` is refused.
     """
     signal.signal(signal.SIGTERM, _terminate)
+    warnings.showwarning = _warn
     # TorchRL tells of each buffer that it allocates.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
@@ -96,6 +100,13 @@ def run(page: Page, body: Callable[[Namespace], None], *, sweeps: bool = False) 
     except Terminated:
         sys.exit(128 + signal.SIGTERM)
     sys.exit(0)
+
+
+def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    if issubclass(category, DuneWarning):
+        say(f"warning: {message}")
+    else:
+        _SHOW_WARNING(message, category, *place, **more)
 
 
 def mendable(error: DuneError | OSError) -> str | None:

@@ -23,3 +23,7 @@ class CheckpointError(DuneError):
 
 class PhysicsError(DuneError):
     """A scene that the physics engine refuses, or an engine that is not installed."""
+
+
+class DuneWarning(UserWarning):
+    """Base of what users are warned of, in words that need no place in our code."""

@@ -11,8 +11,9 @@ import pytest
 import yaml
 from test_config import CHOOSE, NO_MOON
 
-from dune_rl import benchmark, engines, evaluate, train
+from dune_rl import benchmark, command, engines, evaluate, train
 from dune_rl.learning.progress import Lines, Status
+from dune_rl.worlds.importing.import_files import WorldWarning
 
 TINY = [
     "total_frames=192",
@@ -239,3 +240,10 @@ def test_two_policies_are_compared_on_the_same_episodes(
     rows = (folder / "both.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["go_to_goal"] * 3 + ["random"] * 3
     assert [row.split(",")[3] for row in rows] == ["0", "1", "2"] * 2
+
+
+def test_a_warning_is_a_line_without_our_code(capsys: pytest.CaptureFixture[str]) -> None:
+    command._warn(WorldWarning("sand.png is missing"), WorldWarning, "reader.py", 7)
+    assert capsys.readouterr().err == "warning: sand.png is missing\n"
+    command._warn(RuntimeWarning("overflow"), RuntimeWarning, "reader.py", 7)
+    assert "reader.py:7: RuntimeWarning: overflow" in capsys.readouterr().err

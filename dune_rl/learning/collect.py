@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -14,6 +15,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
 
+from dune_rl.errors import DuneWarning
 from dune_rl.seeding import stream
 from dune_rl.settings import Settings
 
@@ -65,6 +67,8 @@ def environment_seed(seed: int, worker: int, frames: int) -> int:
 
 
 def _worker_env(make_env: MakeEnv, scenes: int, seed: int) -> EnvBase:
+    # The learner has built the same world and told of it.
+    warnings.simplefilter("ignore", DuneWarning)
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     return make_env(scenes, seed)

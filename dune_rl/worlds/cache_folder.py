@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.errors import DuneWarning
 from dune_rl.files import replaced
 
 Arrays = dict[str, NDArray[Any]]
@@ -24,7 +25,7 @@ _TEXT, _CHECKSUM = "text", "checksum"
 _ABANDONED_S = 3600.0
 
 
-class CacheWarning(UserWarning):
+class CacheWarning(DuneWarning):
     """A cache that cannot be used as it should: slower, but nothing else."""
 
 

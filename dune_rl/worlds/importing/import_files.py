@@ -15,7 +15,7 @@ from defusedxml.ElementTree import DefusedXMLParser
 from numpy.typing import NDArray
 from PIL import Image
 
-from dune_rl.errors import WorldError
+from dune_rl.errors import DuneWarning, WorldError
 from dune_rl.worlds.importing.sources import note_absent, note_read, note_untraced
 
 MAX_FILE_BYTES = 256 * 2**20
@@ -31,7 +31,7 @@ _MOST_TEXELS = 32_000_000
 Bytes = NDArray[np.uint8]
 
 
-class WorldWarning(UserWarning):
+class WorldWarning(DuneWarning):
     """What of an imported world is missing, or is not taken over."""
 
 
