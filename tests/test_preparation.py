@@ -79,7 +79,9 @@ def test_what_cannot_be_built_does_not_stop_the_rest(tmp_path: Path) -> None:
 @pytest.mark.parametrize("end", ["return", "interrupt", "kill", "kill with a fork alive"])
 def test_it_ends_with_its_parent_however_that_ends(tmp_path: Path, end: str) -> None:
     code = """
-import os, sys, time
+import os, signal, sys, time
+# Where tests run in the background, Ctrl-C is ignored from the start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.store import WorldStore

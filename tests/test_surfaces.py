@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from batches import real_batch
 from defusedxml.ElementTree import parse
 from PIL import Image
@@ -12,6 +13,7 @@ from dune_rl.config.build import build_world
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.paths import assets_folder
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.worlds.appearance import scenery
 from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
@@ -48,10 +50,8 @@ def test_the_robot_is_as_heavy_as_its_description():
     root = parse(RoverZero(RoverZeroConf(), 1).body.urdf).getroot()
     masses = [float(mass.get("value", "")) for mass in root.iter("mass")]
     assert sum(masses) == pytest.approx(RoverZero.mass_kg)
-    widths = {
-        float(shape.get("length", "")) for shape in root.iter("cylinder") if shape.get("radius") == "0.125"
-    }
-    assert widths == {RoverZero.contact_width_m}
+    tyre = trimesh.load_mesh(assets_folder() / "robots" / "rover_zero" / "meshes" / "tyre.stl")
+    assert tyre.extents[1] == pytest.approx(RoverZero.contact_width_m, abs=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -404,6 +404,11 @@ def _read_robot(spec: RobotBody) -> Any:
         joint.setForceUpperLimit(0, motor.max_torque_nm)
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
+        if coupling.leader in spec.drive_joints:
+            raise PhysicsError(
+                f"{spec.urdf.name}: physics=dart couples joints without motors alone, and {coupling.leader} "
+                "has one; take physics=bullet"
+            )
         leader, follower = joints[coupling.leader], joints[coupling.follower]
         # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
         # holds the one holds the other, so that the leader has the friction and the damping of both.
