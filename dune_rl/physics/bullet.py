@@ -1,8 +1,10 @@
 """The PyBullet backend."""
 
 import math
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from dune_rl.physics.interface import Coupling, KinematicCapsule, SceneSpec, Sta
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.motors import servo, work_w
 from dune_rl.physics.quiet import silent_stderr
+from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation, motors_at, varied_urdf
 
 with silent_stderr():
     import pybullet
@@ -75,6 +78,9 @@ class BulletScene:
         self._joints: dict[str, int] = {}
         self._drive_joints: list[int] = []
         self._contacts: list[tuple[float, ...]] = []
+        self._urdf = spec.robot.urdf
+        self._variation = AS_DESCRIBED
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._motors = spec.robot.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
         self._plain = all(motor.is_plain for motor in self._motors)
@@ -120,6 +126,21 @@ class BulletScene:
         pybullet.changeDynamics(handle, -1, lateralFriction=0.5, physicsClientId=self._client)
         return handle
 
+    def set_body(self, variation: BodyVariation) -> None:
+        before, self._variation = self._variation, variation
+        self._motors = motors_at(self._spec.robot.motors, variation.motor_strength)
+        self._torques = [motor.max_torque_nm for motor in self._motors]
+        if variation.is_of_the_urdf:
+            self._urdf = self._spec.robot.urdf
+            return
+        if replace(variation, motor_strength=before.motor_strength) == before:
+            return
+        # PyBullet moves no centre of mass in place, and loads a URDF from files alone.
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="dune_rl_body_")
+        self._urdf = Path(self._folder.name) / self._spec.robot.urdf.name
+        self._urdf.write_text(varied_urdf(self._spec.robot.urdf, variation), encoding="utf-8")
+
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
@@ -140,7 +161,7 @@ class BulletScene:
         client, spec = self._client, self._spec.robot
         try:
             robot: int = pybullet.loadURDF(
-                str(spec.urdf),
+                str(self._urdf),
                 basePosition=list(position_w),
                 baseOrientation=list(quaternion),
                 # Looks are drawn elsewhere: to read their meshes at every start would cost milliseconds.
@@ -398,3 +419,6 @@ class BulletScene:
         if self._client is not None and pybullet.isConnected(self._client):
             pybullet.disconnect(self._client)
         self._client = None
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
