@@ -65,8 +65,12 @@ def _scale_load(traction: Traction, scene: int, factor: float) -> None:
     traction.load_factor[scene] = factor
 
 
-def _body_factor(name: str) -> Callable[[BodyVariation, float], BodyVariation]:
-    return lambda body, value: replace(body, **{name: value})
+def _weigh(body: BodyVariation, factor: float) -> BodyVariation:
+    return replace(body, mass_factor=factor)
+
+
+def _strengthen(body: BodyVariation, factor: float) -> BodyVariation:
+    return replace(body, motor_strength=factor)
 
 
 def _centre(axis: int) -> Callable[[BodyVariation, float], BodyVariation]:
@@ -85,11 +89,11 @@ PROPERTIES: dict[str, Property] = {
     "sun_bearing_rad": Property((-2 * np.pi, 2 * np.pi), weather=_light_setting("sun_bearing_rad")),
     "sun_elevation_rad": Property((0.02, np.pi / 2), weather=_light_setting("sun_elevation_rad")),
     "brightness": Property((0.01, 10.0), weather=_light_setting("brightness")),
-    "mass": Property((0.1, 10.0), traction=_scale_load, body=_body_factor("mass_factor")),
+    "mass": Property((0.1, 10.0), traction=_scale_load, body=_weigh),
     "centre_x_m": Property((-0.5, 0.5), body=_centre(0)),
     "centre_y_m": Property((-0.5, 0.5), body=_centre(1)),
     "centre_z_m": Property((-0.5, 0.5), body=_centre(2)),
-    "motor_strength": Property((0.05, 5.0), body=_body_factor("motor_strength")),
+    "motor_strength": Property((0.05, 5.0), body=_strengthen),
     "wheel_friction": Property((0.01, 10.0), traction=_scale_tyres),
     "action_latency_s": Property((0.0, LONGEST_S), latency=True),
 }

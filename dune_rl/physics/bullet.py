@@ -15,7 +15,7 @@ from dune_rl.physics.interface import Coupling, KinematicCapsule, SceneSpec, Sta
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.motors import servo, work_w
 from dune_rl.physics.quiet import silent_stderr
-from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation, motors_at, varied_urdf
+from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
 
 with silent_stderr():
     import pybullet
@@ -78,9 +78,7 @@ class BulletScene:
         self._joints: dict[str, int] = {}
         self._drive_joints: list[int] = []
         self._contacts: list[tuple[float, ...]] = []
-        self._urdf = spec.robot.urdf
-        self._variation = AS_DESCRIBED
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._varied_urdf: str | None = None
         self._motors = spec.robot.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
         self._plain = all(motor.is_plain for motor in self._motors)
@@ -127,19 +125,10 @@ class BulletScene:
         return handle
 
     def set_body(self, variation: BodyVariation) -> None:
-        before, self._variation = self._variation, variation
         self._motors = motors_at(self._spec.robot.motors, variation.motor_strength)
         self._torques = [motor.max_torque_nm for motor in self._motors]
-        if variation.is_of_the_urdf:
-            self._urdf = self._spec.robot.urdf
-            return
-        if replace(variation, motor_strength=before.motor_strength) == before:
-            return
-        # PyBullet moves no centre of mass in place, and loads a URDF from files alone.
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="dune_rl_body_")
-        self._urdf = Path(self._folder.name) / self._spec.robot.urdf.name
-        self._urdf.write_text(varied_urdf(self._spec.robot.urdf, variation), encoding="utf-8")
+        same = variation.is_of_the_urdf
+        self._varied_urdf = None if same else varied_urdf(self._spec.robot.urdf, variation)
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -148,7 +137,14 @@ class BulletScene:
         # impulses (bullet3 #2442): a robot loaded anew has none.
         if self._robot is not None:
             pybullet.removeBody(self._robot, physicsClientId=self._client)
-        self._robot = self._load_robot(position_w, quaternion)
+        if self._varied_urdf is None:
+            self._robot = self._load_robot(self._spec.robot.urdf, position_w, quaternion)
+        else:
+            # PyBullet moves no centre of mass in place, and loads a URDF from files alone.
+            with tempfile.TemporaryDirectory(prefix="dune_rl_") as folder:
+                urdf = Path(folder) / self._spec.robot.urdf.name
+                urdf.write_text(self._varied_urdf, encoding="utf-8")
+                self._robot = self._load_robot(urdf, position_w, quaternion)
         self._commands = self._spec.robot.rest_commands()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         for index in range(len(self._kinematics)):
@@ -157,11 +153,11 @@ class BulletScene:
         self._push = None
         self._contacts = [() for _ in self._ground_links]
 
-    def _load_robot(self, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
+    def _load_robot(self, urdf: Path, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
         client, spec = self._client, self._spec.robot
         try:
             robot: int = pybullet.loadURDF(
-                str(self._urdf),
+                str(urdf),
                 basePosition=list(position_w),
                 baseOrientation=list(quaternion),
                 # Looks are drawn elsewhere: to read their meshes at every start would cost milliseconds.
@@ -169,7 +165,7 @@ class BulletScene:
                 physicsClientId=client,
             )
         except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot load {spec.urdf}: {error}") from error
+            raise PhysicsError(f"PyBullet cannot load {urdf}: {error}") from error
         self._name_joints(robot)
         for link in range(-1, len(self._links) - 1):
             self._set_up_link(robot, link)
@@ -419,6 +415,3 @@ class BulletScene:
         if self._client is not None and pybullet.isConnected(self._client):
             pybullet.disconnect(self._client)
         self._client = None
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
