@@ -261,8 +261,9 @@ def test_what_no_robot_has_is_refused(name, value, message):
 def test_a_base_that_weighs_nothing_cannot_move_the_centre(tmp_path):
     urdf = tmp_path / "ghost.urdf"
     urdf.write_text(
-        '<robot name="ghost"><link name="base"/><link name="arm"><inertial>'
-        '<mass value="2"/></inertial></link><joint name="j" type="continuous"><parent link="base"/><child link="arm"/></joint></robot>'
+        '<robot name="ghost"><link name="base"/>'
+        '<link name="arm"><inertial><mass value="2"/></inertial></link>'
+        '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/></joint></robot>'
     )
     with pytest.raises(PhysicsError, match="holds 0 of 2 kg, too little to move"):
         varied_urdf(urdf, BodyVariation(centre_shift_b=(0.1, 0.0, 0.0)))

@@ -1,4 +1,4 @@
-"""What each episode is in: its world, its weather, its physics and its robot's body, drawn from (seed, episode) alone."""
+"""What each episode is in: world, weather, physics and body, drawn from (seed, episode) alone."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

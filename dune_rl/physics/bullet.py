@@ -127,8 +127,8 @@ class BulletScene:
     def set_body(self, variation: BodyVariation) -> None:
         self._motors = motors_at(self._spec.robot.motors, variation.motor_strength)
         self._torques = [motor.max_torque_nm for motor in self._motors]
-        same = variation.is_of_the_urdf
-        self._varied_urdf = None if same else varied_urdf(self._spec.robot.urdf, variation)
+        as_is = variation.is_of_the_urdf
+        self._varied_urdf = None if as_is else varied_urdf(self._spec.robot.urdf, variation)
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -141,10 +141,13 @@ class BulletScene:
             self._robot = self._load_robot(self._spec.robot.urdf, position_w, quaternion)
         else:
             # PyBullet moves no centre of mass in place, and loads a URDF from files alone.
-            with tempfile.TemporaryDirectory(prefix="dune_rl_") as folder:
-                urdf = Path(folder) / self._spec.robot.urdf.name
-                urdf.write_text(self._varied_urdf, encoding="utf-8")
-                self._robot = self._load_robot(urdf, position_w, quaternion)
+            handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
+            try:
+                with open(handle, "w", encoding="utf-8") as file:
+                    file.write(self._varied_urdf)
+                self._robot = self._load_robot(Path(name), position_w, quaternion)
+            finally:
+                Path(name).unlink()
         self._commands = self._spec.robot.rest_commands()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         for index in range(len(self._kinematics)):
@@ -154,7 +157,7 @@ class BulletScene:
         self._contacts = [() for _ in self._ground_links]
 
     def _load_robot(self, urdf: Path, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
-        client, spec = self._client, self._spec.robot
+        client = self._client
         try:
             robot: int = pybullet.loadURDF(
                 str(urdf),
@@ -165,7 +168,7 @@ class BulletScene:
                 physicsClientId=client,
             )
         except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot load {urdf}: {error}") from error
+            raise PhysicsError(f"PyBullet cannot load {self._spec.robot.urdf}: {error}") from error
         self._name_joints(robot)
         for link in range(-1, len(self._links) - 1):
             self._set_up_link(robot, link)
