@@ -40,6 +40,8 @@ class Rig:
         drop_m: float = 0.0,
         conf: RoverZeroConf | None = None,
         factors: tuple[float, float] = (1.0, 1.0),
+        tyres: float = 1.0,
+        load: float = 1.0,
     ) -> None:
         self.world, self.physics = world, PhysicsConf()
         self.rover = RoverZero(conf or RoverZeroConf(), 1)
@@ -47,6 +49,7 @@ class Rig:
         self.motion = Motion(1, self.rover)
         self.traction = Traction(self.rover, self.physics, 1)
         self.traction.friction_factor[:], self.traction.stiffness_factor[:] = factors
+        self.traction.tyre_factor[:], self.traction.load_factor[:] = tyres, load
         position, quaternion = standing_pose(world, self.rover, *at, yaw)
         position[2] += drop_m
         self.engine.place(position.tolist(), quaternion.tolist(), np.zeros((0, 4)))

@@ -18,6 +18,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.physics.dart import DartScene
 from dune_rl.physics.interface import KinematicCapsule, PhysicsScene, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.wheeled import WheeledRobot
 from dune_rl.worlds.props import upright_box
@@ -62,11 +63,18 @@ def plane_field(
 
 
 def slope_stage(
-    backend: Backend, slope_rad: float, friction: float, yaw: float = 0.0, robot: RobotBody | None = None
+    backend: Backend,
+    slope_rad: float,
+    friction: float,
+    yaw: float = 0.0,
+    robot: RobotBody | None = None,
+    variation: BodyVariation | None = None,
 ) -> "Stage":
     """A rover just above a slope, in the middle of one large triangle: edges catch wheels that slide."""
     terrain = plane_field(slope_rad, half=4, spacing_m=5.0)
     stage = Stage(backend, [ground(terrain, friction)], robot=robot or rover_body())
+    if variation is not None:
+        stage.scene.set_body(variation)
     quaternion = quaternion_of(yaw, slope_rad)
     foot = np.array([-1.5, -3.5, terrain.height([-1.5, -3.5])])
     stage.place(foot + rotation_matrices(quaternion)[:, 2] * (WHEEL_RADIUS_M + 0.001), quaternion)

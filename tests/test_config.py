@@ -58,6 +58,23 @@ WORLDS = "construction, flat, heightmap, inspection, island, mesh, rubicon or sd
 CHOOSE = f"choose a world: +world=NAME with {WORLDS}"
 NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
 # What each option says, written down a second time as plain objects.
+WORLDS = RandomisationConf(
+    world_seed=Integers(low=1000, high=1_000_000),
+    friction=LogUniform(low=0.6, high=1.25),
+    sun_bearing_rad=Uniform(low=-3.1415, high=3.1415),
+    sun_elevation_rad=Uniform(low=0.25, high=1.3),
+    brightness=LogUniform(low=0.7, high=1.4),
+)
+BODY = RandomisationConf(
+    mass=Uniform(low=0.8, high=1.3),
+    centre_x_m=Uniform(low=-0.03, high=0.03),
+    centre_y_m=Uniform(low=-0.02, high=0.02),
+    centre_z_m=Uniform(low=-0.02, high=0.05),
+    motor_strength=Uniform(low=0.8, high=1.1),
+    wheel_friction=LogUniform(low=0.8, high=1.25),
+    action_latency_s=Uniform(low=0.0, high=0.1),
+)
+
 PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("actors", "none"): (),
     ("actors", "walkers"): (ActorConf(), ActorConf()),
@@ -66,13 +83,9 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
     ("randomisation", "none"): RandomisationConf(),
-    ("randomisation", "worlds"): RandomisationConf(
-        world_seed=Integers(low=1000, high=1_000_000),
-        friction=LogUniform(low=0.6, high=1.25),
-        sun_bearing_rad=Uniform(low=-3.1415, high=3.1415),
-        sun_elevation_rad=Uniform(low=0.25, high=1.3),
-        brightness=LogUniform(low=0.7, high=1.4),
-    ),
+    ("randomisation", "worlds"): WORLDS,
+    ("randomisation", "body"): BODY,
+    ("randomisation", "everything"): RandomisationConf(**(WORLDS.drawn | BODY.drawn)),
     ("physics", "dart"): PhysicsConf(backend="dart"),
     ("robot", "hyperdog"): HyperDogConf(),
     ("robot", "leo_rover"): LeoRoverConf(),

@@ -11,6 +11,7 @@ from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.env.action_log import ActionLog
 from dune_rl.env.drag import drag_forces
 from dune_rl.env.encounters import Encounters
+from dune_rl.env.latency import Latency
 from dune_rl.env.motion import Motion
 from dune_rl.env.places import Places
 from dune_rl.env.scene import standing_pose
@@ -108,6 +109,9 @@ class Batch:
         self.motion = Motion(num_scenes, self.robot)
         self._scenes = self._places.physics
         self.traction = Traction(self.robot, physics, num_scenes)
+        self._latency: Latency | None = None
+        if self.variety.of_latency:
+            self._latency = Latency(num_scenes, self.robot.body.rest_commands(), physics.control_hz)
         self._metrics = EpisodeMetrics(metrics, num_scenes)
         self._measures_energy = metrics.energy
         self._encounters = Encounters(
@@ -176,6 +180,8 @@ class Batch:
             self.actors.reset(scene, stream(self.seed, "actors", episode), position[:2])
             physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
             self.variety.tell(self.traction, scene, self._places.values[scene])
+            if self._latency is not None:
+                self._latency.begin(scene, self.variety.latency_s(self._places.values[scene]))
             self.traction.begin(scene, self.sites.worlds[scene], physics, position, quaternion)
             physics.step(settle, still, self.actors.poses[scene])
             if self._measures_energy:
@@ -214,9 +220,11 @@ class Batch:
         walker_goals = self.actors.goals_w[:, self.actors.external].copy()
         walker_distance = self._walker_distance(walker_goals)
         wanted = np.asarray(rover_actions, np.float64)
-        commands = self.robot.commands(wanted, self.motion, step_s).tolist()
+        commands = self.robot.commands(wanted, self.motion, step_s)
+        if self._latency is not None:
+            commands = self._latency.late(commands)
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
-        self._advance_physics(commands)
+        self._advance_physics(commands.tolist())
         self.steps += 1
         self.senses.measure(self._moment())
         now = self._snapshot()

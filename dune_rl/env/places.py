@@ -85,6 +85,8 @@ class Places:
         elif self.values.shape[1]:
             self.sites.put(scene, self._world, self.variety.weather(values))
         self.values[scene] = values
+        if self.variety.of_bodies:
+            self._physics[scene].set_body(self.variety.body(values))
         return self._physics[scene]
 
     def _enter_world(self, scene: int, seed: int, episode: int, actors: Actors) -> Values:

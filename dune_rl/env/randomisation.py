@@ -4,14 +4,16 @@ A property is a setting of `RandomisationConf` and an entry of `PROPERTIES`, und
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from pydantic import model_validator
 
 from dune_rl.env.distributions import Distribution, WholeNumbers
+from dune_rl.env.latency import LONGEST_S
 from dune_rl.env.traction import Traction
+from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.settings import Settings
 
@@ -24,13 +26,16 @@ class Property:
     """What a drawn value does to an episode, and the `limits` that it may have.
 
     `world` and `weather` change settings, `traction` a scene's wheels before
-    its robot is put down.
+    its robot is put down, and `body` the robot itself. `latency` is how late its
+    motors' commands are [s].
     """
 
     limits: tuple[float, float]
     world: Callable[[Any, float], Any] | None = None
     weather: Callable[[WeatherConf, float], WeatherConf] | None = None
     traction: Callable[[Traction, int, float], None] | None = None
+    body: Callable[[BodyVariation, float], BodyVariation] | None = None
+    latency: bool = False
 
 
 def _world_setting(name: str) -> Callable[[Any, float], Any]:
@@ -52,6 +57,30 @@ def _scale_stiffness(traction: Traction, scene: int, factor: float) -> None:
     traction.stiffness_factor[scene] = factor
 
 
+def _scale_tyres(traction: Traction, scene: int, factor: float) -> None:
+    traction.tyre_factor[scene] = factor
+
+
+def _scale_load(traction: Traction, scene: int, factor: float) -> None:
+    traction.load_factor[scene] = factor
+
+
+def _weigh(body: BodyVariation, factor: float) -> BodyVariation:
+    return replace(body, mass_factor=factor)
+
+
+def _strengthen(body: BodyVariation, factor: float) -> BodyVariation:
+    return replace(body, motor_strength=factor)
+
+
+def _centre(axis: int) -> Callable[[BodyVariation, float], BodyVariation]:
+    def change(body: BodyVariation, value: float) -> BodyVariation:
+        x, y, z = (value if place == axis else part for place, part in enumerate(body.centre_shift_b))
+        return replace(body, centre_shift_b=(x, y, z))
+
+    return change
+
+
 PROPERTIES: dict[str, Property] = {
     "world_seed": Property((0, _LARGEST_SEED), world=_world_setting("seed")),
     "layout_seed": Property((0, _LARGEST_SEED), world=_world_setting("layout_seed")),
@@ -60,6 +89,13 @@ PROPERTIES: dict[str, Property] = {
     "sun_bearing_rad": Property((-2 * np.pi, 2 * np.pi), weather=_light_setting("sun_bearing_rad")),
     "sun_elevation_rad": Property((0.02, np.pi / 2), weather=_light_setting("sun_elevation_rad")),
     "brightness": Property((0.01, 10.0), weather=_light_setting("brightness")),
+    "mass": Property((0.1, 10.0), traction=_scale_load, body=_weigh),
+    "centre_x_m": Property((-0.5, 0.5), body=_centre(0)),
+    "centre_y_m": Property((-0.5, 0.5), body=_centre(1)),
+    "centre_z_m": Property((-0.5, 0.5), body=_centre(2)),
+    "motor_strength": Property((0.05, 5.0), body=_strengthen),
+    "wheel_friction": Property((0.01, 10.0), traction=_scale_tyres),
+    "action_latency_s": Property((0.0, LONGEST_S), latency=True),
 }
 
 
@@ -71,6 +107,14 @@ class RandomisationConf(Settings):
     that of the world under the wheels, and `stiffness` on that of its surfaces,
     which a world without a map of them has not. The sun's place and the `brightness` take the place of
     those in `weather.light`.
+
+    `mass` is a factor on the masses and inertias of all the robot's links, and
+    `centre_x_m`, `centre_y_m` and `centre_z_m` move its centre of mass forward,
+    left and up. `motor_strength` is a factor on its motors' voltage: on their
+    stall torque and on their speed without load. `wheel_friction` is a factor
+    on that of its tyres or feet, which multiplies with `friction`. Commands
+    reach the motors `action_latency_s` late, in the nearest whole number of
+    control steps.
     """
 
     world_seed: WholeNumbers | None = None
@@ -80,6 +124,13 @@ class RandomisationConf(Settings):
     sun_bearing_rad: Distribution | None = None
     sun_elevation_rad: Distribution | None = None
     brightness: Distribution | None = None
+    mass: Distribution | None = None
+    centre_x_m: Distribution | None = None
+    centre_y_m: Distribution | None = None
+    centre_z_m: Distribution | None = None
+    motor_strength: Distribution | None = None
+    wheel_friction: Distribution | None = None
+    action_latency_s: Distribution | None = None
 
     @property
     def drawn(self) -> dict[str, Any]:

@@ -27,8 +27,10 @@ class Traction:
 
     Feet are wheels that do not roll, taken where they are when the robot stands.
 
-    `friction_factor` and `stiffness_factor` (M,) multiply those of all the
-    wheels' contacts in a scene; set them before the scene's `begin`. Worlds
+    `friction_factor`, `tyre_factor` (both of friction) and `stiffness_factor` (M,)
+    multiply those of all the wheels' contacts in a scene; set them before the
+    scene's `begin`. `load_factor` (M,) multiplies what weighs on the wheels, by
+    which they roll harder; how far they sink stays that of the robot as described. Worlds
     without a map have the friction's alone: there, contacts are rigid, and
     where the factor is 1 nothing is done.
     """
@@ -40,7 +42,9 @@ class Traction:
         self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
         self._slowest = _GRAVITY_MPS2 * physics.control_step_s
         self.friction_factor = np.ones(num_scenes)
+        self.tyre_factor = np.ones(num_scenes)
         self.stiffness_factor = np.ones(num_scenes)
+        self.load_factor = np.ones(num_scenes)
         self._worlds: list[World | None] = [None] * num_scenes
         self._groups: list[tuple[World, NDArray[np.intp], Array]] | None = None
         self.surfaces = np.full((num_scenes, wheels), _NOWHERE, np.uint8)
@@ -53,7 +57,7 @@ class Traction:
             self._worlds[scene], self._groups = world, None
         self.surfaces[scene] = _NOWHERE
         if world.surfaces is None:
-            factor = float(self.friction_factor[scene])
+            factor = float(self.friction_factor[scene] * self.tyre_factor[scene])
             if factor != 1.0:
                 wheels = len(self._wheels_b)
                 engine.set_wheel_contacts(
@@ -94,7 +98,7 @@ class Traction:
             yaw_rates = motion.angular_b[scenes, 2, None]
             ahead = motion.velocity_b[scenes, 0, None] - yaw_rates * self._wheels_b[:, 1]
             held = self._held(coefficients, ahead, speeds[scenes] * self._robot.contact_radius_m)
-            load = self._share_n * np.maximum(rotation[:, 2, 2], 0.0)
+            load = self._share_n * self.load_factor[scenes] * np.maximum(rotation[:, 2, 2], 0.0)
             force[scenes] = (load * held)[:, None] * rotation[:, :, 0]
         return None if speeds is None else force
 
@@ -121,7 +125,8 @@ class Traction:
         assert world.surfaces is not None
         contacts, _ = self._table(world.surfaces)
         rows = contacts[self.surfaces[scene]]
-        friction = rows[:, 0] * (self._robot.body.ground_friction * self.friction_factor[scene])
+        factor = self.friction_factor[scene] * self.tyre_factor[scene]
+        friction = rows[:, 0] * (self._robot.body.ground_friction * factor)
         stiffness = rows[:, 2] * self.stiffness_factor[scene]
         engine.set_wheel_contacts(
             friction.tolist(), rows[:, 1].tolist(), stiffness.tolist(), rows[:, 3].tolist()

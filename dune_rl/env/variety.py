@@ -1,10 +1,11 @@
-"""What each episode is in: its world, its weather and its physics, drawn from (seed, episode) alone."""
+"""What each episode is in: world, weather, physics and body, drawn from (seed, episode) alone."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
 from dune_rl.env.traction import Traction
+from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.seeding import stream
 from dune_rl.worlds.world import World
@@ -79,6 +80,29 @@ class Variety:
             change = PROPERTIES[name].traction
             if change is not None:
                 change(traction, scene, float(value))
+
+    @property
+    def of_bodies(self) -> bool:
+        """Whether bodies differ in more than their wheels' contacts."""
+        return any(PROPERTIES[name].body is not None for name in self.names)
+
+    @property
+    def of_latency(self) -> bool:
+        """Whether commands come late."""
+        return any(PROPERTIES[name].latency for name in self.names)
+
+    def body(self, values: Sequence[float]) -> BodyVariation:
+        """The robot of drawn `values`."""
+        body = AS_DESCRIBED
+        for name, value in zip(self.names, values, strict=True):
+            change = PROPERTIES[name].body
+            body = body if change is None else change(body, float(value))
+        return body
+
+    def latency_s(self, values: Sequence[float]) -> float:
+        """How late commands reach the motors [s]."""
+        drawn = zip(self.names, values, strict=True)
+        return float(sum(value for name, value in drawn if PROPERTIES[name].latency))
 
     def prepare(self, seed: int, episodes: Sequence[int]) -> None:
         """Say that these episodes are to come."""

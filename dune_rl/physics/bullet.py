@@ -1,9 +1,11 @@
 """The PyBullet backend."""
 
 import math
+import tempfile
 import weakref
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from dune_rl.physics.interface import CAPSULE_FRICTION, Coupling, KinematicCapsu
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.motors import Servos, work_w
 from dune_rl.physics.quiet import silent_stderr
+from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
 
 with silent_stderr():
     import pybullet
@@ -84,6 +87,7 @@ class BulletScene:
         self._joints: dict[str, int] = {}
         self._drive_joints: list[int] = []
         self._contacts: list[tuple[float, ...]] = []
+        self._varied_urdf: str | None = None
         self._motors = spec.robot.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
         self._plain = all(motor.is_plain for motor in self._motors)
@@ -129,6 +133,13 @@ class BulletScene:
         pybullet.changeDynamics(handle, -1, lateralFriction=CAPSULE_FRICTION, physicsClientId=self._client)
         return handle
 
+    def set_body(self, variation: BodyVariation) -> None:
+        self._motors = motors_at(self._spec.robot.motors, variation.motor_strength)
+        self._servos = Servos(self._motors, self._spec.timestep_s)
+        self._torques = [motor.max_torque_nm for motor in self._motors]
+        as_is = variation.is_of_the_urdf
+        self._varied_urdf = None if as_is else varied_urdf(self._spec.robot.urdf, variation)
+
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
@@ -136,7 +147,17 @@ class BulletScene:
         # impulses (bullet3 #2442): a robot loaded anew has none.
         if self._robot is not None:
             pybullet.removeBody(self._robot, physicsClientId=self._client)
-        self._robot = self._load_robot(position_w, quaternion)
+        if self._varied_urdf is None:
+            self._robot = self._load_robot(self._spec.robot.urdf, position_w, quaternion)
+        else:
+            # PyBullet moves no centre of mass in place, and loads a URDF from files alone.
+            handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
+            try:
+                with open(handle, "w", encoding="utf-8") as file:
+                    file.write(self._varied_urdf)
+                self._robot = self._load_robot(Path(name), position_w, quaternion)
+            finally:
+                Path(name).unlink()
         self._servos.rest()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         for index in range(len(self._kinematics)):
@@ -145,11 +166,11 @@ class BulletScene:
         self._push = None
         self._contacts = [() for _ in self._ground_links]
 
-    def _load_robot(self, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
-        client, spec = self._client, self._spec.robot
+    def _load_robot(self, urdf: Path, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
+        client = self._client
         try:
             robot: int = pybullet.loadURDF(
-                str(spec.urdf),
+                str(urdf),
                 basePosition=list(position_w),
                 baseOrientation=list(quaternion),
                 # Looks are drawn elsewhere: to read their meshes at every start would cost milliseconds.
@@ -157,7 +178,7 @@ class BulletScene:
                 physicsClientId=client,
             )
         except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot load {spec.urdf}: {error}") from error
+            raise PhysicsError(f"PyBullet cannot load {self._spec.robot.urdf}: {error}") from error
         self._name_joints(robot)
         for link in range(-1, len(self._links) - 1):
             self._set_up_link(robot, link)

@@ -3,7 +3,7 @@
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -15,6 +15,7 @@ from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart_files import TYRE, is_open, robot_urdf, write_meshes
 from dune_rl.physics.interface import CAPSULE_FRICTION, RobotBody, SceneSpec, StaticBody
 from dune_rl.physics.motors import Servos, work_w
+from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
 
 try:
     import dartpy
@@ -67,6 +68,13 @@ class DartScene:
         self._speeds: Sequence[float] = ()
         self._gears: list[_Gear] = []
         self._world: Any = None
+
+    def set_body(self, variation: BodyVariation) -> None:
+        robot = self._spec.robot
+        self._motors = motors_at(robot.motors, variation.motor_strength)
+        self._servos = Servos(self._motors, self._spec.timestep_s)
+        text = None if variation.is_of_the_urdf else varied_urdf(robot.urdf, variation)
+        self._robot_as_read = _read_robot(replace(robot, motors=self._motors), text)
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -375,8 +383,8 @@ def _add_shape(body: Any, shape: Any, friction: float, raised_m: float = 0.0) ->
     return node
 
 
-def _read_robot(spec: RobotBody) -> Any:
-    robot = _parsed(robot_urdf(spec), spec.urdf.parent)
+def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
+    robot = _parsed(robot_urdf(spec, text), spec.urdf.parent)
     if robot is None:
         raise PhysicsError(f"DART cannot load {spec.urdf}")
     for body in robot.getBodyNodes():

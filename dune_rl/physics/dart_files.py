@@ -5,7 +5,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, SubElement, tostring
 
 import numpy as np
-from defusedxml.ElementTree import parse
+from defusedxml.ElementTree import fromstring, parse
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
@@ -18,13 +18,14 @@ TYRE = "/tyre"
 _FOLD_DEPTH_M = 10.0
 
 
-def robot_urdf(spec: RobotBody) -> str:
+def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
     """The robot's URDF with its couplings, and a sliding joint between each driven wheel and its mount.
 
+    `text` is a URDF to take instead of the robot's own.
     Raises `PhysicsError` where there is no such file, or no such joint or link in it.
     """
     try:
-        root = parse(spec.urdf).getroot()
+        root = parse(spec.urdf).getroot() if text is None else fromstring(text)
     except (OSError, ParseError) as error:
         raise PhysicsError(f"DART cannot load {spec.urdf}: {error}") from error
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}

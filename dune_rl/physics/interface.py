@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.settings import Settings
 
 Engine = Literal["bullet", "dart"]
@@ -171,6 +172,14 @@ class PhysicsScene(Protocol):
     bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
     joints and motors slows a body down.
     """
+
+    def set_body(self, variation: BodyVariation) -> None:
+        """Set what the robot is like from the next `place` on, until it is set again.
+
+        It is called only where a body differs; an engine that cannot do it
+        raises PhysicsError. `varied_urdf` and `motors_at` do most of it.
+        """
+        ...
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
