@@ -9,6 +9,7 @@ from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.env.variety import Variety
+from dune_rl.errors import ConfigError
 from dune_rl.physics.bullet import BulletScene
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
@@ -34,9 +35,11 @@ def make_batch(
     """
     world_of = build_world if world_of is None else world_of
     prepare = partial(prepare_worlds, seen="camera" in conf.sensors.enabled) if prepare is None else prepare
+    first, *others = (partial(build_robot, robot) for robot in conf.all_robots)
     return Batch(
         world=world_of(conf.world),
-        make_robot=lambda scenes: build_robot(conf.robot, scenes),
+        make_robot=first,
+        make_others=tuple(others),
         make_scene=BulletScene,
         actors=conf.actors,
         sensors=conf.sensors,
@@ -73,7 +76,9 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, seen: bool = False) -> Non
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
-    """A TorchRL environment of batch size (num_scenes,)."""
+    """A TorchRL environment of batch size (num_scenes,); `ConfigError` where a scene has several robots."""
+    if len(conf.all_robots) > 1:
+        raise ConfigError("robots are agents of parallel_env alone; choose one here: robot=NAME")
     return DuneEnv(make_batch(conf, num_scenes, seed))
 
 

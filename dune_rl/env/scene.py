@@ -21,8 +21,9 @@ def scene_spec(
     actors: tuple[KinematicCapsule, ...],
     physics: PhysicsConf,
     measures_work: bool = False,
+    others: tuple[Robot, ...] = (),
 ) -> SceneSpec:
-    """The bodies of one scene: terrain, solid props, actors and the robot."""
+    """The bodies of one scene: terrain, solid props, actors, the robot and the others beside it."""
     vertices, faces = world.terrain.mesh()
     # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
     neutral = world.surfaces is not None
@@ -45,6 +46,7 @@ def scene_spec(
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
         measures_work=measures_work,
+        others=tuple(other.body for other in others),
     )
 
 
