@@ -265,7 +265,7 @@ def _with_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """Give each of `robots` in `data` the settings of the option that it names; the faults in their names.
 
     A robot is a name, or a mapping with a name and the values that differ.
-    Where names are at fault, the one robot stands in, so that the rest is checked.
+    Robots without a known name are left out, so that the rest is checked.
     """
     robots = data.get("robots")
     if not isinstance(robots, list):
@@ -284,7 +284,7 @@ def _with_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
             faults.append(f"robots: each is a name or has one: choose {one_of(options)} (got {robot!r})")
         else:
             faults.append(f"there is no robot {name!r}; choose {one_of(options)}")
-    data["robots"] = None if faults else chosen
+    data["robots"] = chosen or (None if faults else [])
     return faults
 
 
