@@ -143,7 +143,7 @@ class Batch:
         self.sensors = self.senses.conf
         self._enlist()
         self.steps = np.zeros(num_scenes, np.int64)
-        # Where each robot's numbers begin in a row of actions.
+        # Where each robot's numbers end in a row of actions.
         self._ends = np.cumsum([rovers.action_width for rovers in self.rovers]).tolist()
         self._log = ActionLog(num_scenes, self._ends[-1], 2 * len(self.actors.external))
         self.reseed(seed, first_episode)
