@@ -381,9 +381,9 @@ class Batch:
         return np.hypot(offset[..., 0], offset[..., 1])
 
     def _nearest_rover(self) -> tuple[Array, Array]:
-        """Position and velocity of the rover that is nearest to each walker, (M, E, 3), or (M, 1, 3)."""
+        """Position and velocity of the rover nearest to each walker, (M, E, 3); (M, 3) where there is one."""
         if len(self.rovers) == 1:
-            return self.motion.position_w[:, None], self.motion.velocity_w[:, None]
+            return self.motion.position_w, self.motion.velocity_w
         positions = np.stack([rovers.motion.position_w for rovers in self.rovers], axis=1)
         velocities = np.stack([rovers.motion.velocity_w for rovers in self.rovers], axis=1)
         walkers = self.actors.poses[:, self.actors.external, :2]
