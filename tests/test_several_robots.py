@@ -135,6 +135,20 @@ def test_the_episode_ends_when_all_have_arrived() -> None:
     batch.close()
 
 
+def test_where_one_diverges_the_episode_ends_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = batch_of(TWINS, num_scenes=2)
+    row = np.tile(actions(STILL, STILL), (2, 1))
+    batch.step(row)
+    monkeypatch.setattr(batch.rovers[1].engines[0], "body_state", lambda: (np.nan,) * 13)
+    outcome = batch.step(row)
+    for truncated in (outcome.truncated, outcome.others[0].truncated):
+        assert truncated.tolist() == [True, False]
+    assert not (outcome.terminated | outcome.others[0].terminated).any()
+    assert metric(batch, 1, "diverged").tolist() == [1.0, 0.0]
+    assert np.isfinite(batch.observe(0)["lidar"]).all()
+    batch.close()
+
+
 # -- apart -----------------------------------------------------------------------------------------
 
 
@@ -241,6 +255,26 @@ def test_robots_that_meet_both_have_a_collision() -> None:
     for _ in range(40):
         batch.step(at_each_other(batch))
     assert distance(batch)[0] > 0.44 - 0.03, "they drive through each other"
+    batch.close()
+
+
+def test_a_collision_leaves_no_trace_in_the_next_episode() -> None:
+    task = {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}, "termination": {"goal_distance_m": 0.01}}
+    batch = batch_of(BOTH, task=task)
+
+    def drives() -> list[bytes]:
+        batch.reseed(0)
+        batch.reset()
+        states = []
+        while not metric(batch, 1, "collisions")[0]:
+            batch.step(at_each_other(batch, 0.4))
+            states += [engine.body_state() for rovers in batch.rovers for engine in rovers.engines]
+        return [np.array(state).tobytes() for state in states]
+
+    first = drives()
+    assert len(first) > 20
+    # They are still pushing at each other.
+    assert drives() == first
     batch.close()
 
 
