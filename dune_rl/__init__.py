@@ -49,6 +49,9 @@ def parallel_env(
 ) -> "ParallelDuneEnv":
     """A PettingZoo `ParallelEnv`: the agent `rover_0`, and one for each actor whose controller is external.
 
+    `robots=["rover_zero", {"name": "leo_rover", "wheel_friction": 0.8}]` puts
+    several robots into the scene, which are the agents `rover_0`, `rover_1`, ...
+
     `settings` are sections of the configuration: a name chooses an option
     (`actors="external_walkers"`), a mapping changes values
     (`task={"max_steps": 100}`). `overrides` are command-line words

@@ -310,7 +310,8 @@ def test_environment_settings_share_the_messages() -> None:
         compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
     assert sorted(str(caught.value).splitlines()) == [
         "colour is not a setting; "
-        "the top level has world, weather, robot, actors, sensors, physics, task, metrics, randomisation",
+        "the top level has world, weather, robot, robots, actors, sensors, physics, task, metrics, "
+        "randomisation",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
         NO_MOON,
     ]

@@ -28,8 +28,9 @@ from dune_rl.worlds.world import World
 def pictures_in(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Pictures:
     """Of a rover that stands at (`x`, `y`) in `world`, alone."""
     batch = copy(flat_batch())
-    batch.sites, batch.motion = Sites([(world, batch.weather)]), Motion(1, batch.robot)
-    batch.goals_w = np.array([[3.0, 0.0]])
+    batch.sites, batch.rovers = Sites([(world, batch.weather)]), (copy(batch.rovers[0]),)
+    batch.rovers[0].motion = Motion(1, batch.robot)
+    batch.rovers[0].goals_w = np.array([[3.0, 0.0]])
     stand(batch, x, y, yaw)
     return Pictures(batch)
 

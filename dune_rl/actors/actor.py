@@ -138,20 +138,21 @@ class Actors:
         return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
 
     def reset(self, scene: int, rng: np.random.Generator, rover_xy: Array) -> None:
-        """Start `scene` anew: each actor on a path drawn with `rng`, away from `rover_xy` (2,).
+        """Start `scene` anew: each actor on a path drawn with `rng`, away from `rover_xy`, (2,) or (R, 2).
 
         Where no place on an actor's paths is far enough away, it takes the farthest that was tried.
         """
         if not self.confs:
             return
         bank, choices = self._paths[self._worlds[scene]]
+        rovers_xy = np.atleast_2d(rover_xy)
         for index, conf in enumerate(self.confs):
             farthest = -1.0
             for _ in range(_START_TRIES):
                 loop = rng.choice(choices[index])
                 travelled = rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
                 pose = bank.pose(loop, np.asarray(travelled))
-                apart = float(np.hypot(*(pose[:2] - rover_xy)))
+                apart = float(np.hypot(*(pose[:2] - rovers_xy).T).min())
                 if apart > farthest:
                     farthest = apart
                     self._loop[scene, index] = loop

@@ -9,6 +9,7 @@ from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.env.variety import Variety
+from dune_rl.errors import ConfigError
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
@@ -35,9 +36,11 @@ def make_batch(
     """
     world_of = build_world if world_of is None else world_of
     prepare = partial(prepare_worlds, seen="camera" in conf.sensors.enabled) if prepare is None else prepare
+    first, *others = (partial(build_robot, robot) for robot in conf.all_robots)
     return Batch(
         world=world_of(conf.world),
-        make_robot=lambda scenes: build_robot(conf.robot, scenes),
+        make_robot=first,
+        make_others=tuple(others),
         make_scene=scene_class(conf.physics.backend),
         actors=conf.actors,
         sensors=conf.sensors,
@@ -90,7 +93,9 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, seen: bool = False) -> Non
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
-    """A TorchRL environment of batch size (num_scenes,)."""
+    """A TorchRL environment of batch size (num_scenes,); `ConfigError` where a scene has several robots."""
+    if len(conf.all_robots) > 1:
+        raise ConfigError("robots are agents of parallel_env alone; choose one here: robot=NAME")
     return DuneEnv(make_batch(conf, num_scenes, seed))
 
 

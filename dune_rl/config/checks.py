@@ -56,11 +56,12 @@ def faults(error: ValidationError, model: type[BaseModel], data: Mapping[str, An
     by_path: dict[tuple[str | int, ...], list[ErrorDetails]] = {}
     for detail in error.errors():
         by_path.setdefault(_path_in(data, detail), []).append(detail)
-    # A list short of its faulty items is reported by these.
+    # A list short of its faulty items is reported by these, or by what is in them.
+    inner = {path[:end] for path in by_path for end in range(len(path))}
     return [
         _sentence(path, details, model, data)
         for path, details in by_path.items()
-        if not (details[0]["type"] == "too_short" and any(other[:-1] == path for other in by_path))
+        if not (details[0]["type"] == "too_short" and path in inner)
     ]
 
 

@@ -101,6 +101,8 @@ def compose_environment(
             words.append(f"{name}={value['name']}")
             # The option states its own name, which need not be its file's.
             changes[name] = {key: given for key, given in value.items() if key != "name"}
+        elif name == "robots" and isinstance(value, Sequence) and not isinstance(value, str):
+            changes[name] = list(value)
         elif name == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
             # As on the command line: a list is of sensors.
             changes[name] = {"enabled": list(value)}
@@ -111,7 +113,8 @@ def compose_environment(
     with _hydra(config_dirs) as loader:
         request = command_line.read(words, loader)
         data = _merged(_plain(_composed("environment", request, loader)), changes)
-        return validated(model, data, _earlier(request, data, loader))
+        found = _with_robots(data, loader)
+        return validated(model, data, [*_earlier(request, data, loader), *found])
 
 
 def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> list[str]:
@@ -125,8 +128,9 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
         faults = list(request.faults)
         for variant in _variants(request):
             data = _plain(_composed("train", variant, loader))
+            found = _with_robots(data, loader)
             try:
-                validated(Conf, data, _earlier(request, data, loader))
+                validated(Conf, data, [*_earlier(request, data, loader), *found])
             except ConfigError as error:
                 faults += str(error).splitlines()
         if faults:
@@ -166,7 +170,8 @@ def _compose(
             raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
         config = _composed(name, request, loader)
         data = _plain(config) if saved is None else _overlaid(saved, config, request, model)
-        return validated(model, data, _earlier(request, data, loader))
+        found = _with_robots(data, loader)
+        return validated(model, data, [*_earlier(request, data, loader), *found])
 
 
 @contextmanager
@@ -254,6 +259,33 @@ def _earlier(request: command_line.Request, data: dict[str, Any], loader: Config
             found.append(f"choose a world: +world=NAME with {one_of(options)}")
         data["world"] = {"name": "flat"}
     return found
+
+
+def _with_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
+    """Give each of `robots` in `data` the settings of the option that it names; the faults in their names.
+
+    A robot is a name, or a mapping with a name and the values that differ.
+    Robots without a known name are left out, so that the rest is checked.
+    """
+    robots = data.get("robots")
+    if not isinstance(robots, list):
+        return []
+    options = command_line.option_names(loader, "robot")
+    chosen: list[Any] = []
+    faults: list[str] = []
+    for robot in robots:
+        changes = robot if isinstance(robot, Mapping) else {"name": robot}
+        name = changes.get("name")
+        if name in options:
+            settings = _plain(hydra_compose("environment", [f"robot={name}"]))["robot"]
+            # The option states its own name, which need not be its file's.
+            chosen.append(_merged(settings, {key: value for key, value in changes.items() if key != "name"}))
+        elif name is None:
+            faults.append(f"robots: each is a name or has one: choose {one_of(options)} (got {robot!r})")
+        else:
+            faults.append(f"there is no robot {name!r}; choose {one_of(options)}")
+    data["robots"] = chosen or (None if faults else [])
+    return faults
 
 
 def _overlaid(

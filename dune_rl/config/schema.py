@@ -27,11 +27,15 @@ RobotConf = Annotated[RoverZeroConf | LeoRoverConf | HyperDogConf | UrdfConf, Fi
 
 
 class EnvConf(Settings):
-    """What an environment is made of; the world has no default."""
+    """What an environment is made of; the world has no default.
+
+    `robots`, where they are given, take the place of the one `robot`.
+    """
 
     world: WorldConf
     weather: WeatherConf = WeatherConf()
     robot: RobotConf = RoverZeroConf()
+    robots: Annotated[tuple[RobotConf, ...], Field(min_length=1)] | None = None
     actors: tuple[ActorConf, ...] = ()
     sensors: SensorsConf = SensorsConf()
     physics: PhysicsConf = PhysicsConf()
@@ -51,7 +55,8 @@ class EnvConf(Settings):
 
     @model_validator(mode="after")
     def _mounts_stand_over_the_ground(self) -> Self:
-        height = self.robot.standing_height_m
+        heights = [robot.standing_height_m for robot in self.all_robots]
+        height = min((known for known in heights if known is not None), default=None)
         for name in ("lidar", "lidar_3d", "depth_strip", "camera"):
             mount = getattr(self.sensors, name).mount_b
             if mount is not None and height is not None and mount[2] <= -height:
@@ -61,9 +66,23 @@ class EnvConf(Settings):
                 )
         return self
 
+    @property
+    def all_robots(self) -> tuple[RobotConf, ...]:
+        """The robots of a scene."""
+        return (self.robot,) if self.robots is None else self.robots
+
 
 class SingleAgentConf(EnvConf):
     """An environment whose only agent is the rover."""
+
+    @model_validator(mode="after")
+    def _one_robot(self) -> Self:
+        if self.robots is not None:
+            raise ValueError(
+                "robots are agents of parallel_env alone; choose one here: robot="
+                + (self.robots[0].name if len(self.robots) == 1 else "NAME")
+            )
+        return self
 
     @model_validator(mode="after")
     def _all_actors_scripted(self) -> Self:

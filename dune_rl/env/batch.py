@@ -2,24 +2,31 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.env.action_log import ActionLog
-from dune_rl.env.drag import drag_forces
-from dune_rl.env.encounters import Encounters
-from dune_rl.env.latency import Latency
+from dune_rl.env.figures import robot_figure
 from dune_rl.env.motion import Motion
 from dune_rl.env.places import Places
+from dune_rl.env.rovers import RoverOutcome, Rovers
 from dune_rl.env.scene import standing_pose
 from dune_rl.env.senses import Senses
 from dune_rl.env.traction import Traction
 from dune_rl.env.variety import Variety
-from dune_rl.metrics.episode import EpisodeMetrics, MetricsConf
-from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.physics.interface import (
+    OtherRobot,
+    PhysicsConf,
+    PhysicsRobot,
+    PhysicsScene,
+    SceneSpec,
+    others_in,
+)
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
@@ -27,9 +34,9 @@ from dune_rl.sensors.sensor import Moment, Reading
 from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
-from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
 from dune_rl.tasks.snapshot import Snapshot
-from dune_rl.tasks.terminations import Endings, endings
+from dune_rl.tasks.spawn import Placement
+from dune_rl.tasks.terminations import Endings
 from dune_rl.tasks.walking import walker_observation, walker_reward
 from dune_rl.worlds.world import World
 
@@ -38,21 +45,22 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 _SETTLE_S = 0.1
-# A new touch of the same body counts as a new encounter after this long without one.
-_ENCOUNTER_GAP_S = 1.0
-_EDGE_M = 0.3
-_GOAL_TRIES = 16
 _CLEAR = WeatherConf()
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step gives; arrays have the leading axis M, walkers' E as the second."""
+    """What a step gives; arrays have the leading axis M, walkers' E as the second.
+
+    What is not of walkers is of the first robot; `others` have that of the
+    others, which all end with it.
+    """
 
     rover_reward: Floats
     walker_reward: Floats
     terminated: Flags
     truncated: Flags
+    others: tuple[RoverOutcome, ...] = ()
 
 
 class Batch:
@@ -63,6 +71,12 @@ class Batch:
     so any two batches of equal seed start an episode alike. `variety` tells the
     worlds of the episodes, and what else differs between them; without it, or
     where worlds do not differ, all are in `world`.
+
+    `make_others` make further robots of every scene. `rovers` has what is of
+    one robot of each scene, the first's before the others'; what the batch
+    itself tells of a robot is of the first. Where there are several, a scene's
+    episode ends when all of its robots are done, when time is over, or when
+    physics diverges; until then the rewards of those that are done are 0.
     """
 
     def __init__(
@@ -81,18 +95,19 @@ class Batch:
         first_episode: int = 0,
         weather: WeatherConf = _CLEAR,
         variety: Variety | None = None,
+        make_others: tuple[Callable[[int], Robot], ...] = (),
     ) -> None:
         self.task, self.physics = task, physics
         self.weather, self.num_scenes = weather, num_scenes
         self.variety = Variety.none(world, weather) if variety is None else variety
-        self.robot = make_robot(num_scenes)
+        robots = tuple(make(num_scenes) for make in (make_robot, *make_others))
         self.actor_confs = actors
         self._first_world = world
         self._places = Places(
             world,
             weather,
             self.variety,
-            self.robot,
+            robots,
             make_scene,
             physics,
             task.spawn,
@@ -102,30 +117,70 @@ class Batch:
         )
         self.actors = self._new_actors(seed)
         self.sites = self._places.sites
-        self.senses = Senses(
-            sensors, self.sites, self.robot, self.actors, physics, worlds_differ=self.variety.of_worlds
+        shapes = [robot_figure(robot.body) for robot in robots] if make_others else []
+        self.rovers = tuple(
+            Rovers(
+                robot,
+                Senses(
+                    sensors,
+                    self.sites,
+                    robot,
+                    self.actors,
+                    physics,
+                    worlds_differ=self.variety.of_worlds,
+                    others=[*shapes[:index], *shapes[index + 1 :]],
+                ),
+                self.sites,
+                physics,
+                task,
+                metrics,
+                spawner_of=partial(self._places.spawner, robot=index),
+                bodies=self._places.most_bodies,
+                waits=bool(make_others),
+                is_late=self.variety.of_latency,
+            )
+            for index, robot in enumerate(robots)
         )
         self.sensors = self.senses.conf
-        self.motion = Motion(num_scenes, self.robot)
-        self._scenes = self._places.physics
-        self.traction = Traction(self.robot, physics, num_scenes)
-        self._latency: Latency | None = None
-        if self.variety.of_latency:
-            self._latency = Latency(num_scenes, self.robot.body.rest_commands(), physics.control_hz)
-        self._metrics = EpisodeMetrics(metrics, num_scenes)
-        self._measures_energy = metrics.energy
-        self._encounters = Encounters(
-            num_scenes, self._places.most_bodies, round(_ENCOUNTER_GAP_S * physics.control_hz)
-        )
-        self._touches: list[tuple[int, int]] = []
+        self._enlist()
         self.steps = np.zeros(num_scenes, np.int64)
-        self.goals_w = np.zeros((num_scenes, 2))
-        self._goal_distance = np.zeros(num_scenes)
-        self._reward_sums = np.zeros((num_scenes, len(REWARD_TERMS)))
-        self._goal_streams: list[np.random.Generator | None] = [None] * num_scenes
-        self._action_width = len(self.robot.action_bounds()[0])
-        self._log = ActionLog(num_scenes, self._action_width, 2 * len(self.actors.external))
+        # Where each robot's numbers end in a row of actions.
+        self._ends = np.cumsum([rovers.action_width for rovers in self.rovers]).tolist()
+        self._log = ActionLog(num_scenes, self._ends[-1], 2 * len(self.actors.external))
         self.reseed(seed, first_episode)
+
+    def _enlist(self) -> None:
+        """Let the robots know what physics has of them, where that may have changed."""
+        self._scenes = self._places.physics
+        others = [others_in(scene, len(self.rovers) - 1) for scene in self._scenes if len(self.rovers) > 1]
+        self.rovers[0].engines = self._scenes
+        for index, rovers in enumerate(self.rovers[1:]):
+            rovers.engines = [engines[index] for engines in others]
+
+    @property
+    def robot(self) -> Robot:
+        """The first robot of the scenes."""
+        return self.rovers[0].robot
+
+    @property
+    def senses(self) -> Senses:
+        """What the first robots sense."""
+        return self.rovers[0].senses
+
+    @property
+    def motion(self) -> Motion:
+        """The first robots' true motion."""
+        return self.rovers[0].motion
+
+    @property
+    def traction(self) -> Traction:
+        """The first robots' wheels on the ground."""
+        return self.rovers[0].traction
+
+    @property
+    def goals_w(self) -> Array:
+        """The first robots' goals, (M, 2) [m]."""
+        return self.rovers[0].goals_w
 
     def _new_actors(self, seed: int) -> Actors:
         world = self._first_world
@@ -160,48 +215,63 @@ class Batch:
 
     def _start(self, mask: Flags) -> None:
         """Put the scenes in `mask` (M,) at the beginning of their present episodes."""
-        self.robot.reset(mask)
-        self._metrics.reset(mask, self.episodes)
+        for rovers in self.rovers:
+            rovers.forget(mask, self.episodes)
         self.steps[mask] = 0
-        self._reward_sums[mask] = 0.0
-        self._encounters.begin(mask)
-        settle = round(_SETTLE_S * self.physics.physics_hz)
-        still = self.robot.body.rest_commands()
         for scene in np.flatnonzero(mask).tolist():
-            episode = int(self.episodes[scene])
-            physics = self._places.enter(scene, self.seed, episode, self.actors)
-            draws = stream(self.seed, "spawn", episode)
-            placement = self._places.spawner(scene).sample(draws)
-            self._goal_streams[scene] = draws
-            self.goals_w[scene] = placement.goal_x, placement.goal_y
-            position, quaternion = standing_pose(
-                self.sites.worlds[scene], self.robot, placement.x, placement.y, placement.yaw
-            )
-            self.actors.reset(scene, stream(self.seed, "actors", episode), position[:2])
-            physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
-            self.variety.tell(self.traction, scene, self._places.values[scene])
-            if self._latency is not None:
-                self._latency.begin(scene, self.variety.latency_s(self._places.values[scene]))
-            self.traction.begin(scene, self.sites.worlds[scene], physics, position, quaternion)
-            physics.step(settle, still, self.actors.poses[scene])
-            if self._measures_energy:
-                physics.work_j()
-            drive = physics.drive_state() if self._needs_wheels else None
-            self.motion.set_row(scene, physics.body_state(), drive)
-        self._scenes = self._places.physics
-        self._encounters.make_room(self._places.most_bodies)
+            self._start_scene(scene)
+        self._enlist()
         self.variety.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
-        self.motion.begin(mask)
-        self.senses.begin(mask, self._moment())
-        distance = self._distance_to_goal()
-        self._goal_distance = np.where(mask, distance, self._goal_distance)
+        for rovers in self.rovers:
+            rovers.begin(mask, self._places.most_bodies)
+        for index, rovers in enumerate(self.rovers):
+            rovers.begin_senses(mask, self._moment(index))
 
-    def _moment(self) -> Moment:
-        return self.motion.moment(self.actors.poses, self.seed, self.episodes, self.steps)
+    def _start_scene(self, scene: int) -> None:
+        episode = int(self.episodes[scene])
+        physics = self._places.enter(scene, self.seed, episode, self.actors)
+        world = self.sites.worlds[scene]
+        poses = [
+            standing_pose(world, rovers.robot, placement.x, placement.y, placement.yaw)
+            for rovers, placement in zip(self.rovers, self._placements(scene, episode), strict=True)
+        ]
+        starts = np.array([position[:2] for position, _ in poses])
+        self.actors.reset(scene, stream(self.seed, "actors", episode), starts)
+        others = others_in(physics, len(self.rovers) - 1) if len(self.rovers) > 1 else ()
+        for other, (position, quaternion) in zip(others, poses[1:], strict=True):
+            other.stand(position.tolist(), quaternion.tolist())
+        position, quaternion = poses[0]
+        physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
+        engines: tuple[PhysicsRobot, ...] = (physics, *others)
+        for rovers, engine, pose in zip(self.rovers, engines, poses, strict=True):
+            values = self._places.values[scene]
+            self.variety.tell(rovers.traction, scene, values)
+            if self.variety.of_latency:
+                rovers.latency.begin(scene, self.variety.latency_s(values))
+            rovers.traction.begin(scene, world, engine, *pose)
+        settle = round(_SETTLE_S * self.physics.physics_hz)
+        # The others stand by the commands that they were put down with.
+        physics.step(settle, self.robot.body.rest_commands(), self.actors.poses[scene])
+        for rovers, engine in zip(self.rovers, engines, strict=True):
+            rovers.set_row(scene, engine)
 
-    def _distance_to_goal(self) -> Array:
-        offset = self.goals_w - self.motion.position_w[:, :2]
-        return np.hypot(offset[:, 0], offset[:, 1])
+    def _placements(self, scene: int, episode: int) -> list[Placement]:
+        """Starts and goals of a scene's robots; those of the first are what they are without the others."""
+        found: list[Placement] = []
+        for index, rovers in enumerate(self.rovers):
+            draws = stream(self.seed, f"spawn rover_{index}" if index else "spawn", episode)
+            reach = rovers.robot.footprint_radius_m + self.task.spawn.robots_apart_m
+            apart = [reach + other.robot.footprint_radius_m for other in self.rovers[:index]]
+            found.append(self._places.spawner(scene, index).sample(draws, found, apart))
+            rovers.set_goal(scene, found[-1], draws)
+        return found
+
+    def _moment(self, rover: int = 0) -> Moment:
+        seen = self.actors.poses
+        if len(self.rovers) > 1:
+            others = [rovers.poses() for index, rovers in enumerate(self.rovers) if index != rover]
+            seen = np.concatenate([seen, np.stack(others, axis=1)], axis=1)
+        return self.rovers[rover].motion.moment(seen, self.seed, self.episodes, self.steps)
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -209,8 +279,9 @@ class Batch:
         """Advance all scenes by one control step.
 
         `rover_actions` (M, A) are the robot's: (M, 2), speed [m/s] and heading
-        relative to the present one [rad], for all that are driven so;
-        `walker_actions` (M, E, 2) are these for the actors that are agents.
+        relative to the present one [rad], for all that are driven so; those of
+        several robots stand side by side. `walker_actions` (M, E, 2) are these
+        for the actors that are agents.
         """
         if walker_actions is None:
             walker_actions = np.zeros((self.num_scenes, len(self.actors.external), 2), np.float32)
@@ -219,163 +290,86 @@ class Batch:
         # A way point reached in this step gives way to the next: progress is toward the one before.
         walker_goals = self.actors.goals_w[:, self.actors.external].copy()
         walker_distance = self._walker_distance(walker_goals)
-        wanted = np.asarray(rover_actions, np.float64)
-        commands = self.robot.commands(wanted, self.motion, step_s)
-        if self._latency is not None:
-            commands = self._latency.late(commands)
+        wanted = np.split(np.asarray(rover_actions, np.float64), self._ends[:-1], axis=1)
+        commands = [
+            rovers.commands(actions, step_s) for rovers, actions in zip(self.rovers, wanted, strict=True)
+        ]
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
-        self._advance_physics(commands.tolist())
+        self._advance_physics(commands)
         self.steps += 1
-        self.senses.measure(self._moment())
-        now = self._snapshot()
-        end = endings(now, self.task.termination)
-        terms = reward_terms(now, self.task.reward, end.reached, end.stuck, end.flipped)
-        rewards = terms.sum(axis=1)
-        self._reward_sums += terms
-        self._measure(now, end, rewards)
-        if self.task.termination.continue_after_goal:
-            self._renew_goals(end.reached & ~end.terminated & ~end.truncated)
-        return Outcome(
-            rewards.astype(np.float32),
-            self._walker_reward(walker_distance - self._walker_distance(walker_goals), now),
-            end.terminated,
-            end.truncated,
-        )
+        for index, rovers in enumerate(self.rovers):
+            rovers.senses.measure(self._moment(index))
+        judged = [rovers.judge(self.steps, self.clearance(index)) for index, rovers in enumerate(self.rovers)]
+        walked = self._walker_reward(walker_distance - self._walker_distance(walker_goals))
+        if len(judged) == 1:
+            _, end, rewards = judged[0]
+            return Outcome(rewards, walked, end.terminated, end.truncated)
+        return self._outcome_of_several(judged, walked)
 
-    def _advance_physics(self, commands: list[list[float]]) -> None:
+    def _outcome_of_several(
+        self, judged: list[tuple[Snapshot, Endings, Floats]], walker_reward: Floats
+    ) -> Outcome:
+        for rovers, (_, end, _) in zip(self.rovers, judged, strict=True):
+            rovers.finish(end)
+        over = np.all([rovers.done for rovers in self.rovers], axis=0)
+        # Where one robot has diverged nothing in its scene can be believed.
+        over |= np.any([end.diverged for _, end, _ in judged], axis=0)
+        first, *others = [
+            rovers.outcome(reward, over) for rovers, (_, _, reward) in zip(self.rovers, judged, strict=True)
+        ]
+        return Outcome(first.reward, walker_reward, first.terminated, first.truncated, tuple(others))
+
+    def _advance_physics(self, commands: list[list[list[float]]]) -> None:
         substeps, poses = self.physics.substeps, self.actors.poses
-        self._touches = []
-        needs_wheels = self._needs_wheels
-        states, drives = [], []
-        force = self._forces()
-        if force is not None:
-            for scene, pushed in zip(self._scenes, force.tolist(), strict=True):
-                scene.push(pushed)
-        for index, scene in enumerate(self._scenes):
-            scene.step(substeps, commands[index], poses[index])
-            states.append(scene.body_state())
-            if needs_wheels:
-                drives.append(scene.drive_state())
-            self._touches += [(index, body) for body in scene.touched()]
-        self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
-
-    @property
-    def _needs_wheels(self) -> bool:
-        return self.senses.needs_wheels or self.traction.needs_wheels
-
-    def _forces(self) -> Array | None:
-        """What grass and soft ground hold the rovers back with [N], (M, 3), world frame; None: nothing."""
-        rolling = self.traction.update(self._scenes, self.motion)
-        grass = drag_forces(self.sites, self.motion, self.robot)
-        if rolling is None or grass is None:
-            return grass if rolling is None else rolling
-        return rolling + grass
-
-    def joint_angles(self, scene: int) -> dict[str, float]:
-        """Angles [rad] of a robot's joints by name: its motors' and those that turn freely."""
-        body = self.robot.body
-        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
-        return dict(zip(names, self._scenes[scene].joint_angles(names), strict=True))
+        for rovers, wanted in zip(self.rovers[1:], commands[1:], strict=True):
+            for engine, command in zip(rovers.engines, wanted, strict=True):
+                # A backend with several robots in a scene has them take commands.
+                cast(OtherRobot, engine).drive(command)
+        for rovers in self.rovers:
+            rovers.push()
+        for scene, command, pose in zip(self._scenes, commands[0], poses, strict=True):
+            scene.step(substeps, command, pose)
+        for rovers in self.rovers:
+            rovers.follow()
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
         for scene in self._scenes:
             scene.coast(self.physics.substeps)
 
-    def clearance(self) -> Array:
-        """Distance [m], (M,), from each hull to the nearest obstacle or actor, inf where there is none."""
-        nearest = self.sites.clearance(self.motion.outline_w()).min(axis=1)
+    def joint_angles(self, scene: int) -> dict[str, float]:
+        """Angles [rad] of the first robot's joints by name: its motors' and those that turn freely."""
+        return self.rovers[0].joint_angles(scene)
+
+    def clearance(self, rover: int = 0) -> Array:
+        """Distance [m], (M,), from each hull to the nearest obstacle, actor or robot, inf where none is."""
+        rovers = self.rovers[rover]
+        motion = rovers.motion
+        nearest = self.sites.clearance(motion.outline_w()).min(axis=1)
         if len(self.actor_confs):
-            apart = self.motion.distance_from_hull(self.actors.poses[..., :2]) - self.actors.radius
+            apart = motion.distance_from_hull(self.actors.poses[..., :2]) - self.actors.radius
             nearest = np.minimum(nearest, apart.min(axis=1))
+        for other in self.rovers:
+            if other is not rovers:
+                nearest = np.minimum(nearest, rovers.apart_from(other))
         return np.maximum(nearest, 0.0)
-
-    def _snapshot(self) -> Snapshot:
-        motion = self.motion
-        previous, self._goal_distance = self._goal_distance, self._distance_to_goal()
-        begun, touching = self._encounters.update(self._touches, self.steps)
-        clearance = self.clearance()
-        clearance[touching] = 0.0
-        xmin, xmax, ymin, ymax = self.sites.extents.T
-        x, y = motion.position_w[:, 0], motion.position_w[:, 1]
-        outside = (x < xmin + _EDGE_M) | (x > xmax - _EDGE_M) | (y < ymin + _EDGE_M) | (y > ymax - _EDGE_M)
-        return Snapshot(
-            position_w=motion.position_w,
-            roll_pitch_yaw=motion.roll_pitch_yaw,
-            tilt=motion.tilt(),
-            speed=motion.velocity_b[:, 0],
-            angular_b=motion.angular_b,
-            acceleration_b=self.senses.acceleration_b,
-            goal_distance=self._goal_distance,
-            previous_goal_distance=previous,
-            goal_heading=motion.bearing(self.goals_w),
-            clearance=clearance,
-            new_collisions=begun,
-            touching=touching,
-            steps=self.steps,
-            steps_since_moved=motion.steps_since_moved(self.task.termination.stuck_distance_m),
-            out_of_world=outside,
-            diverged=motion.diverged,
-        )
-
-    def _measure(self, now: Snapshot, end: Endings, rewards: Array) -> None:
-        velocity = self.motion.velocity_w
-        self._metrics.update(
-            steps=self.steps,
-            step_s=self.physics.control_step_s,
-            reward=rewards,
-            clearance=now.clearance,
-            acceleration_b=now.acceleration_b,
-            angular_b=now.angular_b,
-            ground_speed=np.hypot(velocity[:, 0], velocity[:, 1]),
-            tilt=now.tilt,
-            new_collisions=now.new_collisions,
-            reached=end.reached,
-            flags={
-                "diverged": end.diverged,
-                "stuck": end.stuck,
-                "flipped": end.flipped,
-                "out_of_world": end.out_of_world,
-                "timeout": end.timeout,
-            },
-            energy_wh=self._energy_wh() if self._measures_energy else None,
-        )
-
-    def _energy_wh(self) -> Array:
-        work = np.array([scene.work_j() for scene in self._scenes])
-        return self.robot.battery.drawn_wh(work, self.physics.control_step_s)
-
-    def _renew_goals(self, mask: Flags) -> None:
-        for scene in np.flatnonzero(mask).tolist():
-            draws = self._goal_streams[scene]
-            assert draws is not None
-            here = self.motion.position_w[scene]
-            for _ in range(_GOAL_TRIES):
-                goal = self._places.spawner(scene).sample(draws)
-                self.goals_w[scene] = goal.goal_x, goal.goal_y
-                if (
-                    np.hypot(goal.goal_x - here[0], goal.goal_y - here[1])
-                    >= self.task.spawn.min_goal_distance_m
-                ):
-                    break
-        if mask.any():
-            self._goal_distance = self._distance_to_goal()
 
     # -- what agents see --------------------------------------------------------------------------
 
-    def observe(self) -> dict[str, Reading]:
+    def observe(self, rover: int = 0) -> dict[str, Reading]:
         """The rovers' observation, each (M, ...); asking twice gives the same."""
-        return self.senses.observe(self._goal_distance, self.motion.bearing(self.goals_w))
+        return self.rovers[rover].observe()
 
     def observe_walkers(self) -> dict[str, Floats]:
-        """What the E actors that are agents sense, each (M, E, n)."""
+        """What the E actors that are agents sense, each (M, E, n), of the rover that is nearest to each."""
         actors, columns = self.actors, self.actors.external
+        position, velocity = self._nearest_rover()
         return walker_observation(
             actors.poses[:, columns],
             actors.velocity_w[:, columns],
             actors.goals_w[:, columns],
-            self.motion.position_w,
-            self.motion.velocity_w,
+            position,
+            velocity,
             self.senses.farthest_goal_m,
             self.max_closing_speed_mps,
         )
@@ -390,10 +384,24 @@ class Batch:
         offset = goals_w - self.actors.poses[:, self.actors.external, :2]
         return np.hypot(offset[..., 0], offset[..., 1])
 
-    def _walker_reward(self, progress: Array, now: Snapshot) -> Floats:
+    def _nearest_rover(self) -> tuple[Array, Array]:
+        """Position and velocity of the rover nearest to each walker, (M, E, 3); (M, 3) where there is one."""
+        if len(self.rovers) == 1:
+            return self.motion.position_w, self.motion.velocity_w
+        positions = np.stack([rovers.motion.position_w for rovers in self.rovers], axis=1)
+        velocities = np.stack([rovers.motion.velocity_w for rovers in self.rovers], axis=1)
+        walkers = self.actors.poses[:, self.actors.external, :2]
+        offset = positions[:, None, :, :2] - walkers[:, :, None]
+        nearest = np.hypot(offset[..., 0], offset[..., 1]).argmin(axis=2)[..., None]
+        return np.take_along_axis(positions, nearest, 1), np.take_along_axis(velocities, nearest, 1)
+
+    def _walker_reward(self, progress: Array) -> Floats:
         columns = self.actors.external
-        apart = self._walker_distance(now.position_w[:, None, :2])
-        room = np.maximum(apart - self.actors.radius[columns] - self.robot.width_m / 2, 0.0)
+        rooms = []
+        for rovers in self.rovers:
+            apart = self._walker_distance(rovers.motion.position_w[:, None, :2])
+            rooms.append(np.maximum(apart - self.actors.radius[columns] - rovers.robot.width_m / 2, 0.0))
+        room = rooms[0] if len(rooms) == 1 else np.min(rooms, axis=0)
         return walker_reward(progress, room, self.task.walking).astype(np.float32)
 
     # -- metrics and state ------------------------------------------------------------------------
@@ -402,11 +410,11 @@ class Batch:
     def metric_names(self) -> tuple[str, ...]:
         """Names of the columns of `metrics`."""
         drawn = (f"randomisation/{name}" for name in self.variety.names)
-        return (*self._metrics.names, *(f"reward/{name}" for name in REWARD_TERMS), *drawn)
+        return (*self.rovers[0].metric_names, *drawn)
 
-    def metrics(self) -> Floats:
+    def metrics(self, rover: int = 0) -> Floats:
         """Running values of the present episodes, (M, n), final where an episode has ended."""
-        values = [self._metrics.values, self._reward_sums]
+        values = self.rovers[rover].metrics()
         if self.variety.names:
             values.append(self._places.values)
         return np.concatenate(values, axis=1).astype(np.float32)
@@ -431,7 +439,7 @@ class Batch:
             late = lengths == len(rows) - turn
             if late.any():
                 self._start(late)
-            rover, walkers = np.split(row, [self._action_width], axis=1)
+            rover, walkers = np.split(row, [self._ends[-1]], axis=1)
             self.step(rover, walkers.reshape(self.num_scenes, -1, 2))
         if (lengths == 0).any():
             self._start(lengths == 0)

@@ -11,14 +11,14 @@ def _symmetric(high: list[float]) -> Bounds:
     return -top, top
 
 
-def rover_observation_bounds(batch: Batch) -> dict[str, Bounds]:
+def rover_observation_bounds(batch: Batch, rover: int = 0) -> dict[str, Bounds]:
     """(low, high), each in a reading's own shape and type, in the order of `sensors.enabled`."""
-    return batch.senses.bounds
+    return batch.rovers[rover].senses.bounds
 
 
-def rover_action_bounds(batch: Batch) -> Bounds:
+def rover_action_bounds(batch: Batch, rover: int = 0) -> Bounds:
     """(low, high), each (A,): for most, speed [m/s] and heading relative to the present one [rad]."""
-    low, high = batch.robot.action_bounds()
+    low, high = batch.rovers[rover].robot.action_bounds()
     return low.astype(np.float32), high.astype(np.float32)
 
 

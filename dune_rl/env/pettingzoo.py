@@ -1,4 +1,4 @@
-"""The PettingZoo environment: a batch of one, whose rover and learnable actors are agents."""
+"""The PettingZoo environment: a batch of one, whose rovers and learnable actors are agents."""
 
 from typing import Any, Literal
 
@@ -32,9 +32,12 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
     """`rover_0` and, for each actor with `controller: external`, `walker_0`, `walker_1`, ...
 
     All agents act at every step until the episode ends, which it does with the
-    rover's: where the rover terminates, the others are truncated. Observations
-    are dicts of float32 boxes; `infos` hold the episode's running metrics for
-    the rover, under the same keys at every step, -1 where a value is not defined yet.
+    rover's: where the rover terminates, walkers are truncated. Several robots
+    are `rover_0`, `rover_1`, ... in the order of `robots`, each with spaces of
+    its own. One that is done stays, stands still whatever it is told and earns
+    0 until all are, and only then is terminated or truncated. Observations are
+    dicts of float32 boxes; `infos` hold the episode's running metrics of each
+    rover, under the same keys at every step, -1 where a value is not defined yet.
     """
 
     metadata = {  # noqa: RUF012
@@ -55,18 +58,20 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": batch.physics.control_hz}
         self._pictures = Pictures(batch)
-        self.possible_agents = [ROVER, *batch.actors.names]
+        self._rovers = [f"rover_{index}" for index in range(len(batch.rovers))]
+        self.possible_agents = [*self._rovers, *batch.actors.names]
         self.agents: list[str] = []
-        rover = gymnasium.spaces.Dict({k: _box(v) for k, v in rover_observation_bounds(batch).items()})
-        self.observation_spaces = {ROVER: rover}
-        self.action_spaces = {ROVER: _box(rover_action_bounds(batch))}
+        self.observation_spaces, self.action_spaces = {}, {}
+        for index, name in enumerate(self._rovers):
+            bounds = rover_observation_bounds(batch, index)
+            self.observation_spaces[name] = gymnasium.spaces.Dict({k: _box(v) for k, v in bounds.items()})
+            self.action_spaces[name] = _box(rover_action_bounds(batch, index))
         self._walkers = batch.actors.names
         for name in self._walkers:
             self.observation_spaces[name] = gymnasium.spaces.Dict(
                 {k: _box(v) for k, v in walker_observation_bounds(batch).items()}
             )
             self.action_spaces[name] = _box(walker_action_bounds(batch))
-        self._rover_action = np.zeros((1, 2), np.float32)
         self._walker_actions = np.zeros((1, len(self._walkers), 2), np.float32)
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Dict:
@@ -99,14 +104,19 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         """Advance 1 / control_hz seconds; actions of agents that are not in the episode are ignored."""
         if not self.agents:
             return {}, {}, {}, {}, {}
-        self._rover_action[0] = actions[ROVER]
+        wanted = [np.asarray(actions[name], np.float32) for name in self._rovers]
+        rovers = wanted[0][None] if len(wanted) == 1 else np.concatenate(wanted)[None]
         for index, name in enumerate(self._walkers):
             self._walker_actions[0, index] = actions[name]
-        outcome = self._batch.step(self._rover_action, self._walker_actions)
-        terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
-        ended = terminated or truncated
+        outcome = self._batch.step(rovers, self._walker_actions)
         rewards = {ROVER: float(outcome.rover_reward[0])}
-        terminations, truncations = {ROVER: terminated}, {ROVER: truncated}
+        terminations = {ROVER: bool(outcome.terminated[0])}
+        truncations = {ROVER: bool(outcome.truncated[0])}
+        # All end in the same step.
+        ended = terminations[ROVER] or truncations[ROVER]
+        for name, other in zip(self._rovers[1:], outcome.others, strict=True):
+            rewards[name] = float(other.reward[0])
+            terminations[name], truncations[name] = bool(other.terminated[0]), bool(other.truncated[0])
         for index, name in enumerate(self._walkers):
             rewards[name] = float(outcome.walker_reward[0, index])
             terminations[name], truncations[name] = False, ended
@@ -116,7 +126,10 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         return observations, rewards, terminations, truncations, infos
 
     def _observations(self) -> dict[str, Observation]:
-        out = {ROVER: {name: value[0] for name, value in self._batch.observe().items()}}
+        out = {
+            name: {key: value[0] for key, value in self._batch.observe(index).items()}
+            for index, name in enumerate(self._rovers)
+        }
         if self._walkers:
             walkers = self._batch.observe_walkers()
             for index, name in enumerate(self._walkers):
@@ -126,12 +139,13 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
     def _infos(self) -> dict[str, dict[str, float]]:
         infos: dict[str, dict[str, float]] = {name: {} for name in self.possible_agents}
         # Wrappers compare infos and freeze their keys, which NaN and missing ones would break.
-        values = np.nan_to_num(self._batch.metrics()[0], nan=-1.0)
-        infos[ROVER] = dict(zip(self._batch.metric_names, values.tolist(), strict=True))
+        for index, name in enumerate(self._rovers):
+            values = np.nan_to_num(self._batch.metrics(index)[0], nan=-1.0)
+            infos[name] = dict(zip(self._batch.metric_names, values.tolist(), strict=True))
         return infos
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB (480, 640, 3) of the rover from behind, where `render_mode` is "rgb_array"."""
+        """RGB (480, 640, 3) of the first rover from behind, where `render_mode` is "rgb_array"."""
         return self._pictures.from_behind() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:

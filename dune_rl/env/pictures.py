@@ -38,31 +38,34 @@ class Pictures:
         return self._batch.sites.looks.map(_painter)
 
     @cached_property
-    def _robot(self) -> RobotVisual:
-        body = self._batch.robot.body
-        return RobotVisual(body.look or body.urdf)
+    def _robots(self) -> list[RobotVisual]:
+        bodies = (rovers.robot.body for rovers in self._batch.rovers)
+        return [RobotVisual(body.look or body.urdf) for body in bodies]
 
     @cached_property
     def _flag(self) -> Solid:
         return Solid(_goal_flag())
 
     def bodies(self, scene: int) -> list[Body]:
-        """The rover, the actors and a flag at the goal."""
+        """The rovers, the actors and a flag at each goal."""
         batch = self._batch
-        motion = batch.motion
-        angles = batch.joint_angles(scene)
-        found = self._robot.bodies(motion.position_w[scene], motion.rotation[scene], angles)
+        found: list[Body] = []
+        for visual, rovers in zip(self._robots, batch.rovers, strict=True):
+            motion = rovers.motion
+            angles = rovers.joint_angles(scene)
+            found += visual.bodies(motion.position_w[scene], motion.rotation[scene], angles)
         shapes = figures(batch.actor_confs)
         for figure, (x, y, z, yaw) in zip(shapes, batch.actors.poses[scene], strict=True):
             turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
             found.append(Body(figure, np.array([x, y, z]), turn))
-        goal = batch.goals_w[scene]
-        foot = np.array([*goal, self._ground(scene, goal)])
-        found.append(Body(self._flag, foot, np.eye(3)))
+        for rovers in batch.rovers:
+            goal = rovers.goals_w[scene]
+            foot = np.array([*goal, self._ground(scene, goal)])
+            found.append(Body(self._flag, foot, np.eye(3)))
         return found
 
     def from_behind(self, scene: int = 0, width: int = 640, height: int = 480, samples: int = 1) -> Picture:
-        """RGB (height, width, 3) of the rover from behind and above, clear of what stands there."""
+        """RGB (height, width, 3) of the first rover from behind and above, clear of what stands there."""
         motion = self._batch.motion
         position = motion.position_w[scene]
         yaw = float(motion.roll_pitch_yaw[scene, 2])

@@ -9,7 +9,7 @@ from dune_rl.actors.actor import ActorConf, Actors, capsules
 from dune_rl.env.scene import scene_spec
 from dune_rl.env.variety import Values, Variety
 from dune_rl.errors import WorldError
-from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
+from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec, others_in
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
@@ -34,7 +34,7 @@ class Places:
         world: World,
         weather: WeatherConf,
         variety: Variety,
-        robot: Robot,
+        robots: tuple[Robot, ...],
         make_scene: Callable[[SceneSpec], PhysicsScene],
         physics: PhysicsConf,
         spawn: SpawnConf,
@@ -47,13 +47,13 @@ class Places:
         self.sites = Sites([(world, weather)] * num_scenes)
         self.values = np.zeros((num_scenes, len(variety.names)))
         self.most_bodies = 0
-        self._world, self._weather, self._robot = world, weather, robot
+        self._world, self._weather, self._robots = world, weather, robots
         self._make_scene, self._conf, self._spawn = make_scene, physics, spawn
         self._capsules = capsules(actors)
         self._measures_work = measures_work
         self._confs: list[Any] = [None] * num_scenes
         self._unfit: dict[Any, str] = {}
-        self._spawners: dict[World, Spawner] = {}
+        self._spawners: dict[tuple[World, float], Spawner] = {}
         self._physics: dict[int, PhysicsScene] = {}
         if not variety.of_worlds:
             for scene in range(num_scenes):
@@ -64,15 +64,16 @@ class Places:
         """The physics of every scene; each must have entered a world."""
         return [self._physics[scene] for scene in sorted(self._physics)]
 
-    def spawner(self, scene: int) -> Spawner:
-        """What draws starts and goals in a scene's world."""
-        return self.spawner_in(self.sites.worlds[scene])
+    def spawner(self, scene: int, robot: int = 0) -> Spawner:
+        """What draws starts and goals of a robot, counted from 0, in a scene's world."""
+        return self.spawner_in(self.sites.worlds[scene], robot)
 
-    def spawner_in(self, world: World) -> Spawner:
+    def spawner_in(self, world: World, robot: int = 0) -> Spawner:
         """The same in any world; raises WorldError where it has no room."""
-        if world not in self._spawners:
-            self._spawners[world] = Spawner(world, self._spawn, self._robot.footprint_radius_m)
-        return self._spawners[world]
+        radius = self._robots[robot].footprint_radius_m
+        if (world, radius) not in self._spawners:
+            self._spawners[world, radius] = Spawner(world, self._spawn, radius)
+        return self._spawners[world, radius]
 
     def enter(self, scene: int, seed: int, episode: int, actors: Actors) -> PhysicsScene:
         """Bring a scene to where an episode of `seed` takes place; its physics.
@@ -86,7 +87,9 @@ class Places:
             self.sites.put(scene, self._world, self.variety.weather(values))
         self.values[scene] = values
         if self.variety.of_bodies:
-            self._physics[scene].set_body(self.variety.body(values))
+            physics = self._physics[scene]
+            for robot in (physics, *others_in(physics, len(self._robots) - 1)):
+                robot.set_body(self.variety.body(values))
         return self._physics[scene]
 
     def _enter_world(self, scene: int, seed: int, episode: int, actors: Actors) -> Values:
@@ -107,7 +110,7 @@ class Places:
         self.sites.put(scene, world, self.variety.weather(values))
         actors.enter(scene, world)
         used = {world for world, _ in self.sites.worlds.groups} | {self._world}
-        self._spawners = {place: spawner for place, spawner in self._spawners.items() if place in used}
+        self._spawners = {place: spawner for place, spawner in self._spawners.items() if place[0] in used}
         return values
 
     def _roomy(self, conf: Any, seed: int, actors: Actors) -> World:
@@ -122,15 +125,19 @@ class Places:
                 f"the worlds of {world.name!r} cover different ground ({world.extent} and "
                 f"{self._world.extent}): observations would have no common bounds"
             )
+        for robot in range(len(self._robots)):
+            self.spawner_in(world, robot)
         actors.find_paths(world, self.spawner_in(world).sample_points, stream(seed, "paths"))
         return world
 
     def _build(self, scene: int, world: World) -> None:
-        spec = scene_spec(world, self._robot, self._capsules, self._conf, self._measures_work)
+        spec = scene_spec(
+            world, self._robots[0], self._capsules, self._conf, self._measures_work, self._robots[1:]
+        )
         if scene in self._physics:
             self._physics[scene].close()
         self._physics[scene] = self._make_scene(spec)
-        self.most_bodies = max(self.most_bodies, len(spec.statics) + len(spec.kinematics))
+        self.most_bodies = max(self.most_bodies, spec.first_robot + len(spec.robots))
 
     def close(self) -> None:
         """Free the physics engine's memory."""

@@ -21,8 +21,9 @@ def scene_spec(
     actors: tuple[KinematicCapsule, ...],
     physics: PhysicsConf,
     measures_work: bool = False,
+    others: tuple[Robot, ...] = (),
 ) -> SceneSpec:
-    """The bodies of one scene: terrain, solid props, actors and the robot."""
+    """The bodies of one scene: terrain, solid props, actors, the robot and the others beside it."""
     vertices, faces = world.terrain.mesh()
     # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
     neutral = world.surfaces is not None
@@ -46,6 +47,7 @@ def scene_spec(
         solver_iterations=physics.solver_iterations,
         friction=physics.friction,
         measures_work=measures_work,
+        others=tuple(other.body for other in others),
     )
 
 

@@ -40,7 +40,8 @@ class Senses:
     """The instruments of M rovers, and the goal, which the task tells; the unwanted is not measured.
 
     Where `worlds_differ`, from episode to episode, bounds are those of any world
-    as large as the first: spaces never change. `needs_wheels` tells whether an
+    as large as the first: spaces never change. `others` are the figures of other
+    robots, whose poses follow those of the actors in a `Moment`. `needs_wheels` tells whether an
     instrument reads a moment's `wheels`.
     """
 
@@ -53,12 +54,13 @@ class Senses:
         physics: PhysicsConf,
         *,
         worlds_differ: bool = False,
+        others: Sequence[Figure] = (),
     ) -> None:
         self.conf = conf = carried_by(robot, conf)
         num_scenes = len(sites)
         # The first world stands for all: they have the same extent.
         world, weather = sites.looks[0].world, sites.looks[0].weather
-        shapes = figures(actors.confs)
+        shapes = [*figures(actors.confs), *others]
         around = Surroundings(
             solid=RayScenes(sites.worlds.map(_rays)),
             surfaces=Surfaces(sites.worlds.map(solid_look)),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.env.motion import Motion
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.physics.interface import PhysicsConf, PhysicsScene
+from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
@@ -50,7 +50,7 @@ class Traction:
         self.surfaces = np.full((num_scenes, wheels), _NOWHERE, np.uint8)
 
     def begin(
-        self, scene: int, world: World, engine: PhysicsScene, position_w: Array, quaternion: Array
+        self, scene: int, world: World, engine: PhysicsRobot, position_w: Array, quaternion: Array
     ) -> None:
         """Set the contacts of a scene's robot that has just been placed so in `engine`, in `world`."""
         if self._worlds[scene] is not world:
@@ -73,7 +73,7 @@ class Traction:
         """Whether `update` is to know the wheels' speeds."""
         return self._robot.wheels is not None and bool(self._mapped())
 
-    def update(self, engines: Sequence[PhysicsScene], motion: Motion) -> Array | None:
+    def update(self, engines: Sequence[PhysicsRobot], motion: Motion) -> Array | None:
         """Let the contacts follow the rovers, and give the rolling resistance (M, 3) [N], world frame.
 
         None where no scene's world has a map, or nothing rolls. The force is
@@ -121,7 +121,7 @@ class Traction:
         centres[..., 2] -= self._robot.contact_radius_m
         return centres
 
-    def _set(self, scene: int, world: World, engine: PhysicsScene) -> None:
+    def _set(self, scene: int, world: World, engine: PhysicsRobot) -> None:
         assert world.surfaces is not None
         contacts, _ = self._table(world.surfaces)
         rows = contacts[self.surfaces[scene]]

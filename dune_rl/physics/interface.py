@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.errors import PhysicsError
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.settings import Settings
@@ -149,8 +150,9 @@ class RobotBody:
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """All that a scene holds. Bodies are numbered: statics first, then kinematics.
+    """All that a scene holds. Bodies are numbered: statics first, then kinematics, `robot` and the `others`.
 
+    `others` are further robots beside `robot`; hulls of different robots meet.
     `measures_work` has the motors' work summed up, which costs a look at their joints in every physics step.
     """
 
@@ -162,39 +164,27 @@ class SceneSpec:
     gravity_mps2: float = 9.81
     friction: FrictionModel = "pyramid"
     measures_work: bool = False
+    others: tuple[RobotBody, ...] = ()
+
+    @property
+    def robots(self) -> tuple[RobotBody, ...]:
+        """All robots, in the order of their numbers."""
+        return (self.robot, *self.others)
+
+    @property
+    def first_robot(self) -> int:
+        """Number of `robot` among the bodies; those of the others follow."""
+        return len(self.statics) + len(self.kinematics)
 
 
-class PhysicsScene(Protocol):
-    """One simulated scene with one robot. Not thread-safe; scenes are independent of each other.
-
-    Between two bodies the friction coefficient is the product of theirs:
-    a robot's links have those of `RobotBody`, statics their own, kinematic
-    bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
-    joints and motors slows a body down.
-    """
+class PhysicsRobot(Protocol):
+    """A robot in a scene."""
 
     def set_body(self, variation: BodyVariation) -> None:
         """Set what the robot is like from the next `place` on, until it is set again.
 
         It is called only where a body differs; an engine that cannot do it
         raises PhysicsError. `varied_urdf` and `motors_at` do most of it.
-        """
-        ...
-
-    def place(
-        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
-        """Put the robot down at rest, and the kinematic bodies (K, 4: x, y, z, yaw) at their poses.
-
-        What was before leaves no trace: the same calls after it give the same bytes.
-        """
-        ...
-
-    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
-        """Advance `count` physics steps with a command for each motor, a speed [rad/s] or an angle [rad].
-
-        Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
-        end, and get there in `count` equal parts where the robot is near.
         """
         ...
 
@@ -221,10 +211,6 @@ class PhysicsScene(Protocol):
 
         An engine whose contacts are rigid takes `friction` alone.
         """
-        ...
-
-    def coast(self, count: int) -> None:
-        """Advance `count` physics steps with the last commands and nothing moved: bare physics."""
         ...
 
     def body_state(self) -> tuple[float, ...]:
@@ -255,6 +241,72 @@ class PhysicsScene(Protocol):
         """Numbers of the bodies, ground left out, that the robot touches now; may repeat."""
         ...
 
+
+class PhysicsScene(PhysicsRobot, Protocol):
+    """One simulated scene with one robot, as which it answers. Not thread-safe; scenes are independent.
+
+    Between two bodies the friction coefficient is the product of theirs:
+    a robot's links have those of `RobotBody`, statics their own, kinematic
+    bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
+    joints and motors slows a body down.
+    """
+
+    def place(
+        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
+    ) -> None:
+        """Put the robot down at rest, and the kinematic bodies (K, 4: x, y, z, yaw) at their poses.
+
+        What was before leaves no trace: the same calls after it give the same bytes.
+        """
+        ...
+
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+        """Advance `count` physics steps with a command for each motor, a speed [rad/s] or an angle [rad].
+
+        Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
+        end, and get there in `count` equal parts where the robot is near.
+        """
+        ...
+
+    def coast(self, count: int) -> None:
+        """Advance `count` physics steps with the last commands and nothing moved: bare physics."""
+        ...
+
     def close(self) -> None:
         """Free the engine's memory; calling it twice is harmless."""
         ...
+
+
+class OtherRobot(PhysicsRobot, Protocol):
+    """A robot beside the first of a scene."""
+
+    def stand(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+        """Say where the scene's next `place` puts it down at rest."""
+        ...
+
+    def drive(self, commands: Sequence[float]) -> None:
+        """Set the command of each motor for the scene's next `step`, and for those after it."""
+        ...
+
+
+class SharedScene(PhysicsScene, Protocol):
+    """A scene that can hold several robots: as the first of them it answers itself.
+
+    A backend whose scenes have no `others` simulates one robot in a scene.
+    """
+
+    @property
+    def others(self) -> Sequence[OtherRobot]:
+        """The further robots, in the order of `SceneSpec.others`."""
+        ...
+
+
+def others_in(scene: PhysicsScene, count: int) -> Sequence[OtherRobot]:
+    """The `count` robots beside the first of `scene`; `PhysicsError` where its backend knows of none."""
+    found: Sequence[OtherRobot] = getattr(scene, "others", ())
+    if len(found) != count:
+        raise PhysicsError(
+            f"{type(scene).__name__} simulates one robot in a scene, not {count + 1}: "
+            "take physics=bullet, or one robot"
+        )
+    return found

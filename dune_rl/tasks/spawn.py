@@ -1,5 +1,6 @@
 """Where an episode starts, and where it shall end."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,6 +29,7 @@ class SpawnConf(Settings):
     max_slope_deg: float = Field(default=25.0, gt=0.0, le=60.0, description="steepest ground to cross")
     margin_m: float = Field(default=0.1, ge=0.0, le=5.0, description="room beside the footprint")
     min_goal_distance_m: float = Field(default=2.0, ge=0.0, le=1000.0)
+    robots_apart_m: float = Field(default=0.5, ge=0.0, le=100.0, description="room between footprints")
 
     @model_validator(mode="after")
     def _region_has_an_area(self) -> "SpawnConf":
@@ -140,17 +142,30 @@ class Spawner:
         """Centres (K, 2) [m] of the cells of `free_space` that starts and goals are drawn from."""
         return self._cells
 
-    def sample(self, rng: np.random.Generator) -> Placement:
-        """A start and a goal at least `min_goal_distance_m` from it, drawn from `rng` alone."""
-        cell = self._starts[rng.integers(len(self._starts))]
-        draws = rng.integers(len(self._cells), size=_GOAL_TRIES)
+    def sample(
+        self, rng: np.random.Generator, taken: Sequence[Placement] = (), apart_m: Sequence[float] = ()
+    ) -> Placement:
+        """A start and a goal at least `min_goal_distance_m` from it, drawn from `rng` alone.
+
+        Its start lies `apart_m` or more from that of each `taken` placement,
+        and its goal so far from their goals. Raises WorldError where that
+        leaves none.
+        """
+        starts, cells = self._starts, self._cells
+        if taken:
+            starts = self._away(starts, [(one.x, one.y) for one in taken], apart_m)
+            cells = self._away(cells, [(one.goal_x, one.goal_y) for one in taken], apart_m)
+        cell = starts[rng.integers(len(starts))]
+        draws = rng.integers(len(cells), size=_GOAL_TRIES)
         yaw = rng.uniform(-np.pi, np.pi)
         moves = rng.uniform(-0.5, 0.5, (2, 2)) * self.free_space.cell_m
-        goals = self._cells[draws]
+        goals = cells[draws]
         far = np.flatnonzero(self._far(goals, cell))
         if not len(far):
-            goals = self._cells
+            goals = cells
             far = np.flatnonzero(self._far(goals, cell))
+            if not len(far):
+                raise WorldError(self._too_full(len(taken)))
             far = far[rng.integers(len(far), size=1)]
         centres = np.stack([cell, goals[far[0]]])
         points = np.where(self._fits(centres + moves)[:, None], centres + moves, centres)
@@ -158,6 +173,22 @@ class Spawner:
             points = centres
         return Placement(
             float(points[0, 0]), float(points[0, 1]), float(yaw), float(points[1, 0]), float(points[1, 1])
+        )
+
+    def _away(self, cells: Array, points: Sequence[tuple[float, float]], apart_m: Sequence[float]) -> Array:
+        free = np.ones(len(cells), bool)
+        # From anywhere in a cell.
+        corner = self.free_space.cell_m / np.sqrt(2)
+        for point, apart in zip(points, apart_m, strict=True):
+            free &= np.hypot(*(cells - point).T) >= apart + corner
+        if not free.any():
+            raise WorldError(self._too_full(len(points)))
+        return cells[free]
+
+    def _too_full(self, robots: int) -> str:
+        return (
+            f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r} has no room for "
+            f"another robot beside {robots}: widen it, or lower task.spawn.robots_apart_m."
         )
 
     def _far(self, goals: Array, start: Array) -> NDArray[np.bool_]:

@@ -34,7 +34,7 @@ def walker_observation(
     `goal`: distance [m] and bearing [rad] of the next way point; `rover`:
     distance [m] (at most `limit_m`), bearing [rad] and velocity relative to
     the walker's in its own frame [m/s] (2), each at most `limit_mps`; `velocity`: own, in its frame (2).
-    `poses` (M, E, 4), `velocity_w` and `goals_w` (M, E, 2), rover's (M, 3).
+    `poses` (M, E, 4), `velocity_w` and `goals_w` (M, E, 2), rover's (M, 3), or of each walker (M, E, 3).
     """
     yaw = poses[..., 3]
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -47,8 +47,9 @@ def walker_observation(
         x, y = vector[..., 0], vector[..., 1]
         return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
 
-    rover = polar(rover_position_w[:, None, :2] - poses[..., :2])
-    closing = within(to_own_frame(rover_velocity_w[:, None, :2] - velocity_w), -limit_mps, limit_mps)
+    position, velocity = (of.reshape(len(poses), -1, 3) for of in (rover_position_w, rover_velocity_w))
+    rover = polar(position[..., :2] - poses[..., :2])
+    closing = within(to_own_frame(velocity[..., :2] - velocity_w), -limit_mps, limit_mps)
     return {
         "goal": polar(goals_w - poses[..., :2]).astype(np.float32),
         "rover": np.concatenate([rover, closing], axis=-1).astype(np.float32),
