@@ -32,6 +32,12 @@ BACKENDS: dict[str, Backend] = {
 every_backend = pytest.mark.parametrize("backend", BACKENDS.values(), ids=BACKENDS.keys())
 bullet_alone = pytest.mark.parametrize("backend", [BACKENDS["bullet"]], ids=["bullet"])
 
+
+def allowed(backend: Backend, rigid: float, on_tyres: float) -> float:
+    """What a test allows: `rigid` in PyBullet, whose wheels are, `on_tyres` in DART, whose wheels yield."""
+    return rigid if backend is BACKENDS["bullet"] else on_tyres
+
+
 GRAVITY_MPS2 = 9.81
 TIMESTEP_S = 0.005
 SUBSTEPS = 10

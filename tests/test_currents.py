@@ -8,6 +8,7 @@ from scenes import (
     MASS_KG,
     WHEEL_RADIUS_M,
     Drive,
+    allowed,
     box,
     every_backend,
     plane,
@@ -63,7 +64,7 @@ def test_steady_driving_on_a_slope_takes_the_torque_of_the_weight(backend, slope
     # Wheels share the weight unevenly, and no wheel works against the others.
     np.testing.assert_allclose(mean, share, rtol=0.3)
     # DART's tyres swing a little on their springs.
-    assert np.std(felt, axis=0).max() < 0.3 * abs(share) + 0.07
+    assert np.std(felt, axis=0).max() < 0.3 * abs(share) + allowed(backend, 0.0, 0.07)
 
 
 @every_backend
@@ -75,8 +76,8 @@ def test_level_driving_takes_next_to_nothing(backend):
         measured.step(0.5, 0.0)
         if step >= 40:
             felt.append(reading(sensor))
-    # A slope of 1.5 degrees would take 0.09 N m a wheel.
-    assert np.abs(np.mean(felt, axis=0)).max() < 0.09
+    # A slope of one degree would take 0.06 N m a wheel.
+    assert np.abs(np.mean(felt, axis=0)).max() < allowed(backend, 0.06, 0.09)
 
 
 @every_backend

@@ -16,6 +16,7 @@ from scenes import (
     WHEEL_RADIUS_M,
     Stage,
     about,
+    allowed,
     box,
     every_backend,
     ground,
@@ -80,8 +81,10 @@ def test_a_rover_at_rest_stands_on_the_terrain(backend, slope, toward, yaw):
     normal = terrain.normal([0.0, 0.0])
     contacts = stage.position + RoverZero.wheel_positions_b @ stage.rotation.T - WHEEL_RADIUS_M * normal
     # DART's tyres give by up to a millimetre, and it takes seconds to undo what a landing left.
-    np.testing.assert_allclose(contacts[:, 2], terrain.height(contacts[:, :2]), atol=1.6e-3)
-    assert stage.rotation[:, 2] @ normal == pytest.approx(1.0, abs=1e-5)
+    np.testing.assert_allclose(
+        contacts[:, 2], terrain.height(contacts[:, :2]), atol=allowed(backend, 1e-3, 1.6e-3)
+    )
+    assert stage.rotation[:, 2] @ normal == pytest.approx(1.0, abs=allowed(backend, 1e-6, 1e-5))
     # Brakes are servos, which give way by millimetres a second.
     assert np.linalg.norm(stage.velocity) < 0.02
 

@@ -13,6 +13,7 @@ from scenes import (
     STEP_S,
     WHEEL_RADIUS_M,
     Drive,
+    allowed,
     box,
     every_backend,
     plane,
@@ -100,10 +101,10 @@ def test_speed_keeps_its_limit_and_grows_no_faster_than_it_may(backend, speed):
         drive.step(speed, 0.0)
         speeds.append(drive.stage.velocity[0] * np.sign(speed))
     # A body that rocks on its tyres as it starts is for a moment faster than they are.
-    assert max(speeds) < 1.06
+    assert max(speeds) < allowed(backend, 1.02, 1.06)
     assert speeds[-1] == pytest.approx(1.0, rel=0.02)
     # 5 m/s2 is 0.25 m/s a control step.
-    assert max(after - before for before, after in pairwise(speeds)) < 0.32
+    assert max(after - before for before, after in pairwise(speeds)) < allowed(backend, 0.27, 0.32)
 
 
 @every_backend
@@ -159,7 +160,7 @@ def test_wheels_against_a_wall_stall_or_slip_as_torque_and_friction_say(backend,
         turned += (step >= 30) * drive.stage.wheel_speeds * STEP_S
     assert drive.stage.touched() == {1}
     assert drive.stage.position[0] == pytest.approx(0.3, abs=0.01)
-    assert (turned.sum() > 0.45 * 4 * 30 * STEP_S * 0.5 / WHEEL_RADIUS_M) == slips
+    assert (turned.sum() > allowed(backend, 0.5, 0.45) * 4 * 30 * STEP_S * 0.5 / WHEEL_RADIUS_M) == slips
     if not slips:
         np.testing.assert_allclose(turned, 0.0, atol=0.3)
 
