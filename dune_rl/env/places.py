@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -55,6 +56,7 @@ class Places:
         self._unfit: dict[Any, str] = {}
         self._spawners: dict[tuple[World, float], Spawner] = {}
         self._physics: dict[int, PhysicsScene] = {}
+        self._specs: WeakKeyDictionary[World, SceneSpec] = WeakKeyDictionary()
         if not variety.of_worlds:
             for scene in range(num_scenes):
                 self._build(scene, world)
@@ -131,9 +133,12 @@ class Places:
         return world
 
     def _build(self, scene: int, world: World) -> None:
-        spec = scene_spec(
-            world, self._robots[0], self._capsules, self._conf, self._measures_work, self._robots[1:]
-        )
+        # Scenes of one world share their bodies, which DART reads once then.
+        if world not in self._specs:
+            self._specs[world] = scene_spec(
+                world, self._robots[0], self._capsules, self._conf, self._measures_work, self._robots[1:]
+            )
+        spec = self._specs[world]
         if scene in self._physics:
             self._physics[scene].close()
         self._physics[scene] = self._make_scene(spec)

@@ -14,7 +14,7 @@ from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.leg_kinematics import Leg
 from dune_rl.robots.mounts import MountsConf
-from dune_rl.robots.robot import BodyMotion, rectangle_outline, speed_and_heading_bounds
+from dune_rl.robots.robot import BodyMotion, RectangularHull, speed_and_heading_bounds
 from dune_rl.robots.trot import Trot, TrotConf
 from dune_rl.settings import Settings
 
@@ -69,7 +69,7 @@ class HyperDogConf(Settings):
         return self.gait.height_m + _FOOT_RADIUS_M
 
 
-class HyperDog:
+class HyperDog(RectangularHull):
     """M dogs: a `Robot`.
 
     Frame: x forward, y left, z up, origin at the body's centre,
@@ -125,15 +125,6 @@ class HyperDog:
     def max_speed_mps(self) -> float:
         """Largest speed that can be commanded."""
         return self.conf.max_speed_mps
-
-    @property
-    def footprint_radius_m(self) -> float:
-        """Radius of the circle round the origin that holds the dog at any yaw."""
-        return float(np.hypot(self.length_m / 2, self.width_m / 2))
-
-    def outline(self) -> Array:
-        """Points (P, 2) round the feet and the body in the body frame [m], seen from above."""
-        return rectangle_outline(self.length_m, self.width_m)
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Bounds of speed and heading, each (2,), or of the joints, each (12,)."""

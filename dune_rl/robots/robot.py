@@ -109,6 +109,22 @@ def speed_and_heading_bounds(max_speed_mps: float) -> tuple[Array, Array]:
     return -high, high
 
 
+class RectangularHull:
+    """What follows of a hull that is a rectangle about the origin, seen from above."""
+
+    length_m: float
+    width_m: float
+
+    @property
+    def footprint_radius_m(self) -> float:
+        """Radius of the circle round the origin that holds the robot at any yaw."""
+        return float(np.hypot(self.length_m / 2, self.width_m / 2))
+
+    def outline(self) -> Array:
+        """Points (P, 2) round the hull in the body frame [m], at most 0.16 m apart, seen from above."""
+        return rectangle_outline(self.length_m, self.width_m)
+
+
 def rectangle_outline(length_m: float, width_m: float, apart_m: float = 0.16) -> Array:
     """Points (P, 2) [m] round a rectangle about the origin, at most `apart_m` from their neighbours."""
     x, y = length_m / 2, width_m / 2

@@ -11,13 +11,13 @@ from dune_rl.physics.motors import Motor
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.mounts import MountsConf
-from dune_rl.robots.robot import BodyMotion, WheelLayout, rectangle_outline, speed_and_heading_bounds
+from dune_rl.robots.robot import BodyMotion, RectangularHull, WheelLayout, speed_and_heading_bounds
 from dune_rl.robots.skid_steer import SkidSteerConf, SkidSteerDrive
 
 Array = NDArray[np.float64]
 
 
-class WheeledRobot:
+class WheeledRobot(RectangularHull):
     """M robots driven by (speed, heading) commands through wheels on two sides: a `Robot` but for its size.
 
     `on_left` tells of each motor whether its wheel is a left one; `wheel_positions_b`
@@ -65,15 +65,6 @@ class WheeledRobot:
     def max_speed_mps(self) -> float:
         """Largest speed that can be commanded."""
         return self._drive_conf.max_speed_mps
-
-    @property
-    def footprint_radius_m(self) -> float:
-        """Radius of the circle round the origin that holds the robot at any yaw."""
-        return float(np.hypot(self.length_m / 2, self.width_m / 2))
-
-    def outline(self) -> Array:
-        """Points (P, 2) round the hull in the body frame [m], at most 0.16 m apart, seen from above."""
-        return rectangle_outline(self.length_m, self.width_m)
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Bounds, each (2,), of speed [m/s] and heading relative to the present one [rad]."""
