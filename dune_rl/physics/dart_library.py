@@ -1,0 +1,13 @@
+"""dartpy, or the error that says how to get it."""
+
+from dune_rl.errors import PhysicsError
+
+try:
+    import dartpy
+except ImportError as error:
+    raise PhysicsError(
+        "physics=dart needs dartpy, which has wheels for Linux alone: pip install 'dartpy>=6.20,<7'; "
+        "physics=bullet runs everywhere"
+    ) from error
+
+__all__ = ["dartpy"]
