@@ -459,12 +459,3 @@ def test_faulty_robots_are_told_in_one_line(robots: str, message: str) -> None:
 def test_learners_of_one_robot_refuse_several(ask: Callable[[], Any]) -> None:
     with pytest.raises(ConfigError, match="robots are agents of parallel_env alone; choose one here: robot="):
         ask()
-
-
-def test_a_backend_of_one_robot_says_so() -> None:
-    robots = robots_of(BOTH)
-    scene = PuppetScene(
-        scene_spec(build_flat(FlatConf()), robots[0], (), PhysicsConf(), others=tuple(robots[1:]))
-    )
-    with pytest.raises(PhysicsError, match="PuppetScene simulates one robot in a scene, not 2"):
-        others_in(scene, 1)

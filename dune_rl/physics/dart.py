@@ -44,6 +44,7 @@ class DartScene:
     ) -> None:
         # All that remembers is made anew: the robots, the kinematic bodies, and the world with the
         # collision detector's pairs and contacts. Meshes, which are slow to build, remember nothing.
+        self.close()
         spec = self._spec
         self._first.stand(position_w, quaternion)
         skeletons = [robot.place() for robot in self._robots]

@@ -46,8 +46,9 @@ class Surroundings:
         self._underfoot: list[list[tuple[Any, float]]] = [[] for _ in robots]
         self._given: set[int] = set()
         self._terrain_friction = next((body.friction for body in statics if body.ground), 1.0)
-        hulls = {(robot.spec.hull_friction, _gap(robot.hull_is_balls)): None for robot in robots}
-        self._for_hulls = {hull: self._body() for hull in hulls}
+        hulls = [(robot.spec.hull_friction, _gap(robot.hull_is_balls)) for robot in robots]
+        grounds = {hull: self._body() for hull in dict.fromkeys(hulls)}
+        self.for_hull = [grounds[hull] for hull in hulls]
         self.obstacles = {kind: self._body() for kind in kinds(robots)}
         self.numbers: dict[Any, int] = {}
         for number, (static, shape) in enumerate(zip(statics, meshes.shapes, strict=True)):
@@ -57,16 +58,12 @@ class Surroundings:
                     friction = static.friction * robot.spec.ground_friction
                     raised = -_gap(robot.feet_are_balls) * hollow
                     nodes.append((_add_shape(body, shape, friction, raised), friction))
-                for (friction, gap), body in self._for_hulls.items():
+                for (friction, gap), body in grounds.items():
                     _add_shape(body, shape, static.friction * friction, -gap * hollow)
                 continue
             for kind, body in self.obstacles.items():
                 self.numbers[_add_shape(body, shape, static.friction * kind.friction)] = number
         self.skeleton.setMobile(False)
-
-    def ground_of(self, robot: DartRobot) -> Any:
-        """The ground that its hull meets."""
-        return self._for_hulls[robot.spec.hull_friction, _gap(robot.hull_is_balls)]
 
     def give_friction_to_feet(self, robot: int) -> float:
         """Let a robot's links that stand on the ground say what friction they have there.
@@ -106,13 +103,11 @@ class Capsules:
         self.bodies: dict[Kind, list[Any]] = {kind: [] for kind in kinds(robots)}
         self.numbers: dict[Any, int] = {}
         for number, capsule in enumerate(spec.kinematics, start=len(spec.statics)):
-            joint, first = self.skeleton.createTranslationalJointAndBodyNodePair()
+            joint, mover = self.skeleton.createTranslationalJointAndBodyNodePair()
             joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
             shape = dartpy.dynamics.CapsuleShape(capsule.radius_m, capsule.height_m - 2 * capsule.radius_m)
-            body = first
-            for kind, bodies in self.bodies.items():
-                if bodies is not next(iter(self.bodies.values())):
-                    _, body = self.skeleton.createWeldJointAndBodyNodePair(first)
+            for count, (kind, bodies) in enumerate(self.bodies.items()):
+                body = self.skeleton.createWeldJointAndBodyNodePair(mover)[1] if count else mover
                 self.numbers[_add_shape(body, shape, CAPSULE_FRICTION * kind.friction)] = number
                 bodies.append(body)
 

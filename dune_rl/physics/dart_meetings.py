@@ -1,6 +1,7 @@
 """Who meets whom in a DART scene, and who touches whom."""
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -33,23 +34,31 @@ class Meetings:
         first_robot: int,
         collision_filter: Any,
     ) -> None:
-        self._blacklist, self._first_robot = collision_filter.addBodyNodePairToBlackList, first_robot
+        self._robots, self._first_robot = robots, first_robot
+        self._surroundings, self._capsules = surroundings, capsules
+        self._blacklist = collision_filter.addBodyNodePairToBlackList
         statics, moving = surroundings.skeleton.getBodyNodes(), capsules.skeleton.getBodyNodes()
         self._part(moving, statics)
         links = [_links(robot) for robot in robots]
         for number, (robot, own) in enumerate(zip(robots, links, strict=True)):
             for kind, bodies in own.items():
-                met = [surroundings.for_feet[number] if kind.stands else surroundings.ground_of(robot)]
+                grounds = surroundings.for_feet if kind.stands else surroundings.for_hull
+                met = [grounds[number]]
                 if _is_outer(kind, robot):
                     met += [surroundings.obstacles[kind], *capsules.bodies[kind]]
                 self._part(bodies, [body for body in (*statics, *moving) if body not in met])
         shells = self._shells(robots, links)
         self._part(shells, [*statics, *moving])
         self._telling = [*surroundings.obstacles.values(), *moving, *shells]
-        self._numbers = surroundings.numbers | capsules.numbers
-        for number, robot in enumerate(robots, start=first_robot):
+
+    @cached_property
+    def _numbers(self) -> dict[Any, int]:
+        """Numbers of the bodies of all shapes; the ground has none."""
+        numbers = self._surroundings.numbers | self._capsules.numbers
+        for number, robot in enumerate(self._robots, start=self._first_robot):
             for body in robot.skeleton.getBodyNodes():
-                self._numbers |= dict.fromkeys(_collision_shapes(body), number)
+                numbers |= dict.fromkeys(body.getShapeNodes(), number)
+        return numbers
 
     def _shells(self, robots: Sequence[DartRobot], links: Sequence[Links]) -> list[Any]:
         """Have links of different robots meet, with the product of their coefficients."""
@@ -96,10 +105,10 @@ class Meetings:
 
 
 def _links(robot: DartRobot) -> Links:
-    """The links that can meet anything."""
+    """The links that have a shape."""
     spec, found = robot.spec, dict[Kind, list[Any]]()
     for body in robot.skeleton.getBodyNodes():
-        if _collision_shapes(body):
+        if body.getNumShapeNodes():
             stands = body.getName() in spec.ground_links
             kind = Kind(stands, spec.ground_friction if stands else spec.hull_friction)
             found.setdefault(kind, []).append(body)
@@ -115,16 +124,13 @@ def _all(links: Links) -> list[Any]:
     return [body for bodies in links.values() for body in bodies]
 
 
-def _collision_shapes(body: Any) -> list[Any]:
-    return [node for node in body.getShapeNodes() if node.hasCollisionAspect()]
-
-
 def _shell(link: Any, friction: float) -> Any:
     _, shell = link.createWeldJointAndBodyNodePair()
     shell.setInertia(dartpy.dynamics.Inertia(_MASS_KG, np.zeros(3), _MOMENT_KGM2 * np.eye(3)))
-    for node in _collision_shapes(link):
-        copy = shell.createShapeNode(node.getShape())
-        copy.setRelativeTransform(node.getRelativeTransform())
-        copy.createCollisionAspect()
-        copy.createDynamicsAspect().setFrictionCoeff(friction)
+    for node in link.getShapeNodes():
+        if node.hasCollisionAspect():
+            copy = shell.createShapeNode(node.getShape())
+            copy.setRelativeTransform(node.getRelativeTransform())
+            copy.createCollisionAspect()
+            copy.createDynamicsAspect().setFrictionCoeff(friction)
     return shell
