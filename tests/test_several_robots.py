@@ -22,7 +22,7 @@ from conformance import (
     check_values,
 )
 from pettingzoo import ParallelEnv
-from planted.puppets import PuppetScene
+from scenes import Backend, every_backend
 from test_determinism import golden
 
 import dune_rl
@@ -30,9 +30,8 @@ from dune_rl.config.build import build_robot
 from dune_rl.config.compose import compose, compose_environment
 from dune_rl.env.batch import Batch
 from dune_rl.env.scene import scene_spec, standing_pose
-from dune_rl.errors import ConfigError, PhysicsError, WorldError
-from dune_rl.physics.bullet import BulletScene
-from dune_rl.physics.interface import PhysicsConf, others_in
+from dune_rl.errors import ConfigError, WorldError
+from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf
 from dune_rl.rendering.scenery import Segment
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero import RoverZeroConf
@@ -42,6 +41,7 @@ BOTH = ["rover_zero", "leo_rover"]
 TWINS = ["rover_zero", "rover_zero"]
 SHORT = {"termination": {"max_steps": 12, "goal_distance_m": 4.0}}
 STILL = (0.0, 0.0)
+every_engine = pytest.mark.parametrize("engine", ENGINES)
 
 
 def batch_of(robots: list[Any], world: str = "flat", num_scenes: int = 1, **settings: Any) -> Batch:
@@ -156,8 +156,9 @@ def robots_of(names: list[str]) -> list[Robot]:
     return [build_robot(conf, 1) for conf in compose_environment("flat", (), {"robots": names}).all_robots]
 
 
+@every_backend
 @pytest.mark.parametrize("which", [0, 1])
-def test_apart_each_drives_as_if_alone(which: int) -> None:
+def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
     world = build_flat(FlatConf())
     robots = robots_of(BOTH)
     # Leo's rockers ask for 20 iterations: so many for both, alone and together.
@@ -173,8 +174,8 @@ def test_apart_each_drives_as_if_alone(which: int) -> None:
         robot.commands(action, Standing(), 0.05)[0].tolist()
         for robot, action in zip(robots, wanted, strict=True)
     ]
-    shared = BulletScene(scene_spec(world, robots[0], (), physics, others=tuple(robots[1:])))
-    alone = BulletScene(scene_spec(world, robots[which], (), physics))
+    shared = backend(scene_spec(world, robots[0], (), physics, others=tuple(robots[1:])))
+    alone = backend(scene_spec(world, robots[which], (), physics))
     shared.others[0].stand(*(part.tolist() for part in poses[1]))
     shared.place(*(part.tolist() for part in poses[0]), none)
     alone.place(*(part.tolist() for part in poses[which]), none)
@@ -235,9 +236,10 @@ def test_no_room_for_another_robot() -> None:
 # -- together --------------------------------------------------------------------------------------
 
 
-def test_robots_that_meet_both_have_a_collision() -> None:
+@every_engine
+def test_robots_that_meet_both_have_a_collision(engine: Engine) -> None:
     task = {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}, "termination": {"goal_distance_m": 0.01}}
-    batch = batch_of(TWINS, task=task)
+    batch = batch_of(TWINS, task=task, physics=engine)
     nearest = np.inf
     for _ in range(200):
         apart = distance(batch)[0]
@@ -258,9 +260,10 @@ def test_robots_that_meet_both_have_a_collision() -> None:
     batch.close()
 
 
-def test_a_collision_leaves_no_trace_in_the_next_episode() -> None:
+@every_engine
+def test_a_collision_leaves_no_trace_in_the_next_episode(engine: Engine) -> None:
     task = {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}, "termination": {"goal_distance_m": 0.01}}
-    batch = batch_of(BOTH, task=task)
+    batch = batch_of(BOTH, task=task, physics=engine)
 
     def drives() -> list[bytes]:
         batch.reseed(0)
@@ -349,10 +352,12 @@ def test_a_walker_is_told_of_the_nearest_rover() -> None:
 # -- equal seeds -----------------------------------------------------------------------------------
 
 
-def digest_of_several() -> str:
+def digest_of_several(engine: Engine) -> str:
     """A rollout of two scenes in which robots are driven at random, close together, with walkers."""
     task = {"spawn": {"region": [-3.0, 3.0, -3.0, 3.0]}, "termination": {"max_steps": 25}}
-    batch = batch_of(BOTH, num_scenes=2, actors="walkers", task=task, metrics={"energy": True})
+    batch = batch_of(
+        BOTH, num_scenes=2, physics=engine, actors="walkers", task=task, metrics={"energy": True}
+    )
     rng, found = np.random.default_rng(2), hashlib.sha256()
     for _ in range(60):
         outcome = batch.step(rng.uniform([0.2, -1.0] * 2, [1.0, 1.0] * 2, (2, 4)).astype(np.float32))
@@ -368,29 +373,30 @@ def digest_of_several() -> str:
 
 
 def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
-    expected = digest_of_several()
-    assert digest_of_several() == expected
+    expected = [digest_of_several(engine) for engine in ENGINES]
+    assert [digest_of_several(engine) for engine in ENGINES] == expected
     here = Path(__file__).parent
     environ = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]),
         "PYTHONHASHSEED": "77",
     }
-    code = "from test_several_robots import digest_of_several; print(digest_of_several())"
+    code = "from test_several_robots import *; print(*map(digest_of_several, reversed(ENGINES)))"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True
     )
-    assert done.stdout.split()[-1] == expected
+    assert done.stdout.split()[: -len(expected) - 1 : -1] == expected
 
 
-def test_a_restored_moment_goes_on_as_it_did() -> None:
-    batch = batch_of(BOTH, num_scenes=2, actors="walkers")
+@every_engine
+def test_a_restored_moment_goes_on_as_it_did(engine: Engine) -> None:
+    batch = batch_of(BOTH, num_scenes=2, actors="walkers", physics=engine)
     rng = np.random.default_rng(0)
     rows = rng.uniform(-1.0, 1.0, (30, 2, 4)).astype(np.float32)
     for step, row in enumerate(rows[:20]):
         if step == 7:
             batch.reset(np.array([False, True]))
         batch.step(row)
-    again = batch_of(BOTH, num_scenes=2, actors="walkers")
+    again = batch_of(BOTH, num_scenes=2, actors="walkers", physics=engine)
     again.restore(batch.state())
     for row in rows[20:]:
         batch.step(row)
@@ -459,12 +465,3 @@ def test_faulty_robots_are_told_in_one_line(robots: str, message: str) -> None:
 def test_learners_of_one_robot_refuse_several(ask: Callable[[], Any]) -> None:
     with pytest.raises(ConfigError, match="robots are agents of parallel_env alone; choose one here: robot="):
         ask()
-
-
-def test_a_backend_of_one_robot_says_so() -> None:
-    robots = robots_of(BOTH)
-    scene = PuppetScene(
-        scene_spec(build_flat(FlatConf()), robots[0], (), PhysicsConf(), others=tuple(robots[1:]))
-    )
-    with pytest.raises(PhysicsError, match="PuppetScene simulates one robot in a scene, not 2"):
-        others_in(scene, 1)

@@ -25,7 +25,6 @@ from dune_rl.physics.interface import (
     PhysicsRobot,
     PhysicsScene,
     SceneSpec,
-    others_in,
 )
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
@@ -152,10 +151,9 @@ class Batch:
     def _enlist(self) -> None:
         """Let the robots know what physics has of them, where that may have changed."""
         self._scenes = self._places.physics
-        others = [others_in(scene, len(self.rovers) - 1) for scene in self._scenes if len(self.rovers) > 1]
         self.rovers[0].engines = self._scenes
         for index, rovers in enumerate(self.rovers[1:]):
-            rovers.engines = [engines[index] for engines in others]
+            rovers.engines = [scene.others[index] for scene in self._scenes]
 
     @property
     def robot(self) -> Robot:
@@ -237,12 +235,11 @@ class Batch:
         ]
         starts = np.array([position[:2] for position, _ in poses])
         self.actors.reset(scene, stream(self.seed, "actors", episode), starts)
-        others = others_in(physics, len(self.rovers) - 1) if len(self.rovers) > 1 else ()
-        for other, (position, quaternion) in zip(others, poses[1:], strict=True):
+        for other, (position, quaternion) in zip(physics.others, poses[1:], strict=True):
             other.stand(position.tolist(), quaternion.tolist())
         position, quaternion = poses[0]
         physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
-        engines: tuple[PhysicsRobot, ...] = (physics, *others)
+        engines: tuple[PhysicsRobot, ...] = (physics, *physics.others)
         for rovers, engine, pose in zip(self.rovers, engines, poses, strict=True):
             values = self._places.values[scene]
             self.variety.tell(rovers.traction, scene, values)
@@ -323,7 +320,7 @@ class Batch:
         substeps, poses = self.physics.substeps, self.actors.poses
         for rovers, wanted in zip(self.rovers[1:], commands[1:], strict=True):
             for engine, command in zip(rovers.engines, wanted, strict=True):
-                # A backend with several robots in a scene has them take commands.
+                # All but the first robots of scenes take them by themselves.
                 cast(OtherRobot, engine).drive(command)
         for rovers in self.rovers:
             rovers.push()

@@ -10,7 +10,7 @@ from dune_rl.actors.actor import ActorConf, Actors, capsules
 from dune_rl.env.scene import scene_spec
 from dune_rl.env.variety import Values, Variety
 from dune_rl.errors import WorldError
-from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec, others_in
+from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
@@ -90,7 +90,7 @@ class Places:
         self.values[scene] = values
         if self.variety.of_bodies:
             physics = self._physics[scene]
-            for robot in (physics, *others_in(physics, len(self._robots) - 1)):
+            for robot in (physics, *physics.others):
                 robot.set_body(self.variety.body(values))
         return self._physics[scene]
 

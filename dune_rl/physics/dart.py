@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes
 from dune_rl.physics.dart_library import dartpy
+from dune_rl.physics.dart_meetings import Meetings
 from dune_rl.physics.dart_robot import DartRobot
 from dune_rl.physics.interface import SceneSpec
 from dune_rl.physics.varied_body import BodyVariation
@@ -26,25 +27,29 @@ class DartScene:
     def __init__(self, spec: SceneSpec) -> None:
         self._spec = spec
         self._meshes = shared_meshes(spec.statics)
-        self._robot = DartRobot(spec.robot, spec.timestep_s, measures_work=spec.measures_work)
-        self._surroundings = Surroundings(spec, self._meshes, self._robot)
+        self._robots = [_SceneRobot(spec, number) for number in range(len(spec.robots))]
+        self._first, self.others = self._robots[0], self._robots[1:]
+        self._surroundings = Surroundings(spec.statics, self._meshes, self._robots)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
+        self._befores = [robot.before for robot in self._robots if robot.has_work_before]
+        self._afters = [robot.after for robot in self._robots if robot.has_work_after]
         self._world: Any = None
 
     def set_body(self, variation: BodyVariation) -> None:
-        self._robot.set_body(variation)
+        self._first.set_body(variation)
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
-        # All that remembers is made anew: the robot, the kinematic bodies, and the world with the
+        # All that remembers is made anew: the robots, the kinematic bodies, and the world with the
         # collision detector's pairs and contacts. Meshes, which are slow to build, remember nothing.
+        self.close()
         spec = self._spec
-        self._robot.stand(position_w, quaternion)
-        robot = self._robot.place()
+        self._first.stand(position_w, quaternion)
+        skeletons = [robot.place() for robot in self._robots]
         self._surroundings.take_friction_back()
-        self._capsules = Capsules(spec)
+        self._capsules = Capsules(spec, self._robots)
         self._rest(self._centres(kinematic_poses))
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
@@ -56,22 +61,17 @@ class DartScene:
         solver.setCollisionDetector(self._meshes.detector)
         if self._cone is not None:
             solver.setBoxedLcpSolver(self._cone)
-        self._part(solver.getCollisionOption().collisionFilter)
-        for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, robot):
+        meetings = Meetings(
+            self._robots,
+            self._surroundings,
+            self._capsules,
+            spec.first_robot,
+            solver.getCollisionOption().collisionFilter,
+        )
+        for robot in self._robots:
+            robot.enter(world, self._surroundings, meetings)
+        for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, *skeletons):
             world.addSkeleton(skeleton)
-
-    def _part(self, collision_filter: Any) -> None:
-        """Say who does not meet whom."""
-        for_feet = [self._surroundings.for_feet, *self._capsules.for_feet]
-        for_hull = [self._surroundings.for_hull, self._surroundings.obstacles, *self._capsules.for_hull]
-        for_feet += self._surroundings.obstacles_for_feet
-        for body in self._robot.skeleton.getBodyNodes():
-            stands = body.getName() in self._spec.robot.ground_links
-            for stranger in for_hull if stands else for_feet:
-                collision_filter.addBodyNodePairToBlackList(body, stranger)
-        for capsule in (*self._capsules.for_hull, *self._capsules.for_feet):
-            for stranger in self._surroundings.skeleton.getBodyNodes():
-                collision_filter.addBodyNodePairToBlackList(capsule, stranger)
 
     def _centres(self, kinematic_poses: NDArray[np.float64]) -> NDArray[np.float64]:
         centres = kinematic_poses[:, :3].copy()
@@ -86,44 +86,98 @@ class DartScene:
         capsules.setCommands(still)
 
     def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
-        push = self._robot.pushed()
-        self._robot.drive(commands)
-        self._robot.begin(count)
+        self._first.drive(commands)
+        pushes = []
+        for robot in self._robots:
+            push = robot.pushed()
+            if push is not None:
+                pushes.append((robot, push))
+            robot.begin(count)
         if not len(kinematic_poses):
-            self._advance(count, push)
+            self._advance(count, pushes)
             return
         centres = self._centres(kinematic_poses)
-        near = np.abs(centres[:, :2] - self._robot.xy()).max(axis=1) < _NEAR_M
+        near = np.zeros(len(centres), bool)
+        for robot in self._robots:
+            near |= np.abs(centres[:, :2] - robot.xy()).max(axis=1) < _NEAR_M
         start = np.where(near[:, None], self._capsule_centres, centres)
         self._capsules.skeleton.setPositions(start.ravel())
         # They move at these speeds by themselves, and what they meet feels it.
         speeds = (centres - start).ravel() / (count * self._spec.timestep_s)
         self._capsules.skeleton.setCommands(speeds)
-        self._advance(count, push)
+        self._advance(count, pushes)
         self._rest(centres)
 
-    def _advance(self, count: int, push: Sequence[float] | None) -> None:
-        if push is None:
+    def _advance(self, count: int, pushes: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
+        if not pushes:
             self.coast(count)
             return
         for _ in range(count):
-            self._robot.apply(push)
+            for robot, push in pushes:
+                robot.apply(push)
             self.coast(1)
-        self._robot.let_go()
+        for robot, _ in pushes:
+            robot.let_go()
 
     def coast(self, count: int) -> None:
-        advance, robot = self._world.step, self._robot
-        has_work_before, has_work_after = robot.has_work_before, robot.has_work_after
+        advance, befores, afters = self._world.step, self._befores, self._afters
         for _ in range(count):
-            if has_work_before:
-                robot.before()
+            for before in befores:
+                before()
             # False: joints keep their commands.
             advance(False)
-            if has_work_after:
-                robot.after()
+            for after in afters:
+                after()
 
     def push(self, force_w: Sequence[float]) -> None:
-        self._robot.push(force_w)
+        self._first.push(force_w)
+
+    def set_wheel_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        self._first.set_wheel_contacts(friction, restitution, stiffness, damping)
+
+    def work_j(self) -> float:
+        return self._first.work_j()
+
+    def body_state(self) -> tuple[float, ...]:
+        return self._first.body_state()
+
+    def drive_state(self) -> tuple[float, ...]:
+        return self._first.drive_state()
+
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        return self._first.joint_angles(joints)
+
+    def touched(self) -> list[int]:
+        return self._first.touched()
+
+    def close(self) -> None:
+        # What the engine holds goes with the last reference to it.
+        self._world = None
+        for robot in self._robots:
+            robot.forget()
+
+
+class _SceneRobot(DartRobot):
+    """Robot `number` of a scene, which it enters after each `place`."""
+
+    def __init__(self, spec: SceneSpec, number: int) -> None:
+        super().__init__(spec.robots[number], spec.timestep_s, measures_work=spec.measures_work)
+        self._number = number
+        self._world: Any = None
+        self._meetings: Any = None
+
+    def enter(self, world: Any, surroundings: Surroundings, meetings: Meetings) -> None:
+        self._world, self._surroundings, self._meetings = world, surroundings, meetings
+
+    def forget(self) -> None:
+        super().forget()
+        self._world = self._meetings = None
 
     def set_wheel_contacts(
         self,
@@ -133,29 +187,11 @@ class DartScene:
         damping: Sequence[float] | None = None,
     ) -> None:
         # Of the four, grip alone: DART's contacts are rigid, and its tyres are too light to bounce as stated.
-        ground = self._surroundings.give_friction_to_feet()
-        self._robot.set_foot_friction([coefficient * ground for coefficient in friction])
-
-    def work_j(self) -> float:
-        return self._robot.work_j()
-
-    def body_state(self) -> tuple[float, ...]:
-        return self._robot.body_state()
-
-    def drive_state(self) -> tuple[float, ...]:
-        return self._robot.drive_state()
-
-    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        return self._robot.joint_angles(joints)
+        ground = self._surroundings.give_friction_to_feet(self._number)
+        self.set_foot_friction([coefficient * ground for coefficient in friction])
 
     def touched(self) -> list[int]:
-        met = self._world.getLastCollisionResult().inCollision
-        return [*self._surroundings.touched(met), *self._capsules.touched(met)]
-
-    def close(self) -> None:
-        # What the engine holds goes with the last reference to it.
-        self._world = None
-        self._robot.forget()
+        return self._meetings.touched(self._number, self._world.getLastCollisionResult())
 
 
 def _cone_solver(sweeps: int) -> Any:

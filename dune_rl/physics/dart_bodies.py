@@ -1,8 +1,9 @@
 """What a robot meets in a DART scene: ground, obstacles, and capsules that move as they are told."""
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 from dune_rl.errors import PhysicsError
@@ -15,91 +16,100 @@ from dune_rl.physics.interface import CAPSULE_FRICTION, SceneSpec, StaticBody
 _TRIANGLE_MARGIN_M = 0.01
 
 
+class Kind(NamedTuple):
+    """Links that have one friction with all that they touch."""
+
+    stands: bool
+    friction: float
+
+
+def kinds(robots: Sequence[DartRobot]) -> list[Kind]:
+    """Those that meet obstacles, those that do not stand first."""
+    hulls = [Kind(False, robot.spec.hull_friction) for robot in robots]
+    feet = [
+        Kind(True, robot.spec.ground_friction) for robot in robots if robot.spec.ground_links_meet_obstacles
+    ]
+    return list(dict.fromkeys([*hulls, *feet]))
+
+
 class Surroundings:
     """Everything that never moves, in one skeleton.
 
-    The ground is there twice, for links that stand on it and for the hull, as
-    each pair has a friction of its own; so are obstacles, where feet meet them.
+    As each pair has a friction of its own, all of it is there more than once:
+    the ground for the feet of each robot, and for hulls, and obstacles for
+    each `Kind` of links that meets them.
     """
 
-    def __init__(self, spec: SceneSpec, meshes: "Meshes", robot: DartRobot) -> None:
+    def __init__(self, statics: Sequence[StaticBody], meshes: "Meshes", robots: Sequence[DartRobot]) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("statics")
-        self.for_feet, self.for_hull, self.obstacles = (self._body() for _ in range(3))
-        self.obstacles_for_feet = [self._body()] if spec.robot.ground_links_meet_obstacles else []
-        self._numbered: list[tuple[int, Any]] = []
-        self._underfoot: list[tuple[Any, float]] = []
-        self._given = False
-        self._terrain_friction = next((body.friction for body in spec.statics if body.ground), 1.0)
-        # How far the detector holds them off triangles that are no solid.
-        gap_of_feet = 0.0 if robot.feet_are_balls else _TRIANGLE_MARGIN_M
-        gap_of_hull = 0.0 if robot.hull_is_balls else _TRIANGLE_MARGIN_M
-        for number, (body, shape) in enumerate(zip(spec.statics, meshes.shapes, strict=True)):
-            feet_friction = body.friction * spec.robot.ground_friction
-            hull_friction = body.friction * spec.robot.hull_friction
-            if body.ground:
+        self.for_feet = [self._body() for _ in robots]
+        self._underfoot: list[list[tuple[Any, float]]] = [[] for _ in robots]
+        self._given: set[int] = set()
+        self._terrain_friction = next((body.friction for body in statics if body.ground), 1.0)
+        hulls = [(robot.spec.hull_friction, _gap(robot.hull_is_balls)) for robot in robots]
+        grounds = {hull: self._body() for hull in dict.fromkeys(hulls)}
+        self.for_hull = [grounds[hull] for hull in hulls]
+        self.obstacles = {kind: self._body() for kind in kinds(robots)}
+        self.numbers: dict[Any, int] = {}
+        for number, (static, shape) in enumerate(zip(statics, meshes.shapes, strict=True)):
+            if static.ground:
                 hollow = meshes.hollow[number]
-                raised = -gap_of_feet * hollow
-                node = _add_shape(self.for_feet, shape, feet_friction, raised)
-                self._underfoot.append((node, feet_friction))
-                _add_shape(self.for_hull, shape, hull_friction, -gap_of_hull * hollow)
+                for robot, body, nodes in zip(robots, self.for_feet, self._underfoot, strict=True):
+                    friction = static.friction * robot.spec.ground_friction
+                    raised = -_gap(robot.feet_are_balls) * hollow
+                    nodes.append((_add_shape(body, shape, friction, raised), friction))
+                for (friction, gap), body in grounds.items():
+                    _add_shape(body, shape, static.friction * friction, -gap * hollow)
                 continue
-            self._numbered.append((number, _add_shape(self.obstacles, shape, hull_friction)))
-            for other in self.obstacles_for_feet:
-                self._numbered.append((number, _add_shape(other, shape, feet_friction)))
+            for kind, body in self.obstacles.items():
+                self.numbers[_add_shape(body, shape, static.friction * kind.friction)] = number
         self.skeleton.setMobile(False)
 
-    def give_friction_to_feet(self) -> float:
-        """Let links that stand on the ground say what friction they have there; returns the ground's own."""
-        if not self._given:
-            self._given = True
-            for node, _ in self._underfoot:
+    def give_friction_to_feet(self, robot: int) -> float:
+        """Let a robot's links that stand on the ground say what friction they have there.
+
+        Returns the ground's own.
+        """
+        if robot not in self._given:
+            self._given.add(robot)
+            for node, _ in self._underfoot[robot]:
                 node.getDynamicsAspect().setFrictionCoeff(NEVER_THE_LESSER)
         return self._terrain_friction
 
     def take_friction_back(self) -> None:
         """Undo `give_friction_to_feet`."""
-        if self._given:
-            self._given = False
-            for node, friction in self._underfoot:
+        for robot in self._given:
+            for node, friction in self._underfoot[robot]:
                 node.getDynamicsAspect().setFrictionCoeff(friction)
+        self._given.clear()
 
     def _body(self) -> Any:
         return self.skeleton.createWeldJointAndBodyNodePair()[1]
 
-    def touched(self, met: Any) -> list[int]:
-        """Numbers of the obstacles that are `met`."""
-        if not any(met(body) for body in (self.obstacles, *self.obstacles_for_feet)):
-            return []
-        return [number for number, shape in self._numbered if met(shape)]
+
+def _gap(balls: bool) -> float:
+    """How far the detector holds links off triangles that are no solid [m]."""
+    return 0.0 if balls else _TRIANGLE_MARGIN_M
 
 
 class Capsules:
-    """Bodies that move at the speed they are told, whatever they meet; they never turn."""
+    """Bodies that move at the speed they are told, whatever they meet; they never turn.
 
-    def __init__(self, spec: SceneSpec) -> None:
+    Each is there for each `Kind` of links that meets it.
+    """
+
+    def __init__(self, spec: SceneSpec, robots: Sequence[DartRobot]) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("kinematics")
-        self.for_hull: list[Any] = []
-        self.for_feet: list[Any] = []
-        self._first = len(spec.statics)
-        for body in spec.kinematics:
-            joint, node = self.skeleton.createTranslationalJointAndBodyNodePair()
+        self.bodies: dict[Kind, list[Any]] = {kind: [] for kind in kinds(robots)}
+        self.numbers: dict[Any, int] = {}
+        for number, capsule in enumerate(spec.kinematics, start=len(spec.statics)):
+            joint, mover = self.skeleton.createTranslationalJointAndBodyNodePair()
             joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
-            shape = dartpy.dynamics.CapsuleShape(body.radius_m, body.height_m - 2 * body.radius_m)
-            _add_shape(node, shape, CAPSULE_FRICTION * spec.robot.hull_friction)
-            self.for_hull.append(node)
-            if spec.robot.ground_links_meet_obstacles:
-                _, other = self.skeleton.createWeldJointAndBodyNodePair(node)
-                _add_shape(other, shape, CAPSULE_FRICTION * spec.robot.ground_friction)
-                self.for_feet.append(other)
-
-    def touched(self, met: Any) -> list[int]:
-        """Numbers of the bodies that are `met`."""
-        return [
-            self._first + number
-            for bodies in (self.for_hull, self.for_feet)
-            for number, body in enumerate(bodies)
-            if met(body)
-        ]
+            shape = dartpy.dynamics.CapsuleShape(capsule.radius_m, capsule.height_m - 2 * capsule.radius_m)
+            for count, (kind, bodies) in enumerate(self.bodies.items()):
+                body = self.skeleton.createWeldJointAndBodyNodePair(mover)[1] if count else mover
+                self.numbers[_add_shape(body, shape, CAPSULE_FRICTION * kind.friction)] = number
+                bodies.append(body)
 
 
 def _add_shape(body: Any, shape: Any, friction: float, raised_m: float = 0.0) -> Any:

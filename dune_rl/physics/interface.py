@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.errors import PhysicsError
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.settings import Settings
@@ -242,14 +241,31 @@ class PhysicsRobot(Protocol):
         ...
 
 
+class OtherRobot(PhysicsRobot, Protocol):
+    """A robot beside the first of a scene."""
+
+    def stand(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+        """Say where the scene's next `place` puts it down at rest."""
+        ...
+
+    def drive(self, commands: Sequence[float]) -> None:
+        """Set the command of each motor for the scene's next `step`, and for those after it."""
+        ...
+
+
 class PhysicsScene(PhysicsRobot, Protocol):
-    """One simulated scene with one robot, as which it answers. Not thread-safe; scenes are independent.
+    """One simulated scene; as its first robot it answers itself. Not thread-safe; scenes are independent.
 
     Between two bodies the friction coefficient is the product of theirs:
     a robot's links have those of `RobotBody`, statics their own, kinematic
     bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
     joints and motors slows a body down.
     """
+
+    @property
+    def others(self) -> Sequence[OtherRobot]:
+        """The further robots, in the order of `SceneSpec.others`."""
+        ...
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -275,38 +291,3 @@ class PhysicsScene(PhysicsRobot, Protocol):
     def close(self) -> None:
         """Free the engine's memory; calling it twice is harmless."""
         ...
-
-
-class OtherRobot(PhysicsRobot, Protocol):
-    """A robot beside the first of a scene."""
-
-    def stand(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
-        """Say where the scene's next `place` puts it down at rest."""
-        ...
-
-    def drive(self, commands: Sequence[float]) -> None:
-        """Set the command of each motor for the scene's next `step`, and for those after it."""
-        ...
-
-
-class SharedScene(PhysicsScene, Protocol):
-    """A scene that can hold several robots: as the first of them it answers itself.
-
-    A backend whose scenes have no `others` simulates one robot in a scene.
-    """
-
-    @property
-    def others(self) -> Sequence[OtherRobot]:
-        """The further robots, in the order of `SceneSpec.others`."""
-        ...
-
-
-def others_in(scene: PhysicsScene, count: int) -> Sequence[OtherRobot]:
-    """The `count` robots beside the first of `scene`; `PhysicsError` where its backend knows of none."""
-    found: Sequence[OtherRobot] = getattr(scene, "others", ())
-    if len(found) != count:
-        raise PhysicsError(
-            f"{type(scene).__name__} simulates one robot in a scene, not {count + 1}: "
-            "take physics=bullet, or one robot"
-        )
-    return found

@@ -19,6 +19,8 @@ class PuppetScene:
     It keeps the forces that it is pushed by in `pushes`.
     """
 
+    others = ()
+
     def __init__(self, spec: SceneSpec) -> None:
         self.spec = spec
         self.state = np.zeros(13)

@@ -1,0 +1,269 @@
+"""Robots of one scene against formulae, on every backend: how they meet, and what is each one's own."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import (
+    GRAVITY_MPS2,
+    HULL_BOTTOM_M,
+    HULL_HALF_LENGTH_M,
+    HULL_HALF_WIDTH_M,
+    HULL_TOP_M,
+    MASS_KG,
+    STEP_S,
+    SUBSTEPS,
+    TIMESTEP_S,
+    WHEEL_RADIUS_M,
+    Backend,
+    allowed,
+    box,
+    every_backend,
+    plane,
+    quaternion_of,
+    rover_body,
+    walker,
+)
+from test_truth import block, body, link
+
+from dune_rl.physics.interface import KinematicCapsule, PhysicsRobot, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.varied_body import BodyVariation
+
+pytestmark = every_backend
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+# Between the wheels' middles.
+TRACK_M = 0.36
+
+
+class Company:
+    """Robots in one scene, that hold their joints still until they are told otherwise."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        robots: Sequence[RobotBody],
+        statics: Sequence[StaticBody] | None = None,
+        kinematics: Sequence[KinematicCapsule] = (),
+        gravity_mps2: float = GRAVITY_MPS2,
+    ) -> None:
+        first, *others = robots
+        self.scene = backend(
+            SceneSpec(
+                tuple([plane()] if statics is None else statics),
+                tuple(kinematics),
+                first,
+                timestep_s=TIMESTEP_S,
+                solver_iterations=10,
+                gravity_mps2=gravity_mps2,
+                others=tuple(others),
+            )
+        )
+        self.robots: tuple[PhysicsRobot, ...] = (self.scene, *self.scene.others)
+        self.rest = [robot.rest_commands() for robot in robots]
+
+    def place(
+        self,
+        *places_w: Sequence[float],
+        quaternion: Sequence[float] = UPRIGHT,
+        actors: Sequence[Sequence[float]] = (),
+    ) -> None:
+        first, *others = ([float(part) for part in place] for place in places_w)
+        for robot, place in zip(self.scene.others, others, strict=True):
+            robot.stand(place, quaternion)
+        self.actors = np.array(actors, float).reshape(-1, 4)
+        self.scene.place(first, quaternion, self.actors)
+
+    def step(self, count: int = SUBSTEPS, actors: Sequence[Sequence[float]] | None = None) -> None:
+        if actors is not None:
+            self.actors = np.array(actors, float)
+        self.scene.step(count, self.rest[0], self.actors)
+
+    @property
+    def states(self) -> np.ndarray:
+        return np.array([robot.body_state() for robot in self.robots])
+
+    @property
+    def positions(self) -> np.ndarray:
+        return self.states[:, :3]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        return self.states[:, 7:10]
+
+    def touched(self) -> list[set[int]]:
+        return [set(robot.touched()) for robot in self.robots]
+
+
+# -- collisions ------------------------------------------------------------------------------------
+
+
+def test_a_collision_keeps_momentum(backend, tmp_path):
+    masses, sizes = np.array([2.0, 5.0]), np.array([[0.4, 0.3, 0.2], [0.3, 0.6, 0.2]])
+    blocks = []
+    for mass, size in zip(masses, sizes, strict=True):
+        folder = tmp_path / f"{mass}"
+        folder.mkdir()
+        blocks.append(body(folder, link("block", mass, " ".join(map(str, size)), "box")))
+    moments = masses / 12 * (sizes[:, :2] ** 2).sum(axis=1)
+    company = Company(backend, blocks, [], gravity_mps2=0.0)
+    for offset, turns in ((0.0, False), (0.25, True)):
+        company.place([0.0, 0.0, 1.0], [0.5, offset, 1.0])
+        company.robots[0].push([40.0, 0.0, 0.0])
+        company.step(20)
+        assert company.velocities[0, 0] == pytest.approx(40.0 * 20 * TIMESTEP_S / masses[0], rel=1e-6)
+
+        def momenta() -> np.ndarray:
+            position, linear, angular = np.split(company.states[:, [0, 1, 2, 7, 8, 9, 10, 11, 12]], 3, axis=1)
+            own = moments * angular[:, 2]
+            about_z = np.cross(position, masses[:, None] * linear)[:, 2]
+            return np.array([*(masses @ linear), (own + about_z).sum()])
+
+        before = momenta()
+        company.step(40)
+        assert (np.abs(company.states[:, 12]) > 0.1).all() == turns
+        np.testing.assert_allclose(momenta(), before, atol=1e-3 * before[0])
+        if not turns:
+            # Nothing bounces, but for what PyBullet gives them to part what has entered each other.
+            together = before[0] / masses.sum()
+            np.testing.assert_allclose(company.velocities[:, 0], together, rtol=allowed(backend, 0.11, 0.01))
+
+
+FRICTIONS = (0.3, 0.5, 0.9)
+
+
+@pytest.mark.parametrize(("below", "above"), [(0, 1), (1, 0), (0, 2), (1, 2), (2, 0)])
+def test_hulls_slide_on_hulls_by_the_product_of_their_frictions(backend, below, above):
+    company = Company(backend, [replace(rover_body(), hull_friction=share) for share in FRICTIONS])
+    places = [[5.0 * number + 5.0, 5.0, WHEEL_RADIUS_M] for number in range(3)]
+    places[below] = [0.0, 0.0, WHEEL_RADIUS_M]
+    places[above] = [0.0, 0.0, WHEEL_RADIUS_M + HULL_TOP_M - HULL_BOTTOM_M + 0.001]
+    company.place(*places)
+    company.step(100)
+    assert company.positions[above, 2] == pytest.approx(places[above][2], abs=4e-3)
+    friction = FRICTIONS[below] * FRICTIONS[above] * MASS_KG * GRAVITY_MPS2
+    for force, slides in ((0.85 * friction, False), (friction + 6.0, True)):
+        seen = []
+        for _ in range(2):
+            company.robots[above].push([force, 0.0, 0.0])
+            # Of which the first are those in which the tyres and servos of the lower one give way.
+            company.step(40)
+            seen.append((*company.positions[[below, above], 0], company.velocities[above, 0]))
+        gained = np.diff(seen, axis=0)[0]
+        if slides:
+            assert gained[2] == pytest.approx(6.0 / MASS_KG * 40 * TIMESTEP_S, rel=0.2)
+        else:
+            assert gained[0] == pytest.approx(gained[1], abs=1e-3)
+    assert company.touched() == [
+        {1 + above} if number == below else {1 + below} if number == above else set() for number in range(3)
+    ]
+
+
+@pytest.mark.parametrize("meet", [False, True])
+def test_wheels_meet_other_robots_if_they_meet_obstacles(backend, meet):
+    robot = replace(rover_body(), ground_links_meet_obstacles=meet)
+    company = Company(backend, [robot, robot], [], gravity_mps2=0.0)
+    company.place([0.0, -0.4, 1.0], [0.0, 0.4, 1.0])
+    for _ in range(20):
+        company.robots[0].push([0.0, 5.0, 0.0])
+        company.robots[1].push([0.0, -5.0, 0.0])
+        company.step()
+    between = TRACK_M + 2 * WHEEL_RADIUS_M if meet else 2 * HULL_HALF_WIDTH_M
+    assert np.ptp(company.positions[:, 1]) == pytest.approx(between, abs=0.01)
+    assert company.touched() == [{1}, {0}]
+
+
+def test_a_wheel_that_meets_obstacles_meets_hulls_and_no_wheels_that_do_not(backend):
+    robots = [replace(rover_body(), ground_links_meet_obstacles=meet) for meet in (False, True)]
+    company = Company(backend, robots, [], gravity_mps2=0.0)
+    company.place([0.0, -0.4, 1.0], [0.0, 0.4, 1.0])
+    for _ in range(20):
+        company.robots[0].push([0.0, 5.0, 0.0])
+        company.robots[1].push([0.0, -5.0, 0.0])
+        company.step()
+    between = HULL_HALF_WIDTH_M + TRACK_M / 2 + WHEEL_RADIUS_M
+    assert np.ptp(company.positions[:, 1]) == pytest.approx(between, abs=0.02)
+
+
+def test_each_is_told_of_what_it_touches_itself(backend, tmp_path):
+    statics = [plane(), box((3.0, 0.0), 1.0, 1.0, 0.1), box((-3.0, 0.0), 1.0, 1.0, 0.1)]
+    company = Company(backend, [block(tmp_path)] * 5, statics, [walker("far"), walker("near")])
+    passing = [[9.0, 9.0, 0.0, 0.0], [0.0, -3.0, 0.0, 0.0]]
+    # Three in a pile, one on a box, one in a walker's way: those three have nothing to do with each other.
+    company.place([0, 0, 0.1], [0, 0, 0.301], [0, 0, 0.502], [3, 0, 0.201], [0.0, -2.5, 0.1], actors=passing)
+    assert company.touched() == [set()] * 5
+    company.step(40)
+    for step in range(1, 7):
+        company.step(SUBSTEPS, [passing[0], [0.0, -3.0 + 0.5 * STEP_S * step, 0.0, 0.0]])
+    assert company.touched() == [{6}, {5, 7}, {6}, {1}, {4}]
+    np.testing.assert_allclose(company.positions[:3, 2], [0.1, 0.3, 0.5], atol=5e-3)
+
+
+# -- what is each one's own ------------------------------------------------------------------------
+
+
+def test_a_walker_pushes_whom_it_meets(backend):
+    company = Company(backend, [rover_body()] * 2, kinematics=[walker()])
+    company.place([9.0, 9.0, WHEEL_RADIUS_M], [0.0, 0.0, WHEEL_RADIUS_M], actors=[[1.0, 0.0, 0.0, 0.0]])
+    for step in range(1, 41):
+        company.step(SUBSTEPS, [[1.0 - 0.5 * STEP_S * step, 0.0, 0.0, 0.0]])
+    assert company.touched() == [set(), {1}]
+    assert company.positions[1, 0] == pytest.approx(0.0 - 0.25 - HULL_HALF_LENGTH_M, abs=0.04)
+    assert company.velocities[1, 0] == pytest.approx(-0.5, abs=0.05)
+    np.testing.assert_allclose(company.velocities[0], 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("slippery", [0, 1])
+def test_each_has_its_own_grip(backend, slippery):
+    slope = 0.3
+    company = Company(backend, [rover_body()] * 2, [plane(slope)])
+
+    def slid() -> np.ndarray:
+        here = company.positions.copy()
+        company.step(100)
+        return np.linalg.norm(company.positions - here, axis=1)
+
+    for told in (True, False):
+        places = [[0.3, y, WHEEL_RADIUS_M / np.cos(slope) + 0.3 * np.tan(slope)] for y in (-3.3, 3.3)]
+        company.place(*places, quaternion=quaternion_of(0.0, slope))
+        if told:
+            company.robots[slippery].set_wheel_contacts([0.1] * 4, [0.0] * 4)
+        company.step(20)
+        assert (slid() > 0.1).tolist() == [told and number == slippery for number in range(2)]
+
+
+@pytest.mark.parametrize("heavy", [0, 1])
+def test_each_has_its_own_weight_and_push(backend, heavy, tmp_path):
+    company = Company(backend, [block(tmp_path)] * 2, [], gravity_mps2=0.0)
+    company.robots[heavy].set_body(BodyVariation(mass_factor=2.0))
+    company.place([0.0, 0.0, 1.0], [0.0, 3.0, 1.0])
+    company.robots[0].push([1.0, 0.0, 0.0])
+    company.robots[1].push([0.0, 0.0, 3.0])
+    company.step(20)
+    expected = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 3.0]]) * 20 * TIMESTEP_S / 2.0
+    expected[heavy] /= 2.0
+    np.testing.assert_allclose(company.velocities, expected, atol=1e-6)
+    company.step(20)
+    np.testing.assert_allclose(company.velocities, expected, atol=1e-6)
+
+
+def test_no_trace_is_left_by_a_collision(backend):
+    robots = [rover_body(), replace(rover_body(), ground_links_meet_obstacles=True, hull_friction=0.6)]
+
+    def rollout(company: Company) -> bytes:
+        seen, met = [], [set(), set()]
+        company.place([0.0, 0.0, 0.2], [0.75, 0.1, 0.2], actors=[[0.4, -1.0, 0.0, 0.0]])
+        for step in range(1, 31):
+            company.robots[1].push([-150.0, 0.0, 0.0])
+            company.step(SUBSTEPS, [[0.4, -1.0 + 0.02 * step, 0.0, 0.0]])
+            now = company.touched()
+            met = [one | other for one, other in zip(met, now, strict=True)]
+            seen.append(repr((company.states.tolist(), company.robots[1].drive_state(), now)))
+        assert met == [{3}, {1, 2}]
+        return "".join(seen).encode()
+
+    fresh, used = (Company(backend, robots, kinematics=[walker()]) for _ in range(2))
+    first = rollout(used)
+    assert rollout(used) == first
+    assert rollout(fresh) == first
