@@ -132,9 +132,9 @@ class DartScene:
         stiffness: Sequence[float] | None = None,
         damping: Sequence[float] | None = None,
     ) -> None:
-        # Of the four, grip alone: DART's contacts are rigid, and its tyres are too light to bounce as stated.
         ground = self._surroundings.give_friction_to_feet()
-        self._robot.set_foot_friction([coefficient * ground for coefficient in friction])
+        grip = [coefficient * ground for coefficient in friction]
+        self._robot.set_foot_contacts(grip, restitution, stiffness, damping)
 
     def work_j(self) -> float:
         return self._robot.work_j()

@@ -40,6 +40,8 @@ class Surroundings:
                 hollow = meshes.hollow[number]
                 raised = -gap_of_feet * hollow
                 node = _add_shape(self.for_feet, shape, feet_friction, raised)
+                # Two coefficients multiply, and a robot's is 0 until it is set.
+                node.getDynamicsAspect().setRestitutionCoeff(body.restitution)
                 self._underfoot.append((node, feet_friction))
                 _add_shape(self.for_hull, shape, hull_friction, -gap_of_hull * hollow)
                 continue

@@ -9,6 +9,7 @@ from typing import Any
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart_files import TYRE, robot_urdf
 from dune_rl.physics.dart_library import dartpy
+from dune_rl.physics.dart_tyres import YieldingGround
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Servos, work_w
 from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
@@ -22,7 +23,8 @@ NEVER_THE_LESSER = 1e3
 # by fits and starts. Tyres that give by less than a millimetre and servos that give way by 0.5 % of a
 # rover's speed settle both. The servos' softness is that of every scene in the process.
 _TYRE_STIFFNESS_NPM = 1e5
-dartpy.constraint.JointConstraint.setConstraintForceMixing(0.07)
+_SOFTNESS = 0.07
+dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
 
 _GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
@@ -83,6 +85,7 @@ class DartRobot:
         )
         self._drives = [self._index(joint) for joint in self.spec.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in self.spec.ground_links]
+        self._ground: YieldingGround | None = None
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in self.spec.couplings
@@ -119,10 +122,17 @@ class DartRobot:
     @property
     def has_work_before(self) -> bool:
         """Whether `before` does anything."""
-        return not self._plain
+        return self._ground is not None or not self._plain
 
     def before(self) -> None:
-        """Have the motors do what they can toward their commands in the physics step to come."""
+        """Do what the physics step to come asks for."""
+        if self._ground is not None:
+            self._ground.lead()
+        if not self._plain:
+            self._act()
+
+    def _act(self) -> None:
+        """Have the motors do what they can toward their commands."""
         robot, drives = self.skeleton, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
@@ -179,12 +189,24 @@ class DartRobot:
         """End what `apply` has begun."""
         self._base.clearExternalForces()
 
-    def set_foot_friction(self, friction: Sequence[float]) -> None:
-        """Set the coefficient of each of the links that it stands on."""
-        for foot, coefficient in zip(self._feet, friction, strict=True):
+    def set_foot_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> None:
+        """Set what each of the links that it stands on is to the ground; see `set_wheel_contacts`."""
+        for foot, grip, bounce in zip(self._feet, friction, restitution, strict=True):
             for node in foot.getShapeNodes():
                 if node.hasDynamicsAspect():
-                    node.getDynamicsAspect().setFrictionCoeff(coefficient)
+                    node.getDynamicsAspect().setFrictionCoeff(grip)
+                    node.getDynamicsAspect().setRestitutionCoeff(bounce)
+        if stiffness is None or damping is None:
+            return
+        if self._ground is None:
+            self._ground = YieldingGround(self.skeleton, self._feet, self._timestep_s, _SOFTNESS)
+        self._ground.set(stiffness, damping)
 
     def _torques(self) -> list[float]:
         impulses = self.skeleton.getJointConstraintImpulses()[self._drives]

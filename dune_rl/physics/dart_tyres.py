@@ -1,0 +1,64 @@
+"""How a robot's wheels stand on ground that yields, in a DART scene."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dune_rl.physics.dart_files import TYRE
+from dune_rl.physics.dart_library import dartpy
+
+
+class YieldingGround:
+    """The give of the ground under each wheel, as motion of the sliding joint that the wheel hangs on.
+
+    DART's contacts are rigid, and it takes them after the springs and dampers
+    of joints: on a spring, a wheel that lands stops alone, the body above it
+    goes on, and the spring is as soft as the wheel is light. So the sliding
+    joints become servos, which are solved together with contacts: what lands
+    lands as a whole, and bounces by the restitution of its contacts. Before
+    each physics step a servo is told how fast a spring and a damper would
+    yield under the load that it bore in the last one.
+
+    `wheels` are the bodies of the skeleton `robot` that stand on the ground;
+    the contacts of those that hang on no such joint stay rigid. `softness` is
+    that of servos, `JointConstraint.getConstraintForceMixing`.
+    """
+
+    def __init__(self, robot: Any, wheels: Sequence[Any], timestep_s: float, softness: float) -> None:
+        self._robot, self._step_s = robot, timestep_s
+        joints = {joint.getName(): joint for joint in robot.getJoints()}
+        found = [joints.get(f"{wheel.getParentJoint().getName()}{TYRE}") for wheel in wheels]
+        self._hung = [number for number, joint in enumerate(found) if joint is not None]
+        self._dofs = [found[number].getIndexInSkeleton(0) for number in self._hung]
+        mass = np.array([wheels[number].getMass() for number in self._hung])
+        # What bears on a sliding joint is the robot without its wheels. With this share of what is stated,
+        # it stands as deep and swings as fast as all of it would on springs beneath the wheels.
+        above = (robot.getMass() - mass.sum()) / len(wheels)
+        self._share = above / (above + mass)
+        # The speed [m/s] by which a servo gives way to an impulse of 1 N s.
+        self._give = softness * (1.0 / mass + 1.0 / above)
+        self._load = self._told = np.zeros(len(self._dofs))
+        for number in self._hung:
+            found[number].setSpringStiffness(0, 0.0)
+            found[number].setActuatorType(dartpy.dynamics.ActuatorType.SERVO)
+
+    def set(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
+        """Have the ground yield as springs of `stiffness` [N/m] and `damping` [N s/m], a number a wheel."""
+        self._stiffness = np.array(stiffness)[self._hung] * self._share
+        # The spring at the end of a step is that at its start and what the step adds.
+        self._damping = np.array(damping)[self._hung] * self._share + self._stiffness * self._step_s
+        # Where the ground gives way more easily than servos do, the load of one step is no measure of that
+        # of the next: they would swing against each other.
+        lag = 2.0 * self._give * self._damping * self._step_s
+        self._trust = lag / (1.0 + lag)
+
+    def lead(self) -> None:
+        """Tell the servos how fast to yield in the physics step to come."""
+        robot, dofs = self._robot, self._dofs
+        load = robot.getJointConstraintImpulses()[dofs] / -self._step_s
+        self._load = self._load + self._trust * (load - self._load)
+        yielding = (self._load - self._stiffness * robot.getPositions(dofs)) / self._damping
+        # A servo gives way by itself to what it bears: that much less is told.
+        self._told = self._told + yielding - robot.getVelocities(dofs)
+        robot.setCommands(dofs, self._told)
