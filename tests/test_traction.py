@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from batches import real_batch
 from rigs import MIDDLE, Rig, named, slope_world
-from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, box, every_backend
+from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, allowed, box, every_backend
 from test_determinism import golden
 
 from dune_rl.env.scene import scene_spec
@@ -131,7 +131,8 @@ def test_wheels_stand_as_deep_as_bekker_says(backend, name):
     if surface.soil is not None:
         depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m)
         assert depth > 1e-3
-    assert -rig.height == pytest.approx(depth, rel=0.03, abs=5e-5)
+    # DART's ground is never harder than 2e5 N/m.
+    assert -rig.height == pytest.approx(depth, rel=0.03, abs=allowed(backend, 5e-5, 1.5e-4))
     firm = Rig(backend, slope_world(surface))
     firm.step(count=40)
     assert -firm.height < 1e-3
