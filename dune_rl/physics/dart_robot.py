@@ -8,6 +8,7 @@ from typing import Any
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart_files import TYRE, robot_urdf
+from dune_rl.physics.dart_gears import DrivenGears, driven
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_tyres import YieldingGround
 from dune_rl.physics.interface import RobotBody
@@ -41,7 +42,7 @@ class DartRobot:
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         self._motors = spec.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
-        self._plain = all(motor.is_plain for motor in self._motors)
+        self._plain = all(motor.is_plain for motor in self._motors) and not driven(spec)
         self._servos = Servos(self._motors, timestep_s)
         self._commands: Sequence[float] = spec.rest_commands()
         self._push: Sequence[float] | None = None
@@ -89,12 +90,21 @@ class DartRobot:
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in self.spec.couplings
+            if coupling not in driven(self.spec)
         ]
+        self._driven_gears = self._gear_up()
+        self._geared: Sequence[float] = (0.0,) * len(self._motors)
         self._commands = self.spec.rest_commands()
         self._servos.rest()
         self._push = None
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
+
+    def _gear_up(self) -> DrivenGears | None:
+        couplings = driven(self.spec)
+        if not couplings:
+            return None
+        return DrivenGears(self.skeleton, couplings, self.spec.drive_joints, self._timestep_s)
 
     def forget(self) -> None:
         """The scene is gone, and with it the robot."""
@@ -137,8 +147,15 @@ class DartRobot:
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
         robot.setCommands(drives, targets)
-        robot.setForceUpperLimits(drives, torques)
-        robot.setForceLowerLimits(drives, [-torque for torque in torques])
+        if self._driven_gears is None:
+            robot.setForceUpperLimits(drives, torques)
+            robot.setForceLowerLimits(drives, [-torque for torque in torques])
+            return
+        self._geared = geared = self._driven_gears.on_drives.tolist()
+        most = [gear + torque for gear, torque in zip(geared, torques, strict=True)]
+        least = [gear - torque for gear, torque in zip(geared, torques, strict=True)]
+        robot.setForceUpperLimits(drives, most)
+        robot.setForceLowerLimits(drives, least)
 
     @property
     def has_work_after(self) -> bool:
@@ -149,6 +166,8 @@ class DartRobot:
         """Do what a physics step that was made asks for."""
         if self._gears:
             self._react()
+        if self._driven_gears is not None:
+            self._driven_gears.after()
         if self._measures_work:
             self._count_work()
 
@@ -210,7 +229,7 @@ class DartRobot:
 
     def _torques(self) -> list[float]:
         impulses = self.skeleton.getJointConstraintImpulses()[self._drives]
-        torques: list[float] = (impulses / self._timestep_s).tolist()
+        torques: list[float] = (impulses / self._timestep_s - self._geared).tolist()
         return torques
 
     def body_state(self) -> tuple[float, ...]:
@@ -273,11 +292,10 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         joint.setForceUpperLimit(0, motor.max_torque_nm)
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
-        if coupling.leader in spec.drive_joints:
-            raise PhysicsError(
-                f"{spec.urdf.name}: physics=dart couples joints without motors alone, and {coupling.leader} "
-                "has one; take physics=bullet"
-            )
+        if coupling in driven(spec):
+            if coupling.follower not in spec.drive_joints:
+                joints[coupling.follower].setActuatorType(dartpy.dynamics.ActuatorType.FORCE)
+            continue
         leader, follower = joints[coupling.leader], joints[coupling.follower]
         # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
         # holds the one holds the other, so that the leader has the friction and the damping of both.
