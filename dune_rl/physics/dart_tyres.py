@@ -20,7 +20,7 @@ class YieldingGround:
     goes on, and the spring is as soft as the wheel is light. So the sliding
     joints become servos, which are solved together with contacts: what lands
     lands as a whole, and bounces by the restitution of its contacts, of which
-    the servos take 0.1. Before each physics step a servo is told how fast a
+    the servos take some 0.1. Before each physics step a servo is told how fast a
     spring and a damper would yield under what bore on its wheel in the last
     one.
 
@@ -32,18 +32,19 @@ class YieldingGround:
     def __init__(self, robot: Any, wheels: Sequence[Any], timestep_s: float, softness: float) -> None:
         self._robot, self._step_s = robot, timestep_s
         joints = {joint.getName(): joint for joint in robot.getJoints()}
-        found = [joints.get(f"{wheel.getParentJoint().getName()}{TYRE}") for wheel in wheels]
-        self._hung = [number for number, joint in enumerate(found) if joint is not None]
-        self._dofs = [found[number].getIndexInSkeleton(0) for number in self._hung]
+        names = [f"{wheel.getParentJoint().getName()}{TYRE}" for wheel in wheels]
+        self._hung = [number for number, name in enumerate(names) if name in joints]
+        hung_on = [joints[names[number]] for number in self._hung]
+        self._dofs = [joint.getIndexInSkeleton(0) for joint in hung_on]
         self._of_dofs = np.array(self._dofs, int)
         mass = np.array([wheels[number].getMass() for number in self._hung])
         above = (robot.getMass() - mass.sum()) / len(wheels)
         # The speed [m/s] by which a servo gives way to an impulse of 1 N s.
         self._give = softness * (1.0 / mass + 1.0 / above)
         self._load, self._told = np.zeros((2, len(self._hung)))
-        for number in self._hung:
-            found[number].setSpringStiffness(0, 0.0)
-            found[number].setActuatorType(dartpy.dynamics.ActuatorType.SERVO)
+        for joint in hung_on:
+            joint.setSpringStiffness(0, 0.0)
+            joint.setActuatorType(dartpy.dynamics.ActuatorType.SERVO)
 
     def set(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
         """Have the ground yield as springs of `stiffness` [N/m] and `damping` [N s/m], a number a wheel.
