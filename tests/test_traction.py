@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from batches import real_batch
 from rigs import MIDDLE, Rig, named, slope_world
-from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, box, bullet_alone, every_backend
+from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, allowed, box, every_backend
 from test_determinism import golden
 
 from dune_rl.env.scene import scene_spec
@@ -121,7 +121,7 @@ def test_rolling_resistance_stops_a_rover_and_never_drives_it(backend):
     assert free.speed < -1.5
 
 
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("name", ["sand", "mud", "rock"])
 def test_wheels_stand_as_deep_as_bekker_says(backend, name):
     surface = named(name)
@@ -131,13 +131,14 @@ def test_wheels_stand_as_deep_as_bekker_says(backend, name):
     if surface.soil is not None:
         depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m)
         assert depth > 1e-3
-    assert -rig.height == pytest.approx(depth, rel=0.03, abs=5e-5)
+    # DART's ground is never harder than 2e5 N/m.
+    assert -rig.height == pytest.approx(depth, rel=0.03, abs=allowed(backend, 5e-5, 1.5e-4))
     firm = Rig(backend, slope_world(surface))
     firm.step(count=40)
     assert -firm.height < 1e-3
 
 
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("factor", [1.0, 0.5])
 @pytest.mark.parametrize("stiffness", [2e3, 2e4])
 def test_ground_gives_way_by_load_over_stiffness(backend, stiffness, factor):
@@ -147,7 +148,7 @@ def test_ground_gives_way_by_load_over_stiffness(backend, stiffness, factor):
     assert -rig.height == pytest.approx(LOAD_N / (stiffness * factor), rel=0.03)
 
 
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("name", SURFACE_NAMES)
 def test_a_rover_bounces_as_restitution_says(backend, name):
     surface = named(name)

@@ -175,6 +175,8 @@ ARM = CART[CART.index('<joint name="arm_joint"') : CART.index("</joint>", CART.i
         ('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>',
          r"no wheels are found on both sides; name them in robot\.left"),
         ('lower="-1"', 'lower="2"', r"joint 'arm_joint': its <limit> has lower 2 above upper 1"),
+        ('<child link="arm"/>', '<child link="arm"/><mimic joint="wheel_l_joint" multiplier="0"/>',
+         r"joint 'arm_joint': its <mimic> has the multiplier 0"),
         ('radius="0.08"', 'radius="0"', r"link 'wheel_l': a <cylinder> has a size of 0 m"),
         ('<sphere radius="0.04"/>', "<cone/>", r"link 'caster': a <cone> is no shape of a URDF"),
         ('<origin xyz="-0.15 0 -0.06"/>', '<origin xyz="-0.15 0 -0.2"/>',

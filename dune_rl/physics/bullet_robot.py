@@ -217,9 +217,10 @@ class BulletRobot:
             (0.0, 0.0, 0.0),
             physicsClientId=self._client,
         )
-        # Bullet's ratio is that of what cancels, hence the sign.
+        # Bullet keeps the leader's speed and so many times the follower's at a sum of 0.
+        ratio = -1.0 / coupling.ratio
         pybullet.changeConstraint(
-            gear, gearRatio=-coupling.ratio, maxForce=_GEAR_FORCE, erp=_GEAR_ERP, physicsClientId=self._client
+            gear, gearRatio=ratio, maxForce=_GEAR_FORCE, erp=_GEAR_ERP, physicsClientId=self._client
         )
 
     def drive(self, commands: Sequence[float]) -> None:

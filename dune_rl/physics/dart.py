@@ -186,9 +186,9 @@ class _SceneRobot(DartRobot):
         stiffness: Sequence[float] | None = None,
         damping: Sequence[float] | None = None,
     ) -> None:
-        # Of the four, grip alone: DART's contacts are rigid, and its tyres are too light to bounce as stated.
         ground = self._surroundings.give_friction_to_feet(self._number)
-        self.set_foot_friction([coefficient * ground for coefficient in friction])
+        grip = [coefficient * ground for coefficient in friction]
+        self.set_foot_contacts(grip, restitution, stiffness, damping)
 
     def touched(self) -> list[int]:
         return self._meetings.touched(self._number, self._world.getLastCollisionResult())

@@ -56,8 +56,10 @@ class Surroundings:
                 hollow = meshes.hollow[number]
                 for robot, body, nodes in zip(robots, self.for_feet, self._underfoot, strict=True):
                     friction = static.friction * robot.spec.ground_friction
-                    raised = -_gap(robot.feet_are_balls) * hollow
-                    nodes.append((_add_shape(body, shape, friction, raised), friction))
+                    node = _add_shape(body, shape, friction, -_gap(robot.feet_are_balls) * hollow)
+                    # Two coefficients multiply, and a robot's is 0 until it is set.
+                    node.getDynamicsAspect().setRestitutionCoeff(static.restitution)
+                    nodes.append((node, friction))
                 for (friction, gap), body in grounds.items():
                     _add_shape(body, shape, static.friction * friction, -gap * hollow)
                 continue

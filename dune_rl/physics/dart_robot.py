@@ -8,7 +8,9 @@ from typing import Any
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart_files import TYRE, robot_urdf
+from dune_rl.physics.dart_gears import DrivenGears, driven
 from dune_rl.physics.dart_library import dartpy
+from dune_rl.physics.dart_tyres import YieldingGround
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Servos, work_w
 from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
@@ -22,7 +24,8 @@ NEVER_THE_LESSER = 1e3
 # by fits and starts. Tyres that give by less than a millimetre and servos that give way by 0.5 % of a
 # rover's speed settle both. The servos' softness is that of every scene in the process.
 _TYRE_STIFFNESS_NPM = 1e5
-dartpy.constraint.JointConstraint.setConstraintForceMixing(0.07)
+_SOFTNESS = 0.07
+dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
 
 _GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
@@ -39,7 +42,7 @@ class DartRobot:
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         self._motors = spec.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
-        self._plain = all(motor.is_plain for motor in self._motors)
+        self._plain = all(motor.is_plain for motor in self._motors) and not driven(spec)
         self._servos = Servos(self._motors, timestep_s)
         self._commands: Sequence[float] = spec.rest_commands()
         self._push: Sequence[float] | None = None
@@ -83,15 +86,25 @@ class DartRobot:
         )
         self._drives = [self._index(joint) for joint in self.spec.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in self.spec.ground_links]
+        self._ground: YieldingGround | None = None
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in self.spec.couplings
+            if coupling not in driven(self.spec)
         ]
+        self._driven_gears = self._gear_up()
+        self._geared: Sequence[float] = (0.0,) * len(self._motors)
         self._commands = self.spec.rest_commands()
         self._servos.rest()
         self._push = None
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
+
+    def _gear_up(self) -> DrivenGears | None:
+        couplings = driven(self.spec)
+        if not couplings:
+            return None
+        return DrivenGears(self.skeleton, couplings, self.spec.drive_joints, self._timestep_s)
 
     def forget(self) -> None:
         """The scene is gone, and with it the robot."""
@@ -119,16 +132,30 @@ class DartRobot:
     @property
     def has_work_before(self) -> bool:
         """Whether `before` does anything."""
-        return not self._plain
+        return self._ground is not None or not self._plain
 
     def before(self) -> None:
-        """Have the motors do what they can toward their commands in the physics step to come."""
+        """Do what the physics step to come asks for."""
+        if self._ground is not None:
+            self._ground.lead()
+        if not self._plain:
+            self._act()
+
+    def _act(self) -> None:
+        """Have the motors do what they can toward their commands."""
         robot, drives = self.skeleton, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
         robot.setCommands(drives, targets)
-        robot.setForceUpperLimits(drives, torques)
-        robot.setForceLowerLimits(drives, [-torque for torque in torques])
+        if self._driven_gears is None:
+            robot.setForceUpperLimits(drives, torques)
+            robot.setForceLowerLimits(drives, [-torque for torque in torques])
+            return
+        self._geared = geared = self._driven_gears.on_drives.tolist()
+        most = [gear + torque for gear, torque in zip(geared, torques, strict=True)]
+        least = [gear - torque for gear, torque in zip(geared, torques, strict=True)]
+        robot.setForceUpperLimits(drives, most)
+        robot.setForceLowerLimits(drives, least)
 
     @property
     def has_work_after(self) -> bool:
@@ -139,6 +166,8 @@ class DartRobot:
         """Do what a physics step that was made asks for."""
         if self._gears:
             self._react()
+        if self._driven_gears is not None:
+            self._driven_gears.after()
         if self._measures_work:
             self._count_work()
 
@@ -179,16 +208,28 @@ class DartRobot:
         """End what `apply` has begun."""
         self._base.clearExternalForces()
 
-    def set_foot_friction(self, friction: Sequence[float]) -> None:
-        """Set the coefficient of each of the links that it stands on."""
-        for foot, coefficient in zip(self._feet, friction, strict=True):
+    def set_foot_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> None:
+        """Set what each of the links that it stands on is to the ground; see `set_wheel_contacts`."""
+        for foot, grip, bounce in zip(self._feet, friction, restitution, strict=True):
             for node in foot.getShapeNodes():
                 if node.hasDynamicsAspect():
-                    node.getDynamicsAspect().setFrictionCoeff(coefficient)
+                    node.getDynamicsAspect().setFrictionCoeff(grip)
+                    node.getDynamicsAspect().setRestitutionCoeff(bounce)
+        if stiffness is None or damping is None:
+            return
+        if self._ground is None:
+            self._ground = YieldingGround(self.skeleton, self._feet, self._timestep_s, _SOFTNESS)
+        self._ground.set(stiffness, damping)
 
     def _torques(self) -> list[float]:
         impulses = self.skeleton.getJointConstraintImpulses()[self._drives]
-        torques: list[float] = (impulses / self._timestep_s).tolist()
+        torques: list[float] = (impulses / self._timestep_s - self._geared).tolist()
         return torques
 
     def body_state(self) -> tuple[float, ...]:
@@ -251,11 +292,10 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         joint.setForceUpperLimit(0, motor.max_torque_nm)
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
-        if coupling.leader in spec.drive_joints:
-            raise PhysicsError(
-                f"{spec.urdf.name}: physics=dart couples joints without motors alone, and {coupling.leader} "
-                "has one; take physics=bullet"
-            )
+        if coupling in driven(spec):
+            if coupling.follower not in spec.drive_joints:
+                joints[coupling.follower].setActuatorType(dartpy.dynamics.ActuatorType.FORCE)
+            continue
         leader, follower = joints[coupling.leader], joints[coupling.follower]
         # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
         # holds the one holds the other, so that the leader has the friction and the damping of both.

@@ -185,6 +185,9 @@ class _Reader:
         lower, upper = (_number(limit, name_, 0.0, where) for name_ in ("lower", "upper"))
         if kind in ("revolute", "prismatic") and lower > upper:
             raise _FaultError(f"{where}: its <limit> has lower {lower:g} above upper {upper:g}.")
+        ratio = _number(mimic, "multiplier", 1.0, where)
+        if ratio == 0.0:
+            raise _FaultError(f"{where}: its <mimic> has the multiplier 0; make the joint fixed.")
         return Joint(
             name,
             cast(JointKind, kind),
@@ -198,7 +201,7 @@ class _Reader:
             _positive(limit, "velocity", where),
             abs(_number(dynamics, "friction", 0.0, where)),
             abs(_number(dynamics, "damping", 0.0, where)),
-            None if mimic is None else (mimic.get("joint", ""), _number(mimic, "multiplier", 1.0, where)),
+            None if mimic is None else (mimic.get("joint", ""), ratio),
         )
 
 
