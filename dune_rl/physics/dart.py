@@ -110,7 +110,8 @@ class DartScene:
         solver.setCollisionDetector(self._meshes.detector)
         if self._cone is not None:
             solver.setBoxedLcpSolver(self._cone)
-        self._part(solver.getCollisionOption().collisionFilter)
+        self._filter = solver.getCollisionOption().collisionFilter
+        self._part(self._filter)
         for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, robot):
             world.addSkeleton(skeleton)
 
@@ -145,6 +146,7 @@ class DartScene:
 
     def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         push, self._push = self._push, None
+        self._forget_contacts()
         if self._plain:
             self._robot.setCommands(self._drives, commands)
         else:
@@ -162,6 +164,15 @@ class DartScene:
         self._capsules.skeleton.setCommands(speeds)
         self._advance(count, push)
         self._rest(centres)
+
+    def _forget_contacts(self) -> None:
+        """Have the detector find all contacts anew in the next physics step.
+
+        It does so by itself whenever a body is made anywhere in the process: when another scene begins an
+        episode, say. Contacts kept for longer than a step would depend on that in their last bits.
+        """
+        # Any change of the filter does it; that a body does not meet itself is none.
+        self._filter.addBodyNodePairToBlackList(self._base, self._base)
 
     def _advance(self, count: int, push: Sequence[float] | None) -> None:
         if push is None:
@@ -224,9 +235,9 @@ class DartScene:
         return done
 
     def _torques(self) -> list[float]:
-        impulses = self._robot.getJointConstraintImpulses()[self._drives]
-        torques: list[float] = (impulses / self._spec.timestep_s).tolist()
-        return torques
+        impulses: list[float] = self._robot.getJointConstraintImpulses()[self._drives].tolist()
+        # In plain numbers: of a state that diverges they overflow without a warning.
+        return [impulse / self._spec.timestep_s for impulse in impulses]
 
     def _drive(self) -> None:
         """Have the motors do what they can toward their commands in the next physics step."""
