@@ -137,7 +137,7 @@ def test_a_heavier_rover_rolls_harder(backend):
     for rig in rigs:
         rig.step(4.0, 10)
         held.append(float(np.linalg.norm(rig.traction.update([rig.engine], rig.motion))))
-    assert held[1] == pytest.approx(2 * held[0], rel=1e-6)
+    assert held[1] == pytest.approx(2 * held[0], rel=1e-4)
 
 
 # -- latency ---------------------------------------------------------------------------------------
