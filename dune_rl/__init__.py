@@ -51,6 +51,8 @@ def parallel_env(
 
     `robots=["rover_zero", {"name": "leo_rover", "wheel_friction": 0.8}]` puts
     several robots into the scene, which are the agents `rover_0`, `rover_1`, ...
+    A flat LiDAR sees of the others what there is at its own height; a lower
+    `mounts={"scanner_b": ...}` of a robot meets their hulls (see the README).
 
     `settings` are sections of the configuration: a name chooses an option
     (`actors="external_walkers"`), a mapping changes values

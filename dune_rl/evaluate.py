@@ -103,7 +103,9 @@ def _record(name: str, conf: EvaluateConf, row: Row) -> dict[str, object]:
 
 
 def _default_out(conf: EvaluateConf) -> Path:
-    stem = f"{conf.world.name}_seed{conf.seed}.csv"
+    # Beside the file of the other engine, not in its place.
+    engine = "" if conf.physics.backend == "bullet" else f"_{conf.physics.backend}"
+    stem = f"{conf.world.name}{engine}_seed{conf.seed}.csv"
     if conf.checkpoint is None:
         return Path(f"episodes_{conf.policy}_{stem}")
     path = Path(conf.checkpoint)

@@ -27,6 +27,7 @@ from dune_rl.learning.evaluation import summary
 from dune_rl.learning.progress import Bar, Lines
 from dune_rl.learning.table import results_table
 from dune_rl.learning.trainer import Trainer, TrainingResult
+from dune_rl.robots.hyperdog import HyperDogConf
 
 USAGE = (
     ("python -m dune_rl.train +world=inspection", "train; settings follow"),
@@ -175,10 +176,13 @@ def _show_end(console: Console, conf: Conf, result: TrainingResult) -> None:
         for path in sorted(result.run_dir.iterdir())
         if path.suffix in (".png", ".csv", ".pt")
     ]
+    # Who goes to goals tells a speed and a heading.
+    walks_by_joints = isinstance(conf.robot, HyperDogConf) and conf.robot.action == "joints"
+    reference = "random" if walks_by_joints else "go_to_goal"
     lines += [
         "Try next:",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against=go_to_goal episodes=100 seed=1",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
         f"  tensorboard --logdir {result.run_dir.parent}",
         f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * conf.total_frames}",
     ]

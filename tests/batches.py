@@ -3,10 +3,14 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from dune_rl.config.build import make_batch
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.batch import Batch
+from dune_rl.physics.interface import ENGINES
+
+every_engine = pytest.mark.parametrize("engine", ENGINES)
 
 
 def real_batch(world: str = "flat", num_scenes: int = 1, seed: int = 0, **settings: Any) -> Batch:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from batches import idle, metric, real_batch
+from batches import every_engine, idle, metric, real_batch
 from planted.puppets import PuppetScene, puppet_batch
 from scipy.spatial import cKDTree
 
@@ -76,9 +76,10 @@ def test_contact_earns_the_collision_reward_and_spoils_success() -> None:
     assert metric(batch, "success")[0] == 0.0
 
 
-def test_rover_hits_a_walker_in_true_physics() -> None:
+@every_engine
+def test_rover_hits_a_walker_in_true_physics(engine: str) -> None:
     walker = {"waypoints": [[0.0, 9.0], [0.0, 12.0]], "speed_mps": 0.01}
-    batch = real_batch(actors=[walker], task={"spawn": {"region": [-1.5, 1.5, 5.0, 6.6]}})
+    batch = real_batch(actors=[walker], physics=engine, task={"spawn": {"region": [-1.5, 1.5, 5.0, 6.6]}})
     for _ in range(240):
         bearing = batch.motion.bearing(batch.actors.poses[:, 0, :2])
         batch.step(np.stack([np.ones(1), bearing], axis=1).astype(np.float32))
@@ -244,8 +245,9 @@ def test_history_grows_with_the_episode() -> None:
 # -- driving ---------------------------------------------------------------------------------------
 
 
-def test_driving_at_the_goal_arrives_in_time_and_earns_what_the_paper_says() -> None:
-    batch = real_batch(num_scenes=6, seed=3)
+@every_engine
+def test_driving_at_the_goal_arrives_in_time_and_earns_what_the_paper_says(engine: str) -> None:
+    batch = real_batch(num_scenes=6, seed=3, physics=engine)
     conf = batch.task.reward
     distance = np.hypot(*(batch.goals_w - batch.motion.position_w[:, :2]).T)
     first = distance.copy()
@@ -289,8 +291,9 @@ def test_driving_at_the_goal_arrives_in_time_and_earns_what_the_paper_says() -> 
     batch.close()
 
 
-def test_the_rover_goes_as_fast_as_told_and_stays_on_the_ground() -> None:
-    batch = real_batch(task={"termination": {"goal_distance_m": 0.01}})
+@every_engine
+def test_the_rover_goes_as_fast_as_told_and_stays_on_the_ground(engine: str) -> None:
+    batch = real_batch(physics=engine, task={"termination": {"goal_distance_m": 0.01}})
     for _ in range(60):
         batch.step(np.float32([[0.8, 0.0]]))
     assert batch.observe()["velocity"][0, 0] == pytest.approx(0.8, rel=0.05)

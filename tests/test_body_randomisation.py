@@ -1,65 +1,49 @@
 """Another body in each episode: heavier, top-heavy, weak, smooth-shod or late, and true to formulae."""
 
-import hashlib
 import math
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from batches import real_batch
+from batches import every_engine, real_batch
 from defusedxml.ElementTree import fromstring
 from rigs import Rig, named, slope_world
-from scenes import TIMESTEP_S, Stage, rover_body, slope_stage
-from test_randomisation import drive, make
+from scenes import TIMESTEP_S, Backend, Stage, every_backend, rover_body, slope_stage
+from test_randomisation import BODIES, drive, make
 
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.latency import Latency
 from dune_rl.errors import ConfigError, PhysicsError
-from dune_rl.physics.bullet import BulletScene
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 
 ROVER_KG = 11.0
-BODIES: dict[str, Any] = {
-    "world": "inspection",
-    "actors": "none",
-    "sensors": {"enabled": ["lidar", "imu", "goal", "velocity", "encoders"]},
-    "randomisation": {
-        "mass": [0.7, 1.5],
-        "centre_x_m": [-0.05, 0.05],
-        "centre_z_m": [0.0, 0.1],
-        "motor_strength": [0.5, 1.0],
-        "wheel_friction": [0.5, 1.0],
-        "action_latency_s": [0.0, 0.2],
-    },
-}
 
 
-def stage(variation: BodyVariation, **settings: Any) -> Stage:
-    made = Stage(BulletScene, **settings)
+def stage(backend: Backend, variation: BodyVariation, **settings: Any) -> Stage:
+    made = Stage(backend, **settings)
     made.scene.set_body(variation)
     return made
 
 
-def test_a_push_accelerates_the_whole_mass():
+@every_backend
+def test_a_push_accelerates_the_whole_mass(backend):
     for factor in (0.5, 1.0, 2.0):
-        made = stage(BodyVariation(mass_factor=factor), gravity_mps2=0.0)
+        made = stage(backend, BodyVariation(mass_factor=factor), gravity_mps2=0.0)
         made.place([0.0, 0.0, 5.0])
         made.scene.push([30.0, 0.0, 0.0])
         made.step(10, [0.0] * 4)
         assert made.velocity[0] == pytest.approx(30.0 * 10 * TIMESTEP_S / (ROVER_KG * factor), rel=1e-3)
 
 
+@every_backend
 @pytest.mark.parametrize("body", [rover_body(), LeoRover(LeoRoverConf(), 1).body])
-def test_the_centre_of_the_whole_robot_moves_and_its_frame_stays(body):
+def test_the_centre_of_the_whole_robot_moves_and_its_frame_stays(backend, body):
     shift = (-0.02, 0.03, 0.08)
     variation = BodyVariation(centre_shift_b=shift)
-    made = stage(variation, robot=body, gravity_mps2=0.0)
+    made = stage(backend, variation, robot=body, gravity_mps2=0.0)
     made.place([1.0, 2.0, 5.0])
     np.testing.assert_allclose(made.position, [1.0, 2.0, 5.0], atol=1e-9)
     before, after = (centre_of(text) for text in (body.urdf.read_text(), varied_urdf(body.urdf, variation)))
@@ -86,9 +70,10 @@ def numbers(origin: Any) -> np.ndarray:
     return np.zeros(3) if origin is None else np.array([float(x) for x in origin.get("xyz").split()])
 
 
-def test_a_fall_that_turns_goes_round_the_shifted_centre():
+@every_backend
+def test_a_fall_that_turns_goes_round_the_shifted_centre(backend):
     shift = np.array([0.0, 0.0, 0.1])
-    made = stage(BodyVariation(centre_shift_b=(0.0, 0.0, 0.1)), gravity_mps2=0.0)
+    made = stage(backend, BodyVariation(centre_shift_b=(0.0, 0.0, 0.1)), gravity_mps2=0.0)
     made.place([0.0, 0.0, 5.0])
     made.scene.push([200.0, 0.0, 0.0])
     made.step(1, [0.0] * 4)
@@ -98,26 +83,28 @@ def test_a_fall_that_turns_goes_round_the_shifted_centre():
     assert whole[0] == pytest.approx(200.0 * TIMESTEP_S / ROVER_KG, rel=0.02)
 
 
+@every_backend
 @pytest.mark.parametrize("height", [0.0, 0.1])
 @pytest.mark.parametrize("beyond", [-0.06, 0.06])
-def test_it_tips_where_its_centre_leaves_its_wheels(height, beyond):
+def test_it_tips_where_its_centre_leaves_its_wheels(backend, height, beyond):
     slope = math.atan(0.18 / (0.125 + height)) + beyond
     variation = BodyVariation(centre_shift_b=(0.0, 0.0, height))
-    made = slope_stage(BulletScene, slope, 3.0, yaw=math.pi / 2, variation=variation)
+    made = slope_stage(backend, slope, 3.0, yaw=math.pi / 2, variation=variation)
     up = made.rotation[:, 2].copy()
     made.step(300)
     assert (made.rotation[:, 2] @ up < math.cos(0.3)) == (beyond > 0.0)
 
 
+@every_backend
 @pytest.mark.parametrize("strength", [0.5, 1.0])
 @pytest.mark.parametrize("share", [0.85, 1.15])
-def test_half_the_motor_strength_climbs_half_the_slope(strength, share):
+def test_half_the_motor_strength_climbs_half_the_slope(backend, strength, share):
     torque = 1.2
     body = rover_body()
     body = replace(body, motors=tuple(replace(motor, max_torque_nm=torque) for motor in body.motors))
     slope = math.asin(share * strength * 4 * torque / 0.125 / (ROVER_KG * 9.81))
     variation = BodyVariation(motor_strength=strength)
-    made = slope_stage(BulletScene, slope, 2.0, robot=body, variation=variation)
+    made = slope_stage(backend, slope, 2.0, robot=body, variation=variation)
     before = made.position[0]
     made.step(200, 3.0)
     assert (made.position[0] > before) == (share < 1.0)
@@ -130,25 +117,27 @@ def test_less_voltage_is_less_torque_and_less_speed_with_the_same_slope_between(
     assert motors_at([Motor("j", 2.0)], 0.5)[0].is_plain
 
 
+@every_backend
 @pytest.mark.parametrize("surface", [None, "gravel"])
 @pytest.mark.parametrize("factor", [0.4, 1.0])
-def test_smooth_tyres_slide_where_others_hold(surface, factor):
+def test_smooth_tyres_slide_where_others_hold(backend, surface, factor):
     found = None if surface is None else named(surface)
     friction = 1.0 if found is None else found.friction
     for share, slides in ((0.85, False), (1.15, True)):
-        rig = Rig(BulletScene, slope_world(found, math.atan(share * factor * friction)), tyres=factor)
+        rig = Rig(backend, slope_world(found, math.atan(share * factor * friction)), tyres=factor)
         before = rig.position.copy()
         rig.step(0.0, 20)
         assert (np.linalg.norm(rig.position - before) > 0.1) == slides
 
 
-def test_a_heavier_rover_rolls_harder():
-    rigs = [Rig(BulletScene, slope_world(named("sand")), load=load) for load in (1.0, 2.0)]
+@every_backend
+def test_a_heavier_rover_rolls_harder(backend):
+    rigs = [Rig(backend, slope_world(named("sand")), load=load) for load in (1.0, 2.0)]
     held = []
     for rig in rigs:
         rig.step(4.0, 10)
         held.append(float(np.linalg.norm(rig.traction.update([rig.engine], rig.motion))))
-    assert held[1] == pytest.approx(2 * held[0], rel=1e-6)
+    assert held[1] == pytest.approx(2 * held[0], rel=1e-4)
 
 
 # -- latency ---------------------------------------------------------------------------------------
@@ -170,9 +159,10 @@ def test_each_scene_has_its_commands_as_late_as_it_was_told():
     np.testing.assert_array_equal(got[2], [1, 2, 3, 4, 7, 7, 7, 5])
 
 
-def test_a_rover_starts_as_many_steps_late():
+@every_engine
+def test_a_rover_starts_as_many_steps_late(engine):
     def run(speed: float) -> np.ndarray:
-        batch = real_batch(randomisation={"action_latency_s": [0.15, 0.15]})
+        batch = real_batch(physics=engine, randomisation={"action_latency_s": [0.15, 0.15]})
         seen = []
         for _ in range(5):
             batch.step(np.array([[speed, 0.0]], np.float32))
@@ -185,28 +175,6 @@ def test_a_rover_starts_as_many_steps_late():
 
 
 # -- the same once more ----------------------------------------------------------------------------
-
-
-def rollout() -> str:
-    batch = make(2, **BODIES)
-    batch.reset()
-    digest = hashlib.sha256()
-    for moment in drive(batch, [0, 1], 0, 6):
-        for values in moment.values():
-            digest.update(values.tobytes())
-    batch.close()
-    return digest.hexdigest()
-
-
-def test_same_seed_same_bytes_in_another_process():
-    code = "from test_body_randomisation import rollout; print(rollout())"
-    there = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)),
-    )
-    assert there.stdout.strip() == rollout(), there.stderr
 
 
 def test_a_batch_of_four_is_four_of_one_and_each_value_is_told():

@@ -72,6 +72,44 @@ def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.Capt
     assert message.count("\n") <= 2
 
 
+@pytest.mark.parametrize(
+    ("engine", "other", "words"),
+    [
+        ("bullet", "dart", ["+world=inspection", "robot=leo_rover"]),
+        (
+            "dart",
+            "bullet",
+            ["+world=island", "robot=hyperdog", "robot.action=joints", "learning.warm_up=random"],
+        ),
+    ],
+    ids=["leo_rover", "hyperdog by joints"],
+)
+def test_a_policy_of_one_engine_is_evaluated_on_the_other(
+    engine: str, other: str, words: list[str], call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(train.main, *words, *TINY, f"physics={engine}", "run_dir=run", "total_frames=96") == 0
+    told = capsys.readouterr().out
+    assert ("against=random" if "robot.action=joints" in words else "against=go_to_goal") in told
+    if engine == "dart":
+        assert call(train.main, "resume=run", "total_frames=128") == 0
+        assert "after 128 frames" in capsys.readouterr().out
+    for physics in (engine, other):
+        assert call(evaluate.main, "checkpoint=run", "episodes=2", f"physics={physics}") == 0
+    files = {path.name: path.read_text() for path in (folder / "run").glob("episodes_*.csv")}
+    assert len(files) == 2 and any("_dart_" in name for name in files)
+    # The same episodes, which differ in their physics.
+    one, two = (list(csv.DictReader(text.splitlines())) for text in files.values())
+    assert [row["episode"] for row in one] == [row["episode"] for row in two] == ["0", "1"]
+    assert one != two
+
+
+def test_a_kept_policy_arrives_on_the_second_engine(call: Call, folder: Path) -> None:
+    policy = Path(__file__).parents[1] / "experiments" / "flat" / "seed1" / "policy.pt"
+    assert call(evaluate.main, f"checkpoint={policy}", "episodes=2", "physics=dart", "out=rows.csv") == 0
+    rows = list(csv.DictReader((folder / "rows.csv").read_text().splitlines()))
+    assert [row["success"] for row in rows] == ["1", "1"]
+
+
 @pytest.mark.parametrize("policy", ["go_to_goal", "random"])
 def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
     words = ["+world=flat", "episodes=2", "task.termination.max_steps=30", "out=new/rows.csv", "actors=none"]
@@ -219,7 +257,7 @@ def test_a_wrong_setting_of_engines_is_named(call: Call, capsys: pytest.CaptureF
 
 def test_both_engines_are_timed_in_one_run(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["world=flat", "actors=none", "parts=[engines]", "scenes=2", "rounds=1", "steps=2"]
-    assert call(benchmark.main, *words) == 0
+    assert call(benchmark.main, *words, "robot=hyperdog", "robot.action=joints") == 0
     (line,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert all(line[f"{engine}_physics_steps_per_s"] > 0 for engine in ("bullet", "dart"))
 

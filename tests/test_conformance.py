@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -20,6 +21,7 @@ from conformance import (
 )
 from pettingzoo import ParallelEnv
 from planted import batched, parallel, single
+from urdf_files import write_cart
 
 import dune_rl
 
@@ -76,12 +78,52 @@ def test_both_kinds_of_ends_come_up(env: ParallelEnv) -> None:
         assert any(step[ended]["rover_0"] for step in steps)
 
 
+# Beside the rover on PyBullet above: every robot on both engines, and each engine in every world.
+WALKERS = {"actors": "external_walkers"}
+BODIES = {"actors": "walkers", "randomisation": "body"}
+JOINTS = {"robot": {"name": "hyperdog", "action": "joints"}}
+PLACES: dict[str, tuple[str, dict[str, Any]]] = {
+    "leo": ("construction", {"physics": "bullet", "robot": "leo_rover", "actors": "walkers"}),
+    "dog": ("rubicon", {"physics": "bullet", "robot": "hyperdog", **WALKERS}),
+    "joints": ("island", {"physics": "bullet", **JOINTS, **BODIES}),
+    "urdf": ("flat", {"physics": "bullet", "robot": "urdf", **WALKERS}),
+    "rover, dart": ("rubicon", {"physics": "dart", "robot": "rover_zero", **WALKERS}),
+    "leo, dart": ("island", {"physics": "dart", "robot": "leo_rover", **BODIES}),
+    "dog, dart": ("construction", {"physics": "dart", "robot": "hyperdog", "actors": "walkers"}),
+    "joints, dart": ("inspection", {"physics": "dart", **JOINTS, **WALKERS}),
+    "urdf, dart": ("flat", {"physics": "dart", "robot": "urdf", "actors": "walkers"}),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_every_robot_on_both_engines(place: str, tmp_path: Path) -> None:
+    world, settings = PLACES[place]
+    if settings["robot"] == "urdf":
+        settings = settings | {"robot": {"name": "urdf", "path": str(write_cart(tmp_path))}}
+    here = partial(dune_rl.parallel_env, world, **settings, task=SHORT)
+    env = here()
+    check_parallel_api(env, 20)
+    check_values(env, 30)
+    env.close()
+    # Which compares with a fresh environment of the same seed, too.
+    check_no_leak(here, 14)
+    batched = dune_rl.make(world, 2, **settings, task={"termination": {"max_steps": 2}})
+    check_torchrl(batched)
+    batched.close()
+
+
 def test_time_limit_truncates(world: str, actors: str) -> None:
     check_time_limit(partial(dune_rl.parallel_env, world, actors=actors, task=BY_TIME_ALONE), 12)
 
 
 def test_gymnasium(world: str) -> None:
     env = gymnasium.make(f"dune_rl/{world.title()}-v0").unwrapped
+    check_gymnasium(env)
+    env.close()
+
+
+def test_gymnasium_of_a_dog_on_the_second_engine() -> None:
+    env = gymnasium.make("dune_rl/Inspection-v0", physics="dart", **JOINTS).unwrapped
     check_gymnasium(env)
     env.close()
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from batches import idle, metric, real_batch
+from batches import every_engine, idle, metric, real_batch
 from planted.puppets import puppet_batch
 
 from dune_rl.env.batch import Batch, Outcome
@@ -33,8 +33,9 @@ def test_leaving_the_world_terminates(edge: int) -> None:
     assert_ended(batch, batch.step(idle(batch)), "out_of_world", terminated=True)
 
 
-def test_rover_drives_out_of_the_world() -> None:
-    batch = real_batch(task={"spawn": {"region": [46.0, 49.0, -2.0, 2.0]}})
+@every_engine
+def test_rover_drives_out_of_the_world(engine: str) -> None:
+    batch = real_batch(physics=engine, task={"spawn": {"region": [46.0, 49.0, -2.0, 2.0]}})
     batch.goals_w[:] = [[0.0, 0.0]]
     for _ in range(160):
         bearing = batch.motion.bearing(np.array([[100.0, 0.0]]))
@@ -46,8 +47,9 @@ def test_rover_drives_out_of_the_world() -> None:
     batch.close()
 
 
-def test_standing_still_is_stuck_after_just_so_many_steps() -> None:
-    batch = real_batch(task={"termination": {"stuck_steps": 12}})
+@every_engine
+def test_standing_still_is_stuck_after_just_so_many_steps(engine: str) -> None:
+    batch = real_batch(physics=engine, task={"termination": {"stuck_steps": 12}})
     for _ in range(11):
         outcome = batch.step(idle(batch))
         assert not (outcome.terminated | outcome.truncated).any()
@@ -148,3 +150,34 @@ def test_renewed_goals_depend_on_seed_and_episode_alone() -> None:
         for batch, one in ((alone, puppet), (among, puppets[0])):
             one.put(*batch.goals_w[0])
             batch.step(idle(batch))
+
+
+@pytest.mark.parametrize(
+    ("engine", "robot"), [("bullet", "rover_zero"), ("dart", "rover_zero"), ("dart", "hyperdog")]
+)
+def test_physics_that_diverges_truncates_and_leaves_nothing_behind(engine: str, robot: str) -> None:
+    settings = {"actors": "walkers", "robot": robot, "physics": engine, "metrics": {"energy": True}}
+    sensors = {"enabled": ["lidar", "imu", "goal", "velocity", "encoders", "currents"]}
+    batch, calm = (real_batch("flat", 2, 3, sensors=sensors, **settings) for _ in range(2))
+    ahead = np.tile(np.float32([0.3, 0.1]), (2, 1))
+    for each in (batch, calm):
+        each.step(ahead)
+    # Thousands of times what it weighs, at once.
+    batch._scenes[0].push([1e7, 0.0, 1e7])
+    outcome = batch.step(ahead)
+    calm.step(ahead)
+    assert end_flags(batch) == ["diverged"] and end_flags(batch, 1) == []
+    assert outcome.truncated.tolist() == [True, False] and not outcome.terminated.any()
+    assert np.isfinite(outcome.rover_reward).all()
+    assert (metric(batch, "energy_wh") < 0.05).all()
+    for each in (batch, calm):
+        each.reset(np.array([True, False]))
+    for _ in range(5):
+        batch.step(ahead)
+        calm.step(ahead)
+        for name, reading in batch.observe().items():
+            assert np.isfinite(reading).all(), name
+            assert reading.tobytes() == calm.observe()[name].tobytes(), name
+        np.testing.assert_array_equal(batch.metrics(), calm.metrics())
+    batch.close()
+    calm.close()

@@ -35,6 +35,19 @@ def test_every_episode_once_whatever_the_batch(scenes: int) -> None:
             assert a == pytest.approx(b, nan_ok=True, abs=1e-5)
 
 
+def test_what_the_battery_gives_is_told_where_it_was_measured() -> None:
+    rows = evaluate(GoToGoal(LAYOUT), make_point_mass(2, 0), 2, seed=5)
+    measured = [row | {"energy_wh": 0.5, "battery_share": 0.0125, "range_km": 3.0} for row in rows]
+    assert not {"energy", "battery", "range"} & set(summary(rows))
+    assert summary(measured)["range"].value == 3.0
+    console = Console(record=True, width=80, file=io.StringIO())
+    console.print(results_table({"a": summary(measured)}, ""))
+    text = console.export_text()
+    assert "energy  drawn from the battery [W h]" in text and "1.25 %" in text
+    console.print(results_table({"a": summary(rows)}, ""))
+    assert "battery" not in console.export_text(clear=False).removeprefix(text)
+
+
 def test_an_environment_can_be_evaluated_on_again() -> None:
     env = make_point_mass(3, 0)
     first = evaluate(GoToGoal(LAYOUT), env, 8, seed=5)

@@ -1,7 +1,7 @@
 """Tall grass holds back what drives through it."""
 
 import numpy as np
-from batches import idle, real_batch
+from batches import every_engine, idle, real_batch
 from meadows import SMALL
 from mounted import lidar_conf
 from planted.puppets import puppet_batch
@@ -61,14 +61,15 @@ def test_the_force_is_against_the_motion_and_by_what_stands_in_grass():
     assert other.pushes == []
 
 
-def test_driving_through_it_takes_torque_and_costs_speed():
+@every_engine
+def test_driving_through_it_takes_torque_and_costs_speed(engine):
     drive = {"drive": {"max_torque_nm": 0.25}}
     speeds, torques = {}, {}
     for strong in (True, False):
         for cover in (0.0, 1.0):
             world = {**SMALL, "grass_cover": cover}
             settings = {} if strong else {"robot": drive}
-            batch = real_batch(world, 1, sensors=["imu", "goal"], **settings)
+            batch = real_batch(world, 1, sensors=["imu", "goal"], physics=engine, **settings)
             for _ in range(40):
                 batch.step(np.array([[0.8, 0.0]], np.float32))
             speeds[strong, cover] = np.hypot(*batch.motion.velocity_w[0, :2])

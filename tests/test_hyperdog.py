@@ -4,12 +4,14 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
+from batches import every_engine, metric
 from defusedxml.ElementTree import parse
 from scenes import STEP_S, every_backend, plane, quaternion_of
 from walking_robots import Walk
 
 from dune_rl.config.build import build_robot, make_batch, make_torchrl_env
 from dune_rl.config.compose import compose_environment
+from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.errors import ConfigError
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal
@@ -156,13 +158,56 @@ def _run(conf, scenes: int, steps: int = 25, first: int = 0, every: int = 4) -> 
     return found
 
 
-@pytest.mark.parametrize("action", ["speed_and_heading", "joints"])
-def test_the_same_seed_gives_the_same_walk_and_a_batch_of_four_is_four_of_one(action):
-    conf = _conf(f"robot.action={action}")
+@pytest.mark.parametrize(
+    ("engine", "action"), [("bullet", "speed_and_heading"), ("bullet", "joints"), ("dart", "joints")]
+)
+def test_the_same_seed_gives_the_same_walk_and_a_batch_of_four_is_four_of_one(engine, action):
+    conf = _conf(f"robot.action={action}", f"physics={engine}")
     once, again = _run(conf, 4), _run(conf, 4)
     np.testing.assert_array_equal(once, again)
     alone = [_run(conf, 1, first=scene) for scene in range(4)]
     np.testing.assert_array_equal(np.concatenate(alone, axis=1), once)
+
+
+@every_engine
+def test_fallen_and_kicking_it_observes_within_bounds(engine):
+    # Upside down is no end here, and the angles told are any.
+    conf = compose_environment(
+        "island",
+        [
+            *("robot=hyperdog", "robot.action=joints", f"physics={engine}", "actors=walkers"),
+            "sensors=[lidar,lidar_past,height_scan,depth_strip,imu,goal,velocity,encoders,currents,position]",
+            f"task.termination.flipped_rad={np.pi}",
+        ],
+    )
+    batch = make_batch(conf, 4, 2)
+    batch.reset()
+    draws, bounds = np.random.default_rng(1), rover_observation_bounds(batch)
+    low, high = batch.robot.action_bounds()
+    fell = np.zeros(4, bool)
+    for step in range(100):
+        if step % 4 == 0:
+            actions = draws.uniform(low, high, (4, 12)).astype(np.float32)
+        batch.step(actions)
+        fell |= batch.motion.tilt() > np.deg2rad(100.0)
+        for name, reading in batch.observe().items():
+            assert ((bounds[name][0] <= reading) & (reading <= bounds[name][1])).all(), name
+    assert fell.sum() >= 2
+    batch.close()
+
+
+@every_engine
+def test_its_action_of_rest_stands(engine):
+    conf = compose_environment(
+        "flat", ["robot=hyperdog", "robot.action=joints", f"physics={engine}", "actors=none"]
+    )
+    batch = make_batch(conf, 1, 0)
+    batch.reset()
+    start = batch.motion.position_w[0].copy()
+    for _ in range(40):
+        batch.step(batch.robot.rest_action()[None].astype(np.float32))
+    np.testing.assert_allclose(batch.motion.position_w[0], start, atol=6e-3)
+    batch.close()
 
 
 def test_instruments_on_joints_read_twelve_and_odometry_is_refused():
@@ -184,18 +229,21 @@ def test_who_goes_to_goals_by_speed_and_heading_says_that_joints_are_not_for_it(
     env.close()
 
 
-def test_its_battery_lasts_about_the_fifty_minutes_that_its_authors_state():
+@every_engine
+def test_its_battery_lasts_about_the_fifty_minutes_that_its_authors_state(engine):
     conf = compose_environment(
-        "flat", ["robot=hyperdog", "actors=none", "sensors=[imu]", "metrics.energy=true"]
+        "flat",
+        ["robot=hyperdog", "actors=none", "sensors=[imu]", "metrics.energy=true", f"physics={engine}"],
     )
     batch = make_batch(conf, 1, 0)
     batch.reset()
     for _ in range(100):
         batch.step(np.array([[0.3, 0.0]], np.float32))
-    used = batch.metrics()[0, batch.metric_names.index("energy_wh")]
-    minutes = batch.robot.battery.capacity_wh / used * 5.0 / 60.0
+    share, range_km = metric(batch, "battery_share")[0], metric(batch, "range_km")[0]
     batch.close()
-    assert 40.0 < minutes < 60.0
+    assert 40.0 < 5.0 / share / 60.0 < 60.0
+    # 0.3 m/s for that long, less what it takes to get going.
+    assert range_km == pytest.approx(0.3 * 5.0 / share / 1000.0, rel=0.15)
 
 
 # -- its description ----------------------------------------------------------------------------------

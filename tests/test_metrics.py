@@ -110,6 +110,32 @@ def test_vort_is_the_speed_on_uneven_ground_alone():
     assert episode["vort"] == pytest.approx(0.4)
 
 
+def test_the_battery_s_share_and_range_follow_from_energy_and_way():
+    metrics = EpisodeMetrics(MetricsConf(energy=True), 2, capacity_wh=50.0)
+    columns = [metrics.names.index(name) for name in ("energy_wh", "battery_share", "range_km")]
+    for _ in range(2):
+        metrics.reset(np.array([True, True]), np.array([0, 1]))
+        np.testing.assert_array_equal(metrics.values[:, columns], [[0.0, 0.0, np.nan]] * 2)
+        # Two steps of 0.5 s: 3 m for 0.01 W h, of which 50 last for 15 km; the other does nothing.
+        for speed, drawn in ((2.0, 0.004), (4.0, 0.006)):
+            still = np.zeros(2)
+            metrics.update(
+                steps=np.array([1, 1]),
+                step_s=0.5,
+                reward=still,
+                clearance=still,
+                acceleration_b=np.zeros((2, 3)),
+                angular_b=np.zeros((2, 3)),
+                ground_speed=np.array([speed, 0.0]),
+                tilt=still,
+                new_collisions=np.zeros(2, int),
+                reached=np.zeros(2, bool),
+                flags={},
+                energy_wh=np.array([drawn, 0.0]),
+            )
+        np.testing.assert_allclose(metrics.values[:, columns], [[0.01, 0.0002, 15.0], [0.0, 0.0, np.nan]])
+
+
 def test_thresholds_are_settings():
     episode = Episode(MetricsConf(max_clearance_m=3.0, uneven_tilt_rad=0.0))
     episode.step(clearance=5.0, speed=0.7, tilt=0.01)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batches import every_engine
 from scenes import (
     GRAVITY_MPS2,
     MASS_KG,
@@ -270,9 +271,11 @@ def test_work_told_is_the_energy_that_a_wheel_has(backend):
     assert stage.scene.work_j() == 0.0
 
 
-def test_energy_is_counted_where_it_is_asked_for():
+@every_engine
+def test_energy_is_counted_where_it_is_asked_for(engine):
     def batch(energy: str):
-        conf = compose_environment("flat", ["actors=none", f"metrics.energy={energy}"])
+        words = ["actors=none", f"metrics.energy={energy}", f"physics={engine}"]
+        conf = compose_environment("flat", words)
         made = make_batch(conf, 2, 0)
         made.reset()
         for _ in range(20):

@@ -248,6 +248,8 @@ def test_scenes_leave_each_other_alone(backend):
     other = Stage(backend, [plane(0.1), box((1.0, 0.0), 0.4, 4.0, 1.0)], [walker(), walker()])
     other.place()
     assert rollout(mixed_stage(backend), after=lambda: other.step(3, [3.0, -1.0, 2.0, 5.0])) == alone
+    # Nor does it matter that others begin anew.
+    assert rollout(mixed_stage(backend), after=other.place) == alone
 
 
 def test_another_process_gives_the_same_bytes(backend):

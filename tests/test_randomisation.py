@@ -74,7 +74,32 @@ EVENINGS: dict[str, Any] = {
     "sensors": {"enabled": ["camera", "lidar_3d", "goal"], **SMALL},
     "randomisation": {"sun_elevation_rad": [0.1, 1.0], "brightness": [0.5, 1.5]},
 }
-FAMILIES = {"islands": ISLANDS, "yards": YARDS, "evenings": EVENINGS}
+# Another body in one world.
+BODIES: dict[str, Any] = {
+    "world": "inspection",
+    "actors": "none",
+    "sensors": {"enabled": ["lidar", "imu", "goal", "velocity", "encoders"]},
+    "randomisation": {
+        "mass": [0.7, 1.5],
+        "centre_x_m": [-0.05, 0.05],
+        "centre_z_m": [0.0, 0.1],
+        "motor_strength": [0.5, 1.0],
+        "wheel_friction": [0.5, 1.0],
+        "action_latency_s": [0.0, 0.2],
+    },
+}
+# All of that, on the other engine.
+DARTS: dict[str, Any] = {
+    **ISLANDS,
+    "physics": "dart",
+    "robot": "leo_rover",
+    "sensors": {"enabled": ["lidar", "lidar_past", "imu", "goal", "velocity", "encoders", "currents"]},
+    "randomisation": {
+        **ISLANDS["randomisation"],
+        **BODIES["randomisation"],
+    },
+}
+FAMILIES = {"islands": ISLANDS, "yards": YARDS, "evenings": EVENINGS, "darts": DARTS}
 
 
 def make(scenes: int, seed: int = 5, **settings: Any) -> Batch:
@@ -136,24 +161,27 @@ def test_a_batch_of_four_is_four_batches_of_one(family: str) -> None:
     one.close()
 
 
-def rollout(family: str) -> str:
-    batch = make(3, **FAMILIES[family])
-    batch.reset()
-    digest = hashlib.sha256()
-    for moment in drive(batch, [0, 1, 2], 0, 5):
-        for values in moment.values():
-            digest.update(values.tobytes())
-    batch.close()
-    return digest.hexdigest()
+def rollouts() -> list[str]:
+    digests = []
+    for settings in (ISLANDS, BODIES, DARTS):
+        batch = make(3, **settings)
+        batch.reset()
+        digest = hashlib.sha256()
+        for moment in drive(batch, [0, 1, 2], 0, 5):
+            for values in moment.values():
+                digest.update(values.tobytes())
+        batch.close()
+        digests.append(digest.hexdigest())
+    return digests
 
 
 def test_same_seed_same_bytes_in_another_process() -> None:
-    command = "from test_randomisation import rollout; print(rollout('islands'))"
+    command = "from test_randomisation import rollouts; print(*rollouts())"
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     done = subprocess.run(
         [sys.executable, "-c", command], env=environ, capture_output=True, text=True, check=True
     )
-    assert done.stdout.split()[-1] == rollout("islands")
+    assert done.stdout.split()[-3:] == rollouts()
 
 
 @pytest.mark.parametrize("family", FAMILIES)

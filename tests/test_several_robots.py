@@ -322,6 +322,37 @@ def test_each_sees_the_other(rover: int) -> None:
     alone.close()
 
 
+def test_a_dog_by_joints_that_is_done_stays_on_its_feet() -> None:
+    batch = batch_of(["rover_zero", {"name": "hyperdog", "action": "joints"}])
+    dog = batch.rovers[1]
+    dog.done[:] = True
+    start = dog.motion.position_w.copy()
+    kicking = np.concatenate([np.zeros(2), np.ones(12)]).astype(np.float32)[None]
+    for _ in range(30):
+        batch.step(kicking)
+    np.testing.assert_allclose(dog.motion.position_w, start, atol=6e-3)
+    batch.close()
+
+
+# 0.2 m over the ground, which is in the hull of each.
+LOW = [
+    {"name": name, "mounts": {"scanner_b": [0.2, 0.0, height_m]}}
+    for name, height_m in (("rover_zero", 0.075), ("leo_rover", 0.0), ("hyperdog", -0.04))
+]
+
+
+@pytest.mark.parametrize("low", [True, False])
+def test_scanners_that_are_mounted_low_see_all_kinds_of_robots(low: bool) -> None:
+    names = [conf["name"] for conf in LOW]
+    region = {"region": [-2.0, 2.0, -2.0, 2.0]}
+    seen = np.zeros((3, 8))
+    batch = batch_of(LOW if low else names, num_scenes=8, sensors=["lidar", "goal"], task={"spawn": region})
+    for index in range(3):
+        seen[index] = batch.observe(index)["lidar"].min(axis=1)
+    batch.close()
+    assert (seen < 5.0).all() == low
+
+
 def test_a_camera_shows_the_other() -> None:
     sensors = {"enabled": ["camera"], "camera": {"outputs": ["segmentation", "depth"]}}
     spawn = {"region": [-2.0, 2.0, -2.0, 2.0]}

@@ -114,11 +114,14 @@ def test_a_sheet_before_it_does_not_change_a_film(call: Call, folder: Path) -> N
     np.testing.assert_array_equal(film_of(call, "view=both", "policy=random"), alone)
 
 
-def test_a_checkpoint_drives(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    env = dune_rl.make("flat", 1, sensors=["goal", "velocity"], actors="none")
+@pytest.mark.parametrize("robot", ["rover_zero", "hyperdog"])
+def test_a_checkpoint_drives(
+    robot: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env = dune_rl.make("flat", 1, sensors=["goal", "velocity"], actors="none", robot=robot)
     layout = Layout.of(env)
     env.close()
-    config = compose(["+world=flat", "sensors=[goal,velocity]", "actors=none", "seed=7"])
+    config = compose(["+world=flat", "sensors=[goal,velocity]", "actors=none", "seed=7", f"robot={robot}"])
     module = make_policy(layout, Architecture((8,)))
     content = policy_content(module, layout, Architecture((8,)), config.model_dump(mode="json"))
     write(folder / "policy.pt", "policy", content)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from batches import idle, real_batch
+from batches import every_engine, idle, real_batch
 from planted.puppets import PuppetScene, puppet_batch
 from scenes import STEP_S
 from wheels import WHEELS, geometry, within_bounds
@@ -50,8 +50,9 @@ def drive(batch: Batch, sensors: list[Sensor], steps: int) -> list[list[np.ndarr
     return found
 
 
-def test_wheels_reach_the_sensors_that_read_them(carried):
-    batch = real_batch(num_scenes=SCENES)
+@every_engine
+def test_wheels_reach_the_sensors_that_read_them(carried, engine):
+    batch = real_batch(num_scenes=SCENES, physics=engine)
     assert batch.senses.needs_wheels
     encoders, odometry, currents, _ = told(carried)
     assert not encoders.any() and not odometry.any()

@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from dune_rl.config.build import make_batch, make_parallel_env, make_torchrl_env
+from dune_rl.config.build import build_robot, make_batch, make_parallel_env, make_torchrl_env
 from dune_rl.config.schema import BenchmarkConf
 from dune_rl.env.batch import Batch
+from dune_rl.robots.robot import Robot
 
 _WARM_UP = 50
+_SPEED_AND_HEADING = 2
+# Of a joint's range, either way.
+_SWAY = 0.05
 
 
 def seconds(action: Callable[[], object], count: int) -> float:
@@ -28,16 +32,23 @@ def seconds(action: Callable[[], object], count: int) -> float:
 
 
 class _Driver:
-    """Random commands, the same for everything that is compared, drawn before the clock starts."""
+    """Random commands, the same for everything that is compared, drawn before the clock starts.
 
-    def __init__(self, scenes: int, seed: int = 0) -> None:
+    Speeds and headings are any that the robot takes; joints' angles are near those that it stands by.
+    """
+
+    def __init__(self, robot: Robot, scenes: int, seed: int = 0) -> None:
+        low, high = robot.action_bounds()
+        if len(low) != _SPEED_AND_HEADING:
+            # With wilder ones a robot falls at once, and resets are what would be measured.
+            rest, sway = robot.rest_action(), _SWAY * (high - low)
+            low, high = np.maximum(low, rest - sway), np.minimum(high, rest + sway)
         draws = np.random.default_rng(seed)
-        low, high = [-1.0, -np.pi], [1.0, np.pi]
-        self._actions = draws.uniform(low, high, (64, scenes, 2)).astype(np.float32)
+        self._actions = draws.uniform(low, high, (64, scenes, len(low))).astype(np.float32)
         self._turn = 0
 
     def next(self) -> np.ndarray:
-        """The next actions, (scenes, 2)."""
+        """The next actions, (scenes, A)."""
         self._turn += 1
         return self._actions[self._turn % len(self._actions)]
 
@@ -52,12 +63,12 @@ def _core_step(batch: Batch, driver: _Driver) -> None:
 
 def core_stepper(batch: Batch) -> Callable[[], None]:
     """A step of all scenes under random commands, observations and new episodes included."""
-    return partial(_core_step, batch, _Driver(batch.num_scenes))
+    return partial(_core_step, batch, _Driver(batch.robot, batch.num_scenes))
 
 
 def _torchrl_stepper(conf: BenchmarkConf) -> Callable[[], None]:
     env = make_torchrl_env(conf, conf.scenes, conf.seed)
-    driver = _Driver(conf.scenes)
+    driver = _Driver(env.batch.robot, conf.scenes)
     state = {"now": env.reset()}
 
     def step() -> None:
@@ -69,7 +80,7 @@ def _torchrl_stepper(conf: BenchmarkConf) -> Callable[[], None]:
 
 def _pettingzoo_stepper(conf: BenchmarkConf) -> Callable[[], None]:
     env = make_parallel_env(conf, conf.seed)
-    driver = _Driver(1)
+    driver = _Driver(build_robot(conf.robot, 1), 1)
     env.reset()
 
     def step() -> None:
@@ -91,7 +102,7 @@ def measure_overhead(conf: BenchmarkConf, outputs: tuple[str, ...]) -> dict[str,
     seeing = BenchmarkConf.model_validate({**conf.model_dump(), "sensors": sensors})
     batch = make_batch(seeing, conf.scenes, conf.seed)
     batch.reset()
-    core = partial(_core_step, batch, _Driver(conf.scenes))
+    core = core_stepper(batch)
     seconds(core, _WARM_UP)
     seconds(batch.coast, _WARM_UP)
     taken: dict[str, list[float]] = {"core": [], "raw": []}
@@ -120,8 +131,7 @@ def measure(conf: BenchmarkConf) -> dict[str, Any]:
     torch.set_num_threads(1)
     batch = make_batch(conf, conf.scenes, conf.seed)
     batch.reset()
-    driver = _Driver(conf.scenes)
-    core = partial(_core_step, batch, driver)
+    core = core_stepper(batch)
     torchrl = _torchrl_stepper(conf)
     pettingzoo = _pettingzoo_stepper(conf)
     steppers: dict[str, tuple[Callable[[], None], int]] = {
@@ -160,7 +170,7 @@ def _worker(conf: BenchmarkConf, seed: int, barrier: Any, results: Any) -> None:
     torch.set_num_threads(1)
     batch = make_batch(conf, conf.scenes, seed)
     batch.reset()
-    step = partial(_core_step, batch, _Driver(conf.scenes))
+    step = core_stepper(batch)
     seconds(step, _WARM_UP)
     barrier.wait()
     count = conf.steps * conf.rounds

@@ -81,7 +81,7 @@ class Rovers:
         self._sites, self._physics, self._task, self._waits = sites, physics, task, waits
         self._spawner_of = spawner_of
         self._terminated = np.zeros(num_scenes, bool)
-        self._metrics = EpisodeMetrics(metrics, num_scenes)
+        self._metrics = EpisodeMetrics(metrics, num_scenes, robot.battery.capacity_wh)
         self._measures_energy = metrics.energy
         self._encounters = Encounters(num_scenes, bodies, round(_ENCOUNTER_GAP_S * physics.control_hz))
         self._goal_distance = np.zeros(num_scenes)
@@ -127,7 +127,7 @@ class Rovers:
     def commands(self, actions: Array, step_s: float) -> list[list[float]]:
         """Commands of the motors, one list for each scene, for `actions` (M, A)."""
         if self._waits:
-            actions = np.where(self.done[:, None], 0.0, actions)
+            actions = np.where(self.done[:, None], self.robot.rest_action(), actions)
         commands = self.robot.commands(actions, self.motion, step_s)
         if self._is_late:
             commands = self.latency.late(commands)
@@ -254,6 +254,8 @@ class Rovers:
 
     def _energy_wh(self) -> Array:
         work = np.array([engine.work_j() for engine in self.engines])
+        # Of diverged physics that may be anything.
+        work[self.motion.diverged] = 0.0
         return self.robot.battery.drawn_wh(work, self._physics.control_step_s)
 
     def _renew_goals(self, mask: Flags) -> None:

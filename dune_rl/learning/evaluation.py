@@ -64,7 +64,7 @@ def evaluate(
     return [found[episode] for episode in sorted(found)]
 
 
-# The paper's short names, with meaning and unit.
+# The paper's short names and what the battery gives, with meaning and unit.
 MEASURES: dict[str, tuple[str, str]] = {
     "SR": ("goal reached without collision", ""),
     "TR": ("goal reached", ""),
@@ -74,6 +74,9 @@ MEASURES: dict[str, tuple[str, str]] = {
     "VR": ("vertical roughness", "m/s²"),
     "VORT": ("velocity over rough terrain", "m/s"),
     "TSR": ("smoothness of route, less is smoother", ""),
+    "energy": ("drawn from the battery", "W h"),
+    "battery": ("share of a full one", ""),
+    "range": ("with a full battery", "km"),
 }
 _COLUMNS = {
     "SR": "success",
@@ -85,10 +88,12 @@ _COLUMNS = {
     "VORT": "vort",
     "TSR": "smoothness",
 }
+# With `metrics.energy`.
+_ENERGY_COLUMNS = {"energy": "energy_wh", "battery": "battery_share", "range": "range_km"}
 
 
 def averages(rows: Sequence[Mapping[str, float]]) -> Row:
-    """Means over the episodes `rows`: each of `MEASURES`, return, steps; NaN where none was measured."""
+    """Means over the episodes `rows`: the paper's `MEASURES`, return, steps; NaN where none was measured."""
     columns = {**_COLUMNS, "return": "return", "steps": "steps"}
     if not rows:
         return dict.fromkeys(columns, float("nan"))
@@ -100,7 +105,7 @@ def averages(rows: Sequence[Mapping[str, float]]) -> Row:
 
 
 def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
-    """Each of `MEASURES` with its 95 % interval.
+    """Each of `MEASURES` that was measured with its 95 % interval.
 
     SR and TR are shares of episodes; the rest are means over the episodes
     that have a value: MTT over those that reached the goal, VORT over those
@@ -108,7 +113,8 @@ def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
     """
     return {
         name: (proportion if name in ("SR", "TR") else mean)([row[column] for row in rows])
-        for name, column in _COLUMNS.items()
+        for name, column in (_COLUMNS | _ENERGY_COLUMNS).items()
+        if name in _COLUMNS or (rows and column in rows[0])
     }
 
 

@@ -9,9 +9,15 @@ from rich.text import Text
 from dune_rl.learning.evaluation import MEASURES, Row, compare
 from dune_rl.learning.statistics import Estimate
 
+# Scale, form and unit of what is not told plainly.
+_FORMS = {"SR": (100, "{:.0f}", " %"), "TR": (100, "{:.0f}", " %"), "battery": (100, "{:.2f}", " %")}
+
 
 def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> Table:
-    """One column for each policy of `results` (by name), one row for each measure with its 95 % interval."""
+    """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
+
+    What was not measured of any has no row.
+    """
     table = Table(
         title=title, caption="brackets: 95 % intervals", caption_justify="left", title_justify="left"
     )
@@ -19,6 +25,8 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> 
     for policy in results:
         table.add_column(Text(policy), justify="right")
     for name, (meaning, unit) in MEASURES.items():
+        if not all(name in estimates for estimates in results.values()):
+            continue
         # As Text: in a string, rich takes brackets for markup.
         label = Text(f"{name}  {meaning}" + (f" [{unit}]" if unit else ""))
         table.add_row(label, *(_cell(name, estimates[name]) for estimates in results.values()))
@@ -37,7 +45,7 @@ def paired_line(first: tuple[str, Sequence[Row]], second: tuple[str, Sequence[Ro
 def _cell(name: str, estimate: Estimate) -> str:
     if math.isnan(estimate.value):
         return "-"
-    scale, form, unit = (100, "{:.0f}", " %") if name in ("SR", "TR") else (1, "{:.2f}", "")
+    scale, form, unit = _FORMS.get(name, (1, "{:.2f}", ""))
     value = form.format(estimate.value * scale) + unit
     if math.isnan(estimate.low):
         return value

@@ -28,7 +28,8 @@ METRICS = (
     "out_of_world",
     "timeout",
 )
-ENERGY = "energy_wh"
+# Beside these, where the battery's use is measured.
+ENERGY_METRICS = ("energy_wh", "battery_share", "range_km")
 
 
 class MetricsConf(Settings):
@@ -53,14 +54,18 @@ class EpisodeMetrics:
     speed on uneven ground [m/s], NaN where there was none; `smoothness` TSR,
     the mean of |acceleration| + |angular velocity|. `success` is to reach a
     goal without collision, `time_to_goal` the time of the first [s],
-    `energy_wh` what was taken from the battery [W h], where it is measured.
+    `energy_wh` what was taken from the battery [W h], where it is measured;
+    `battery_share` is that over its capacity, `capacity_wh`, and `range_km` how far a full one lasts at
+    the episode's own use over its own way, which is counted level [km], NaN before anything is used.
     """
 
-    def __init__(self, conf: MetricsConf, num_scenes: int) -> None:
+    def __init__(self, conf: MetricsConf, num_scenes: int, capacity_wh: float = np.nan) -> None:
         self._conf = conf
+        self._capacity_wh = capacity_wh
+        self._way_m = np.zeros(num_scenes)
         self._sums = np.zeros((num_scenes, 4))
         self._uneven = np.zeros(num_scenes)
-        self.names = (*METRICS, ENERGY) if conf.energy else METRICS
+        self.names = (*METRICS, *ENERGY_METRICS) if conf.energy else METRICS
         self.values = np.zeros((num_scenes, len(self.names)))
         self._column = {name: index for index, name in enumerate(self.names)}
 
@@ -68,10 +73,13 @@ class EpisodeMetrics:
         """Start episodes with ids `episodes` (M,) in the scenes in `mask` (M,)."""
         self._sums[mask] = 0.0
         self._uneven[mask] = 0.0
+        self._way_m[mask] = 0.0
         self.values[mask] = 0.0
         self.values[mask, self._column["episode"]] = episodes[mask]
         for name in ("time_to_goal", "vort"):
             self.values[mask, self._column[name]] = np.nan
+        if self._conf.energy:
+            self.values[mask, self._column["range_km"]] = np.nan
         for name in ("clearance", "min_clearance"):
             self.values[mask, self._column[name]] = self._conf.max_clearance_m
 
@@ -126,4 +134,8 @@ class EpisodeMetrics:
         for name, flag in flags.items():
             values[:, column[name]] = flag
         if energy_wh is not None:
-            values[:, column[ENERGY]] += energy_wh
+            values[:, column["energy_wh"]] += energy_wh
+            share = values[:, column["energy_wh"]] / self._capacity_wh
+            values[:, column["battery_share"]] = share
+            self._way_m += ground_speed * step_s
+            np.divide(self._way_m / 1000.0, share, out=values[:, column["range_km"]], where=share > 0)

@@ -25,6 +25,7 @@ _JOINTS = ("hip", "upper", "lower")
 _HIPS_B = np.array([[0.175, 0.066, 0.0], [0.175, -0.066, 0.0], [-0.175, 0.066, 0.0], [-0.175, -0.066, 0.0]])
 _SIDE = np.sign(_HIPS_B[:, 1])
 _LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
+_LIMITS_OF_ALL = np.tile(_LIMITS_RAD, (4, 1)).T
 _LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
 _FOOT_RADIUS_M = 0.02
 _MAX_CORRECTION = np.array([0.06, 0.4])
@@ -132,6 +133,13 @@ class HyperDog(RectangularHull):
             return -np.ones(12), np.ones(12)
         return speed_and_heading_bounds(self.max_speed_mps)
 
+    def rest_action(self) -> Array:
+        """No speed and no turn, (2,), or the angles (12,) at which it is put down."""
+        if self.conf.action == "joints":
+            low, high = _LIMITS_OF_ALL
+            return 2.0 * (np.array(self.body.rest_commands()) - low) / (high - low) - 1.0
+        return np.zeros(2)
+
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Stand still and forget the past in the scenes in `mask` (M,)."""
         self._heading.reset(mask)
@@ -143,7 +151,7 @@ class HyperDog(RectangularHull):
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
         """Angle of each joint [rad], (M, 12), to be reached at the end of the step."""
         if self.conf.action == "joints":
-            low, high = np.tile(_LIMITS_RAD, (4, 1)).T
+            low, high = _LIMITS_OF_ALL
             return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         tilt = motion.roll_pitch_yaw[:, :2]
         twist = self._twist(action, self._trot.careful(tilt), motion, step_s)

@@ -90,6 +90,10 @@ class Robot(Protocol):
         """Lowest and highest action, each (A,); `speed_and_heading_bounds` are those of most."""
         ...
 
+    def rest_action(self) -> Array:
+        """The action (A,) that has it stand still."""
+        ...
+
     def reset(self, mask: Flags) -> None:
         """Stand still and forget the past in the scenes in `mask` (M,)."""
         ...

@@ -70,6 +70,10 @@ class WheeledRobot(RectangularHull):
         """Bounds, each (2,), of speed [m/s] and heading relative to the present one [rad]."""
         return speed_and_heading_bounds(self.max_speed_mps)
 
+    def rest_action(self) -> Array:
+        """No speed and no turn, (2,)."""
+        return np.zeros(2)
+
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Stand still and forget the past in the scenes in `mask` (M,)."""
         self._heading.reset(mask)

@@ -48,7 +48,7 @@ def _main(parsed: Namespace) -> None:
     )
     if conf is None:
         return
-    if given(parsed.overrides, "sensors") is None and conf.checkpoint is None:
+    if given(parsed.overrides, "sensors") is None:
         conf = _without_odometry_on_legs(conf)
     _view(conf)
 

@@ -1,0 +1,85 @@
+"""An environment on either engine: the same episodes, the same senses, and nearly the same drives."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from batches import metric, real_batch
+
+from dune_rl.physics.interface import ENGINES
+
+SENSES: dict[str, Any] = {
+    "enabled": [
+        *("camera", "lidar", "lidar_past", "lidar_3d", "depth_strip", "height_scan", "imu", "goal"),
+        *("velocity", "encoders", "currents", "position"),
+    ],
+    "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth", "segmentation", "normals", "grey"]},
+    "lidar_3d": {"n_rings": 3, "n_beams": 24, "outputs": ["range", "intensity", "segmentation"]},
+    "realism": {"imu": "bno055", "lidar": "rplidar_a2m8"},
+}
+ON_WHEELS = {**SENSES, "enabled": [*SENSES["enabled"], "odometry"]}
+ROBOTS = {"rover_zero": ON_WHEELS, "leo_rover": ON_WHEELS, "hyperdog": SENSES}
+WANDERING: dict[str, Any] = {
+    "actors": [{"length_range_m": [3.0, 10.0]}, {"controller": "external", "length_range_m": [3.0, 10.0]}],
+    "randomisation": {
+        "world_seed": [1, 2, 3],
+        "friction": [0.5, 1.0],
+        "mass": [0.8, 1.3],
+        "action_latency_s": [0.0, 0.1],
+    },
+}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = {"name": "island", "grass_cover": 0.3}
+    settings = {**WANDERING, "robot": robot, "sensors": ROBOTS[robot]}
+    bullet, dart = (real_batch(world, 2, 6, physics=engine, **settings) for engine in ENGINES)
+    # Both have settled on their wheels or feet.
+    np.testing.assert_allclose(bullet.motion.position_w, dart.motion.position_w, atol=0.02)
+    # The one goes where the other does: what is drawn, seen and earned must then agree in each bit.
+    for leader, engine in zip(bullet.rovers[0].engines, dart.rovers[0].engines, strict=True):
+        for told in ("body_state", "drive_state", "touched"):
+            monkeypatch.setattr(engine, told, getattr(leader, told))
+    dart.reseed(6)
+    dart.reset()
+    draws = np.random.default_rng(0)
+    low, high = bullet.robot.action_bounds()
+    for step in range(14):
+        ahead = draws.uniform(low, high, (2, len(low))).astype(np.float32)
+        people = draws.uniform(-1.0, 1.0, (2, 1, 2)).astype(np.float32)
+        outcomes = [batch.step(ahead, people) for batch in (bullet, dart)]
+        np.testing.assert_array_equal(outcomes[0].rover_reward, outcomes[1].rover_reward)
+        np.testing.assert_array_equal(outcomes[0].walker_reward, outcomes[1].walker_reward)
+        np.testing.assert_array_equal(bullet.metrics(), dart.metrics())
+        found = dart.observe() | dart.observe_walkers()
+        for name, expected in (bullet.observe() | bullet.observe_walkers()).items():
+            np.testing.assert_array_equal(found[name], expected, err_msg=f"{name}, step {step}")
+    assert np.ptp(bullet.observe()["currents"]) > 0.0
+    for batch in (bullet, dart):
+        batch.close()
+
+
+# Tyres that grip less sideways are beyond DART.
+GRIPPING_LEO = {"name": "leo_rover", "sideways_friction_share": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("robot", "task"), [("rover_zero", "paper"), (GRIPPING_LEO, "point_goal"), ("hyperdog", "dune_code")]
+)
+def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
+    found = []
+    for engine in ENGINES:
+        batch = real_batch("flat", 4, 6, robot=robot, physics=engine, task=task, metrics={"energy": True})
+        start, speed = batch.motion.position_w.copy(), 0.7 * batch.robot.max_speed_mps
+        for _ in range(60):
+            bearing = batch.motion.bearing(batch.goals_w)
+            actions = np.stack([np.full(4, speed), np.clip(bearing, -0.3, 0.3)], axis=1)
+            batch.step(actions.astype(np.float32))
+        assert np.linalg.norm(batch.motion.position_w - start, axis=1).min() > 0.5
+        found.append((batch.motion.position_w, metric(batch, "return"), metric(batch, "energy_wh")))
+        batch.close()
+    (here, earned, used), (there, also_earned, also_used) = found
+    np.testing.assert_allclose(here, there, atol=0.15)
+    np.testing.assert_allclose(earned, also_earned, rtol=0.15, atol=0.5)
+    np.testing.assert_allclose(used, also_used, rtol=0.4)
