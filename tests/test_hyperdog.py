@@ -48,6 +48,18 @@ def test_it_walks_straight_at_the_speed_told(backend, speed):
 
 
 @every_backend
+def test_two_legs_carry_its_body_as_high_as_four(backend):
+    walk = Walk(backend)
+    walk.walk(0.4, 0.0, 40)
+    heights = []
+    for _ in range(40):
+        walk.step(0.4, 0.0)
+        heights.append(walk.stage.position[2])
+    assert np.ptp(heights) < 3e-3
+    assert np.mean(heights) == pytest.approx(walk.robot.standing_height_m, abs=3e-3)
+
+
+@every_backend
 @pytest.mark.parametrize("rate", [0.3, 0.9, -0.6])
 def test_it_turns_on_the_spot_as_fast_as_told(backend, rate):
     walk = Walk(backend)

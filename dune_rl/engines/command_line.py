@@ -66,15 +66,17 @@ def _main(parsed: Namespace) -> None:
         for robot in conf.robots:
             _say(f"\n### {robot}\n\n{table(robot, conf.places, conf.scenes, conf.seed)}")
     if "stability" in conf.parts:
-        _say("\n| robot | world | engine | minutes | episodes | not finite | fallen | jumps | diverged |")
-        _say("|---|---|---|---|---|---|---|---|---|")
+        heads = "minutes | episodes | not finite | fallen | jumps | diverged | fastest"
+        _say(f"\n| robot | world | engine | {heads} |")
+        _say("|---|---|---|---|---|---|---|---|---|---|")
         for robot in conf.robots:
             for world in conf.worlds:
                 for engine in conf.engines:
                     found = count(world, engine, robot, conf.minutes, conf.scenes, conf.seed)
                     _say(
                         f"| {robot} | {world} | {engine} | {found.minutes:g} | {found.episodes} "
-                        f"| {found.nan} | {found.fallen} | {found.jumps} | {found.diverged} |"
+                        f"| {found.nan} | {found.fallen} | {found.jumps} | {found.diverged} "
+                        f"| {found.fastest_mps:.2f} m/s |"
                     )
 
 

@@ -1,6 +1,7 @@
 """A batch in either engine that can be watched closer than an environment lets one."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,14 @@ _SLOPE_RAD = np.deg2rad(15.0)
 
 
 class WatchedScene:
-    """A scene that keeps the state that its last step ended in, as the engine told it."""
+    """A scene that keeps the state that its last step ended in, as the engine told it.
+
+    `work_done_j` is what its motors did in that step [J].
+    """
 
     def __init__(self, scene: PhysicsScene) -> None:
         self._scene = scene
+        self.work_done_j = 0.0
         self.state: NDArray[np.float64] = np.zeros(13)
         self.wheel_speeds: NDArray[np.float64] = np.zeros(0)
         self.has_touched = False
@@ -28,6 +33,7 @@ class WatchedScene:
     def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         """As `PhysicsScene.step`."""
         self._scene.step(count, commands, kinematic_poses)
+        self.work_done_j = self._scene.work_j()
         self.state = np.array(self._scene.body_state())
         self.wheel_speeds = np.array(self._scene.drive_state()).reshape(3, -1)[1]
 
@@ -55,7 +61,7 @@ def watched_batch(
     watched: list[WatchedScene] = []
 
     def make_scene(spec: SceneSpec) -> Any:
-        watched.append(WatchedScene(make(spec)))
+        watched.append(WatchedScene(make(replace(spec, measures_work=True))))
         return watched[-1]
 
     batch = Batch(

@@ -35,10 +35,11 @@ def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
     for coupling in spec.couplings:
         gear = {"joint": coupling.leader, "multiplier": repr(coupling.ratio), "offset": "0"}
         joints[coupling.follower].append(Element("mimic", gear))
-    for name in spec.drive_joints:
-        child = joints[name].find("child")
-        if child is not None and child.get("link") in spec.ground_links:
-            _hang(joints[name], root)
+    for motor in spec.motors:
+        child = joints[motor.joint].find("child")
+        # A leg that is led to angles has give enough, and a slider in its knee would sink under it.
+        if motor.mode == "velocity" and child is not None and child.get("link") in spec.ground_links:
+            _hang(joints[motor.joint], root)
     return tostring(root, encoding="unicode")
 
 
