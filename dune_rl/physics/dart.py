@@ -62,9 +62,7 @@ class DartScene:
         if self._cone is not None:
             solver.setBoxedLcpSolver(self._cone)
         self._filter = solver.getCollisionOption().collisionFilter
-        meetings = Meetings(
-            self._robots, self._surroundings, self._capsules, spec.first_robot, self._filter
-        )
+        meetings = Meetings(self._robots, self._surroundings, self._capsules, spec.first_robot, self._filter)
         for robot in self._robots:
             robot.enter(world, self._surroundings, meetings)
         for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, *skeletons):
@@ -150,3 +148,59 @@ class DartScene:
         self._first.set_wheel_contacts(friction, restitution, stiffness, damping)
 
     def work_j(self) -> float:
+        return self._first.work_j()
+
+    def body_state(self) -> tuple[float, ...]:
+        return self._first.body_state()
+
+    def drive_state(self) -> tuple[float, ...]:
+        return self._first.drive_state()
+
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        return self._first.joint_angles(joints)
+
+    def touched(self) -> list[int]:
+        return self._first.touched()
+
+    def close(self) -> None:
+        # What the engine holds goes with the last reference to it.
+        self._world = None
+        for robot in self._robots:
+            robot.forget()
+
+
+class _SceneRobot(DartRobot):
+    """Robot `number` of a scene, which it enters after each `place`."""
+
+    def __init__(self, spec: SceneSpec, number: int) -> None:
+        super().__init__(spec.robots[number], spec.timestep_s, measures_work=spec.measures_work)
+        self._number = number
+        self._world: Any = None
+        self._meetings: Any = None
+
+    def enter(self, world: Any, surroundings: Surroundings, meetings: Meetings) -> None:
+        self._world, self._surroundings, self._meetings = world, surroundings, meetings
+
+    def forget(self) -> None:
+        super().forget()
+        self._world = self._meetings = None
+
+    def set_wheel_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        ground = self._surroundings.give_friction_to_feet(self._number)
+        grip = [coefficient * ground for coefficient in friction]
+        self.set_foot_contacts(grip, restitution, stiffness, damping)
+
+    def touched(self) -> list[int]:
+        return self._meetings.touched(self._number, self._world.getLastCollisionResult())
+
+
+def _cone_solver(sweeps: int) -> Any:
+    options = dartpy.constraint.NsgsFrictionSolver.Options()
+    options.maxSweeps, options.tolerance = sweeps, _CONE_TOLERANCE
+    return dartpy.constraint.NsgsFrictionSolver(options)
