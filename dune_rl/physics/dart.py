@@ -32,8 +32,6 @@ class DartScene:
         self._surroundings = Surroundings(spec.statics, self._meshes, self._robots)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
-        self._befores = [robot.before for robot in self._robots if robot.has_work_before]
-        self._afters = [robot.after for robot in self._robots if robot.has_work_after]
         self._world: Any = None
 
     def set_body(self, variation: BodyVariation) -> None:
@@ -126,7 +124,9 @@ class DartScene:
             robot.let_go()
 
     def coast(self, count: int) -> None:
-        advance, befores, afters = self._world.step, self._befores, self._afters
+        advance = self._world.step
+        befores = [robot.before for robot in self._robots if robot.has_work_before]
+        afters = [robot.after for robot in self._robots if robot.has_work_after]
         for _ in range(count):
             for before in befores:
                 before()

@@ -228,9 +228,10 @@ class DartRobot:
         self._ground.set(stiffness, damping)
 
     def _torques(self) -> list[float]:
-        impulses = self.skeleton.getJointConstraintImpulses()[self._drives]
-        torques: list[float] = (impulses / self._timestep_s - self._geared).tolist()
-        return torques
+        impulses: list[float] = self.skeleton.getJointConstraintImpulses()[self._drives].tolist()
+        # In plain numbers: of a state that diverges they overflow without a warning.
+        step_s = self._timestep_s
+        return [impulse / step_s - geared for impulse, geared in zip(impulses, self._geared, strict=True)]
 
     def body_state(self) -> tuple[float, ...]:
         # Asking the joint costs a tenth of asking the body for what it derives from it.
