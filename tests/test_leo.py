@@ -80,7 +80,7 @@ def test_it_drives_straight_at_the_speed_told(backend, speed):
 
 # DART has one friction coefficient for all directions, with which Leo's turns are slower than told, and a
 # differential that gives by half a degree.
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("yaw", [0.0, 0.4, np.pi / 4])
 @pytest.mark.parametrize("rate", [0.3, np.deg2rad(60.0)])
 def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
@@ -94,7 +94,7 @@ def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
     assert np.linalg.norm(drive.stage.position[:2]) < 0.25
 
 
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("seed", [0, 1])
 def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground(backend, seed):
     terrain = stones(seed)
@@ -154,7 +154,7 @@ def test_a_slope_that_is_too_steep_for_its_motors_stops_it(backend):
         assert speed > 0.2
 
 
-@bullet_alone
+@every_backend
 def test_it_holds_on_a_slope(backend):
     rover = LeoRover(LeoRoverConf(), 1)
     stage = slope_stage(backend, 0.3, 1.0, robot=rover.body)

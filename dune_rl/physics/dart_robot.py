@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart_files import TYRE, robot_urdf
+from dune_rl.physics.dart_differential import Differential
+from dune_rl.physics.dart_files import robot_urdf
+from dune_rl.physics.dart_grip import Grip
+from dune_rl.physics.dart_joints import TYRE
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Servos, work_w
@@ -47,6 +50,8 @@ class DartRobot:
         self._work = 0.0
         self._speeds: Sequence[float] = ()
         self._gears: list[_Gear] = []
+        self._differentials: list[Differential] = []
+        self._grip: Grip | None = None
 
     @property
     def feet_are_balls(self) -> bool:
@@ -83,10 +88,18 @@ class DartRobot:
         )
         self._drives = [self._index(joint) for joint in self.spec.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in self.spec.ground_links]
+        chained = [coupling for coupling in self.spec.couplings if _is_chained(robot, coupling)]
+        self._differentials = [Differential(robot, coupling, self._timestep_s) for coupling in chained]
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in self.spec.couplings
+            if coupling not in chained
         ]
+        share = self.spec.sideways_friction_share
+        if share != 1.0:
+            wheels = [motor.joint for motor in self.spec.motors]
+            self._grip = Grip(robot, wheels, share)
+            self._grip.set_friction([self.spec.ground_friction] * len(wheels))
         self._commands = self.spec.rest_commands()
         self._servos.rest()
         self._push = None
@@ -119,10 +132,16 @@ class DartRobot:
     @property
     def has_work_before(self) -> bool:
         """Whether `before` does anything."""
-        return not self._plain
+        return not self._plain or bool(self._differentials)
 
     def before(self) -> None:
         """Have the motors do what they can toward their commands in the physics step to come."""
+        for differential in self._differentials:
+            differential.before()
+        if not self._plain:
+            self._act()
+
+    def _act(self) -> None:
         robot, drives = self.skeleton, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
@@ -133,12 +152,14 @@ class DartRobot:
     @property
     def has_work_after(self) -> bool:
         """Whether `after` does anything."""
-        return bool(self.spec.couplings) or self._measures_work
+        return bool(self.spec.couplings) or self._measures_work or self._grip is not None
 
     def after(self) -> None:
         """Do what a physics step that was made asks for."""
         if self._gears:
             self._react()
+        if self._grip is not None:
+            self._grip.after()
         if self._measures_work:
             self._count_work()
 
@@ -211,7 +232,11 @@ class DartRobot:
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         if self.skeleton is None:
             return (0.0,) * len(joints)
-        return tuple(self.skeleton.getPositions([self._index(joint) for joint in joints]).tolist())
+        angles = self.skeleton.getPositions([self._index(joint) for joint in joints]).tolist()
+        for coupling in self.spec.couplings:
+            if coupling.follower in joints and _is_chained(self.skeleton, coupling):
+                angles[list(joints).index(coupling.follower)] += self.skeleton.getPosition(self._index(coupling.leader))
+        return tuple(angles)
 
 
 @dataclass
@@ -257,6 +282,18 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
                 "has one; take physics=bullet"
             )
         leader, follower = joints[coupling.leader], joints[coupling.follower]
+        if _is_chained(robot, coupling):
+            friction = (leader.getCoulombFriction(0)+ follower.getCoulombFriction(0))/2
+            damping = (leader.getDampingCoefficient(0) + follower.getDampingCoefficient(0))/4
+            follower.setPositionLowerLimit(0, 2*follower.getPositionLowerLimit(0))
+            follower.setPositionUpperLimit(0, 2*follower.getPositionUpperLimit(0))
+            leader.setCoulombFriction(0, 0.0)
+            leader.setDampingCoefficient(0, 0.0)
+            follower.setCoulombFriction(0, friction)
+            follower.setDampingCoefficient(0, damping)
+            leader.setLimitEnforcement(False)
+            leader.setActuatorType(dartpy.dynamics.ActuatorType.SERVO); leader.setForceLowerLimit(0,-1e4); leader.setForceUpperLimit(0,1e4)
+            continue
         # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
         # holds the one holds the other, so that the leader has the friction and the damping of both.
         share = abs(coupling.ratio)
@@ -271,6 +308,10 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         follower.setForceLowerLimit(0, -_GEAR_TORQUE_NM)
         follower.setForceUpperLimit(0, _GEAR_TORQUE_NM)
     return robot
+
+
+def _is_chained(robot: Any, coupling: Any) -> bool:
+    return robot.getJoint(coupling.follower).getParentBodyNode().getParentJoint().getName() == coupling.leader
 
 
 def parsed(urdf: str, folder: Path) -> Any:
