@@ -9,7 +9,7 @@ from defusedxml.ElementTree import fromstring, parse
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart_joints import chain, hang, is_differential, let_slip
+from dune_rl.physics.dart_joints import chain, differentials, hang, let_slip
 from dune_rl.physics.interface import RobotBody, StaticBody
 
 Array = NDArray[np.float64]
@@ -31,8 +31,9 @@ def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
     fault = spec.missing_from(joints, [link.get("name", "") for link in root.findall("link")])
     if fault:
         raise PhysicsError(fault)
+    chained = differentials(spec, joints)
     for coupling in spec.couplings:
-        if is_differential(coupling, joints):
+        if coupling in chained:
             chain(joints[coupling.leader], joints[coupling.follower])
             continue
         gear = {"joint": coupling.leader, "multiplier": repr(coupling.ratio), "offset": "0"}

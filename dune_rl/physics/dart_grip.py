@@ -7,38 +7,56 @@ from dune_rl.physics.dart_joints import GRIP, TYRE
 
 
 class Grip:
-    """Lets wheels slip along their axles, at joints of dry friction: DART's contacts grip alike any way.
+    """Lets wheels slip along their axles, at joints of dry friction: DART's contacts grip alike in any direction.
 
-    The contact sticks, and the joint gives way where the friction of the tyre
-    along its axle would, which goes with the load of the step before.
+    A wheel's contact sticks, and the joint of `dart_joints.let_slip` gives way
+    where the friction of a tyre along its axle would, which goes with the load
+    of the step before. After each step the joint is where it was, as a tyre
+    that has slipped keeps no memory of it.
+
+    `feet` are the bodies of the skeleton `robot` that stand on the ground; those without such a joint are
+    left as they are. `share` is what they grip along the axle of what they grip along the tread.
     """
 
-    def __init__(self, robot: Any, wheel_joints: Sequence[str], share: float) -> None:
-        self._robot = robot
-        joints = [robot.getJoint(name + GRIP) for name in wheel_joints]
-        self._slips = [joint.getIndexInSkeleton(0) for joint in joints]
+    def __init__(self, robot: Any, feet: Sequence[Any], share: float, timestep_s: float) -> None:
+        self._robot, self._step_s = robot, timestep_s
+        joints = {joint.getName(): joint for joint in robot.getJoints()}
+        names = [foot.getParentJoint().getName() for foot in feet]
+        self._wheels = [number for number, name in enumerate(names) if name + GRIP in joints]
+        grips = [joints[names[number] + GRIP] for number in self._wheels]
+        self._tyres = [joints[names[number] + TYRE].getIndexInSkeleton(0) for number in self._wheels]
+        self._slips = [joint.getIndexInSkeleton(0) for joint in grips]
+        # Asking for them anew at each step, or asking the joints instead, takes ten times as long.
         self._dofs = [robot.getDof(index) for index in self._slips]
-        self._tyres = [robot.getJoint(name + TYRE).getIndexInSkeleton(0) for name in wheel_joints]
-        self._shares = [share * _lever_m(robot.getJoint(name)) for name in wheel_joints]
-        self._nowhere = [0.0] * len(joints)
+        self._shares = [
+            share * _lever_m(joint, feet[number])
+            for joint, number in zip(grips, self._wheels, strict=True)
+        ]
         self._limits: Sequence[float] = ()
+        self._in_place = [0.0] * len(grips)
 
     def set_friction(self, friction: Sequence[float]) -> None:
-        """Set the coefficient of each wheel along its tread."""
-        self._limits = [share * each for share, each in zip(self._shares, friction, strict=True)]
+        """Set the coefficient of each foot along its tread, its own times the ground's."""
+        self._limits = [
+            share * friction[number] for share, number in zip(self._shares, self._wheels, strict=True)
+        ]
 
-    def after(self) -> None:
-        """Take the loads of the physics step that was made for the next, and the wheels back to their places."""
-        loads = self._robot.getConstraintForces()[self._tyres].tolist()
-        for dof, limit, load in zip(self._dofs, self._limits, loads, strict=True):
-            dof.setCoulombFriction(max(0.0, limit * load))
-        self._robot.setPositions(self._slips, self._nowhere)
+    def after(self, impulses: Sequence[float]) -> None:
+        """Hold the wheels in the next physics step by what they bore in the last one.
+
+        `impulses` [N s, N m s] are those of all joints' constraints in that.
+        """
+        # Those of joints' constraints are in it, and those of contacts, which alone are the load.
+        forces = self._robot.getConstraintForces().tolist()
+        for dof, limit, tyre in zip(self._dofs, self._limits, self._tyres, strict=True):
+            load = forces[tyre] - impulses[tyre] / self._step_s
+            dof.setCoulombFriction(limit * load if load > 0.0 else 0.0)
+        self._robot.setPositions(self._slips, self._in_place)
 
 
-def _lever_m(wheel_joint: Any) -> float:
-    """What turns what rubs along the axle into what the joint feels: a ball's radius, where it rolls."""
-    wheel = wheel_joint.getChildBodyNode()
-    if wheel.getParentBodyNode().getParentJoint().getType() == "PrismaticJoint":
+def _lever_m(grip: Any, foot: Any) -> float:
+    """What makes of a force along the axle what the joint feels: a ball's radius where it rolls, else 1."""
+    if grip.getType() == "PrismaticJoint":
         return 1.0
-    radii = [node.getShape().getRadius() for node in wheel.getShapeNodes() if node.hasCollisionAspect()]
-    return float(radii[0])
+    (radius,) = [node.getShape().getRadius() for node in foot.getShapeNodes() if node.hasCollisionAspect()]
+    return float(radius)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dune_rl.physics.interface import Coupling
+from dune_rl.physics.interface import Coupling, RobotBody
 
 Array = NDArray[np.float64]
 
@@ -29,10 +29,9 @@ def let_slip(wheel_joint: Element, root: Element) -> None:
     Other shapes do not roll so: they slide along the axle.
     """
     turn, place = _pose(wheel_joint)
-    axle = turn.apply(_numbers(wheel_joint.find("axis"), "xyz", "1 0 0"))
-    name = _child(wheel_joint)
-    shapes = [shape for link in root.findall("link") if link.get("name") == name for shape in link]
-    shapes = [shape for shape in shapes if shape.tag == "collision"]
+    axle = turn.apply(_axis(wheel_joint))
+    (wheel,) = [link for link in root.findall("link") if link.get("name") == _child(wheel_joint)]
+    shapes = wheel.findall("collision")
     if len(shapes) == 1 and shapes[0].find("geometry/sphere") is not None:
         middle = place + turn.apply(_numbers(shapes[0].find("origin"), "xyz"))
         _insert(wheel_joint, GRIP, root, "continuous", middle, np.cross(axle, _UP))
@@ -40,16 +39,27 @@ def let_slip(wheel_joint: Element, root: Element) -> None:
         _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
 
 
-def is_differential(coupling: Coupling, joints: dict[str, Element]) -> bool:
-    """Whether it turns two joints of one body, on one axis, opposite to each other."""
-    leader, follower = joints[coupling.leader], joints[coupling.follower]
-    if coupling.ratio != -1.0 or _mount(leader).get("link") != _mount(follower).get("link"):
+def differentials(spec: RobotBody, joints: dict[str, Element]) -> list[Coupling]:
+    """The couplings that turn two joints of one body, on one axis and without motors, opposite to each other."""
+    coupled = [name for coupling in spec.couplings for name in (coupling.leader, coupling.follower)]
+    return [
+        coupling
+        for coupling in spec.couplings
+        if all(
+            coupled.count(name) == 1 and name not in spec.drive_joints
+            for name in (coupling.leader, coupling.follower)
+        )
+        and coupling.ratio == -1.0
+        and _on_one_axis(joints[coupling.leader], joints[coupling.follower])
+    ]
+
+
+def _on_one_axis(leader: Element, follower: Element) -> bool:
+    if _mount(leader).get("link") != _mount(follower).get("link"):
         return False
-    (one, place), (other, other_place) = _pose(leader), _pose(follower)
-    axis = one.apply(_numbers(leader.find("axis"), "xyz", "1 0 0"))
-    other_axis = other.apply(_numbers(follower.find("axis"), "xyz", "1 0 0"))
-    off = np.cross(other_place - place, axis)
-    return bool(np.allclose(axis, other_axis) and np.allclose(off, 0.0))
+    (turn, place), (other_turn, other_place) = _pose(leader), _pose(follower)
+    axis, other_axis = turn.apply(_axis(leader)), other_turn.apply(_axis(follower))
+    return bool(np.allclose(axis, other_axis) and np.allclose(np.cross(other_place - place, axis), 0.0))
 
 
 def chain(leader: Element, follower: Element) -> None:
@@ -103,6 +113,10 @@ def _place(joint: Element, place: Array) -> None:
 def _pose(joint: Element) -> tuple[Rotation, Array]:
     origin = joint.find("origin")
     return Rotation.from_euler("xyz", _numbers(origin, "rpy")), _numbers(origin, "xyz")
+
+
+def _axis(joint: Element) -> Array:
+    return _numbers(joint.find("axis"), "xyz", "1 0 0")
 
 
 def _numbers(element: Element | None, name: str, otherwise: str = "0 0 0") -> Array:

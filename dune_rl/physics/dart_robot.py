@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart_differential import Differential
+from dune_rl.physics.dart_differential import Differential, is_chained, set_up
 from dune_rl.physics.dart_files import robot_urdf
 from dune_rl.physics.dart_grip import Grip
 from dune_rl.physics.dart_joints import TYRE
@@ -25,18 +25,28 @@ NEVER_THE_LESSER = 1e3
 # by fits and starts. Tyres that give by less than a millimetre and servos that give way by 0.5 % of a
 # rover's speed settle both. The servos' softness is that of every scene in the process.
 _TYRE_STIFFNESS_NPM = 1e5
-dartpy.constraint.JointConstraint.setConstraintForceMixing(0.07)
+_SOFTNESS = 0.07
+dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
+# The lighter a wheel, the farther its servo gives way. Of what it gave way by in one step, those that are
+# looked at in each make up for so much in the next, which leaves none to push against the others for long.
+_MADE_UP = 0.9
 
 _GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
 
 class DartRobot:
-    """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`."""
+    """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`.
+
+    `terrain_friction` is the ground's, until `set_foot_friction` says another.
+    """
 
     skeleton: Any
 
-    def __init__(self, spec: RobotBody, timestep_s: float, *, measures_work: bool) -> None:
+    def __init__(
+        self, spec: RobotBody, timestep_s: float, *, measures_work: bool, terrain_friction: float = 1.0
+    ) -> None:
         self.spec, self._timestep_s = spec, timestep_s
+        self._foot_friction = [spec.ground_friction * terrain_friction] * len(spec.ground_links)
         self._as_read = _read_robot(spec)
         self.skeleton = None
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -88,23 +98,33 @@ class DartRobot:
         )
         self._drives = [self._index(joint) for joint in self.spec.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in self.spec.ground_links]
-        chained = [coupling for coupling in self.spec.couplings if _is_chained(robot, coupling)]
-        self._differentials = [Differential(robot, coupling, self._timestep_s) for coupling in chained]
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in self.spec.couplings
-            if coupling not in chained
+            if not is_chained(robot, coupling)
         ]
-        share = self.spec.sideways_friction_share
-        if share != 1.0:
-            wheels = [motor.joint for motor in self.spec.motors]
-            self._grip = Grip(robot, wheels, share)
-            self._grip.set_friction([self.spec.ground_friction] * len(wheels))
+        self._differentials = [
+            Differential(robot, coupling, self._timestep_s)
+            for coupling in self.spec.couplings
+            if is_chained(robot, coupling)
+        ]
+        if self.spec.sideways_friction_share != 1.0:
+            self._grip = Grip(robot, self._feet, self.spec.sideways_friction_share, self._timestep_s)
+            self._grip.set_friction(self._foot_friction)
+        self._gives = self._giving_way()
         self._commands = self.spec.rest_commands()
         self._servos.rest()
         self._push = None
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
+
+    def _giving_way(self) -> list[float]:
+        """By how much [rad/s] each motor's servo is to be led for a torque of 1 N m: see `_MADE_UP`."""
+        if self._plain or any(motor.mode == "position" for motor in self._motors):
+            return []
+        ease = self.skeleton.getInvMassMatrix().diagonal()[self._drives]
+        gives: list[float] = (_MADE_UP * _SOFTNESS * self._timestep_s * ease).tolist()
+        return gives
 
     def forget(self) -> None:
         """The scene is gone, and with it the robot."""
@@ -132,19 +152,17 @@ class DartRobot:
     @property
     def has_work_before(self) -> bool:
         """Whether `before` does anything."""
-        return not self._plain or bool(self._differentials)
+        return not self._plain
 
     def before(self) -> None:
         """Have the motors do what they can toward their commands in the physics step to come."""
-        for differential in self._differentials:
-            differential.before()
-        if not self._plain:
-            self._act()
-
-    def _act(self) -> None:
         robot, drives = self.skeleton, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
+        if self._gives:
+            torques_given = self._torques()
+            parts = zip(targets, self._gives, torques_given, strict=True)
+            targets = [target + give * torque for target, give, torque in parts]
         robot.setCommands(drives, targets)
         robot.setForceUpperLimits(drives, torques)
         robot.setForceLowerLimits(drives, [-torque for torque in torques])
@@ -152,14 +170,19 @@ class DartRobot:
     @property
     def has_work_after(self) -> bool:
         """Whether `after` does anything."""
-        return bool(self.spec.couplings) or self._measures_work or self._grip is not None
+        shares = self.spec.sideways_friction_share != 1.0
+        return shares or bool(self.spec.couplings) or self._measures_work
 
     def after(self) -> None:
         """Do what a physics step that was made asks for."""
         if self._gears:
             self._react()
-        if self._grip is not None:
-            self._grip.after()
+        if self._differentials or self._grip is not None:
+            impulses = self.skeleton.getJointConstraintImpulses().tolist()
+            for differential in self._differentials:
+                differential.after(impulses)
+            if self._grip is not None:
+                self._grip.after(impulses)
         if self._measures_work:
             self._count_work()
 
@@ -206,6 +229,8 @@ class DartRobot:
             for node in foot.getShapeNodes():
                 if node.hasDynamicsAspect():
                     node.getDynamicsAspect().setFrictionCoeff(coefficient)
+        if self._grip is not None:
+            self._grip.set_friction(friction)
 
     def _torques(self) -> list[float]:
         impulses = self.skeleton.getJointConstraintImpulses()[self._drives]
@@ -232,11 +257,11 @@ class DartRobot:
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         if self.skeleton is None:
             return (0.0,) * len(joints)
-        angles = self.skeleton.getPositions([self._index(joint) for joint in joints]).tolist()
-        for coupling in self.spec.couplings:
-            if coupling.follower in joints and _is_chained(self.skeleton, coupling):
-                angles[list(joints).index(coupling.follower)] += self.skeleton.getPosition(self._index(coupling.leader))
-        return tuple(angles)
+        positions = self.skeleton.getPositions().tolist()
+        # The second arm of a differential hangs on the first.
+        for differential in self._differentials:
+            positions[differential.between] += positions[differential.body]
+        return tuple(positions[self._index(joint)] for joint in joints)
 
 
 @dataclass
@@ -281,19 +306,10 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
                 f"{spec.urdf.name}: physics=dart couples joints without motors alone, and {coupling.leader} "
                 "has one; take physics=bullet"
             )
-        leader, follower = joints[coupling.leader], joints[coupling.follower]
-        if _is_chained(robot, coupling):
-            friction = (leader.getCoulombFriction(0)+ follower.getCoulombFriction(0))/2
-            damping = (leader.getDampingCoefficient(0) + follower.getDampingCoefficient(0))/4
-            follower.setPositionLowerLimit(0, 2*follower.getPositionLowerLimit(0))
-            follower.setPositionUpperLimit(0, 2*follower.getPositionUpperLimit(0))
-            leader.setCoulombFriction(0, 0.0)
-            leader.setDampingCoefficient(0, 0.0)
-            follower.setCoulombFriction(0, friction)
-            follower.setDampingCoefficient(0, damping)
-            leader.setLimitEnforcement(False)
-            leader.setActuatorType(dartpy.dynamics.ActuatorType.SERVO); leader.setForceLowerLimit(0,-1e4); leader.setForceUpperLimit(0,1e4)
+        if is_chained(robot, coupling):
+            set_up(robot, coupling)
             continue
+        leader, follower = joints[coupling.leader], joints[coupling.follower]
         # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
         # holds the one holds the other, so that the leader has the friction and the damping of both.
         share = abs(coupling.ratio)
@@ -308,10 +324,6 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         follower.setForceLowerLimit(0, -_GEAR_TORQUE_NM)
         follower.setForceUpperLimit(0, _GEAR_TORQUE_NM)
     return robot
-
-
-def _is_chained(robot: Any, coupling: Any) -> bool:
-    return robot.getJoint(coupling.follower).getParentBodyNode().getParentJoint().getName() == coupling.leader
 
 
 def parsed(urdf: str, folder: Path) -> Any:
