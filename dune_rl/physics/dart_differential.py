@@ -8,7 +8,7 @@ from dune_rl.physics.interface import Coupling
 
 _TORQUE_NM = 1e4
 # Farther off than this, the body is put where it belongs.
-_OFF_RAD = 5e-4
+_OFF_RAD = 2.5e-4
 
 
 class Differential:

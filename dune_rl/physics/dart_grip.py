@@ -25,15 +25,13 @@ class Grip:
         self._wheels = [number for number, name in enumerate(names) if name + GRIP in joints]
         grips = [joints[names[number] + GRIP] for number in self._wheels]
         self._tyres = [joints[names[number] + TYRE].getIndexInSkeleton(0) for number in self._wheels]
-        self._slips = [joint.getIndexInSkeleton(0) for joint in grips]
-        # Asking for them anew at each step, or asking the joints instead, takes ten times as long.
-        self._dofs = [robot.getDof(index) for index in self._slips]
+        # To ask the joints takes ten times as long.
+        self._dofs = [robot.getDof(joint.getIndexInSkeleton(0)) for joint in grips]
         self._shares = [
             share * _lever_m(joint, feet[number])
             for joint, number in zip(grips, self._wheels, strict=True)
         ]
         self._limits: Sequence[float] = ()
-        self._in_place = [0.0] * len(grips)
 
     def set_friction(self, friction: Sequence[float]) -> None:
         """Set the coefficient of each foot along its tread, its own times the ground's."""
@@ -46,12 +44,14 @@ class Grip:
 
         `impulses` [N s, N m s] are those of all joints' constraints in that.
         """
+        # First: the engine has what bears on a wheel in the wheel's own frame.
+        for dof in self._dofs:
+            dof.setPosition(0.0)
         # Those of joints' constraints are in it, and those of contacts, which alone are the load.
         forces = self._robot.getConstraintForces().tolist()
         for dof, limit, tyre in zip(self._dofs, self._limits, self._tyres, strict=True):
             load = forces[tyre] - impulses[tyre] / self._step_s
             dof.setCoulombFriction(limit * load if load > 0.0 else 0.0)
-        self._robot.setPositions(self._slips, self._in_place)
 
 
 def _lever_m(grip: Any, foot: Any) -> float:

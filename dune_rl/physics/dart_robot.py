@@ -111,19 +111,23 @@ class DartRobot:
         if self.spec.sideways_friction_share != 1.0:
             self._grip = Grip(robot, self._feet, self.spec.sideways_friction_share, self._timestep_s)
             self._grip.set_friction(self._foot_friction)
-        self._gives = self._giving_way()
+        self._gives = self._giving_way() if self._leads else []
+        self._impulses: Sequence[float] = [0.0] * robot.getNumDofs()
         self._commands = self.spec.rest_commands()
         self._servos.rest()
         self._push = None
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
 
+    @property
+    def _leads(self) -> bool:
+        """Whether servos of motors make up for what they give way by."""
+        return not self._plain and all(motor.mode == "velocity" for motor in self._motors)
+
     def _giving_way(self) -> list[float]:
-        """By how much [rad/s] each motor's servo is to be led for a torque of 1 N m: see `_MADE_UP`."""
-        if self._plain or any(motor.mode == "position" for motor in self._motors):
-            return []
+        """By how much [rad/s] each motor's servo is to be led for an impulse of 1 N m s: see `_MADE_UP`."""
         ease = self.skeleton.getInvMassMatrix().diagonal()[self._drives]
-        gives: list[float] = (_MADE_UP * _SOFTNESS * self._timestep_s * ease).tolist()
+        gives: list[float] = (_MADE_UP * _SOFTNESS * ease).tolist()
         return gives
 
     def forget(self) -> None:
@@ -160,9 +164,9 @@ class DartRobot:
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
         if self._gives:
-            torques_given = self._torques()
-            parts = zip(targets, self._gives, torques_given, strict=True)
-            targets = [target + give * torque for target, give, torque in parts]
+            impulses = self._impulses
+            parts = zip(targets, self._gives, drives, strict=True)
+            targets = [target + give * impulses[index] for target, give, index in parts]
         robot.setCommands(drives, targets)
         robot.setForceUpperLimits(drives, torques)
         robot.setForceLowerLimits(drives, [-torque for torque in torques])
@@ -171,14 +175,14 @@ class DartRobot:
     def has_work_after(self) -> bool:
         """Whether `after` does anything."""
         shares = self.spec.sideways_friction_share != 1.0
-        return shares or bool(self.spec.couplings) or self._measures_work
+        return shares or bool(self.spec.couplings) or self._measures_work or self._leads
 
     def after(self) -> None:
         """Do what a physics step that was made asks for."""
         if self._gears:
             self._react()
-        if self._differentials or self._grip is not None:
-            impulses = self.skeleton.getJointConstraintImpulses().tolist()
+        if self._gives or self._differentials or self._grip is not None:
+            self._impulses = impulses = self.skeleton.getJointConstraintImpulses().tolist()
             for differential in self._differentials:
                 differential.after(impulses)
             if self._grip is not None:
