@@ -27,9 +27,6 @@ NEVER_THE_LESSER = 1e3
 _TYRE_STIFFNESS_NPM = 1e5
 _SOFTNESS = 0.07
 dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
-# The lighter a wheel, the farther its servo gives way. Of what it gave way by in one step, those that are
-# looked at in each make up for so much in the next, which leaves none to push against the others for long.
-_MADE_UP = 0.9
 
 _GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
@@ -112,7 +109,7 @@ class DartRobot:
             self._grip = Grip(robot, self._feet, self.spec.sideways_friction_share, self._timestep_s)
             self._grip.set_friction(self._foot_friction)
         self._gives = self._giving_way() if self._leads else []
-        self._impulses: Sequence[float] = [0.0] * robot.getNumDofs()
+        self._impulses = [0.0] * robot.getNumDofs()
         self._commands = self.spec.rest_commands()
         self._servos.rest()
         self._push = None
@@ -121,13 +118,13 @@ class DartRobot:
 
     @property
     def _leads(self) -> bool:
-        """Whether servos of motors make up for what they give way by."""
+        """Whether what the servos of wheels give way by, and light wheels give way most, is made up for."""
         return not self._plain and all(motor.mode == "velocity" for motor in self._motors)
 
     def _giving_way(self) -> list[float]:
-        """By how much [rad/s] each motor's servo is to be led for an impulse of 1 N m s: see `_MADE_UP`."""
+        """The speed [rad/s] by which each motor's servo gives way to an impulse of 1 N m s."""
         ease = self.skeleton.getInvMassMatrix().diagonal()[self._drives]
-        gives: list[float] = (_MADE_UP * _SOFTNESS * ease).tolist()
+        gives: list[float] = (_SOFTNESS * ease).tolist()
         return gives
 
     def forget(self) -> None:
@@ -164,9 +161,11 @@ class DartRobot:
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
         if self._gives:
+            # For what all of them bear together, a brake on a slope. For what each bears alone they would push
+            # against each other again.
             impulses = self._impulses
-            parts = zip(targets, self._gives, drives, strict=True)
-            targets = [target + give * impulses[index] for target, give, index in parts]
+            mean = sum([impulses[index] for index in drives]) / len(drives)
+            targets = [target + give * mean for target, give in zip(targets, self._gives, strict=True)]
         robot.setCommands(drives, targets)
         robot.setForceUpperLimits(drives, torques)
         robot.setForceLowerLimits(drives, [-torque for torque in torques])
@@ -174,8 +173,8 @@ class DartRobot:
     @property
     def has_work_after(self) -> bool:
         """Whether `after` does anything."""
-        shares = self.spec.sideways_friction_share != 1.0
-        return shares or bool(self.spec.couplings) or self._measures_work or self._leads
+        slips = self.spec.sideways_friction_share != 1.0
+        return slips or self._leads or bool(self.spec.couplings) or self._measures_work
 
     def after(self) -> None:
         """Do what a physics step that was made asks for."""
