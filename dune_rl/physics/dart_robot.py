@@ -118,8 +118,10 @@ class DartRobot:
 
     @property
     def _leads(self) -> bool:
-        """Whether what the servos of wheels give way by, and light wheels give way most, is made up for."""
-        return not self._plain and all(motor.mode == "velocity" for motor in self._motors)
+        """Whether what servos give way by is made up for: the more, the lighter a wheel is without its rotor."""
+        return not self._plain and all(
+            motor.mode == "velocity" and motor.rotor_inertia_kgm2 > 0.0 for motor in self._motors
+        )
 
     def _giving_way(self) -> list[float]:
         """The speed [rad/s] by which each motor's servo gives way to an impulse of 1 N m s."""
