@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes
+from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes, terrain_friction
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_robot import DartRobot
 from dune_rl.physics.interface import SceneSpec
@@ -26,7 +26,12 @@ class DartScene:
     def __init__(self, spec: SceneSpec) -> None:
         self._spec = spec
         self._meshes = shared_meshes(spec.statics)
-        self._robot = DartRobot(spec.robot, spec.timestep_s, measures_work=spec.measures_work)
+        self._robot = DartRobot(
+            spec.robot,
+            spec.timestep_s,
+            measures_work=spec.measures_work,
+            terrain_friction=terrain_friction(spec.statics),
+        )
         self._surroundings = Surroundings(spec, self._meshes, self._robot)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None

@@ -1,6 +1,7 @@
 """What a robot meets in a DART scene: ground, obstacles, and capsules that move as they are told."""
 
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -29,7 +30,7 @@ class Surroundings:
         self._numbered: list[tuple[int, Any]] = []
         self._underfoot: list[tuple[Any, float]] = []
         self._given = False
-        self._terrain_friction = next((body.friction for body in spec.statics if body.ground), 1.0)
+        self._terrain_friction = terrain_friction(spec.statics)
         # How far the detector holds them off triangles that are no solid.
         gap_of_feet = 0.0 if robot.feet_are_balls else _TRIANGLE_MARGIN_M
         gap_of_hull = 0.0 if robot.hull_is_balls else _TRIANGLE_MARGIN_M
@@ -73,6 +74,11 @@ class Surroundings:
         if not any(met(body) for body in (self.obstacles, *self.obstacles_for_feet)):
             return []
         return [number for number, shape in self._numbered if met(shape)]
+
+
+def terrain_friction(statics: Iterable[StaticBody]) -> float:
+    """The ground's friction coefficient, 1 where there is none."""
+    return next((body.friction for body in statics if body.ground), 1.0)
 
 
 class Capsules:
