@@ -75,6 +75,7 @@ def slope_stage(
     yaw: float = 0.0,
     robot: RobotBody | None = None,
     variation: BodyVariation | None = None,
+    height_m: float = WHEEL_RADIUS_M + 0.001,
 ) -> "Stage":
     """A rover just above a slope, in the middle of one large triangle: edges catch wheels that slide."""
     terrain = plane_field(slope_rad, half=4, spacing_m=5.0)
@@ -83,7 +84,7 @@ def slope_stage(
         stage.scene.set_body(variation)
     quaternion = quaternion_of(yaw, slope_rad)
     foot = np.array([-1.5, -3.5, terrain.height([-1.5, -3.5])])
-    stage.place(foot + rotation_matrices(quaternion)[:, 2] * (WHEEL_RADIUS_M + 0.001), quaternion)
+    stage.place(foot + rotation_matrices(quaternion)[:, 2] * height_m, quaternion)
     return stage
 
 

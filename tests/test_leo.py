@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from defusedxml.ElementTree import parse
 from scenes import (
+    GRAVITY_MPS2,
     SUBSTEPS,
+    TIMESTEP_S,
     Drive,
     Stage,
     about,
     allowed,
-    bullet_alone,
     every_backend,
     ground,
     plane,
@@ -35,8 +36,13 @@ def leo_on(backend, statics=None, **place) -> Drive:
     return Drive(backend, rover=rover, statics=statics, **place)
 
 
-def rockers(drive: Drive) -> np.ndarray:
-    return np.array(drive.stage.scene.joint_angles(ROCKERS))
+def leo_on_slope(backend, slope: float, yaw: float) -> Stage:
+    rover = LeoRover(LeoRoverConf(), 1)
+    return slope_stage(backend, slope, 1.0, yaw, rover.body, height_m=rover.standing_height_m + 0.002)
+
+
+def rockers(stage: Stage) -> np.ndarray:
+    return np.array(stage.scene.joint_angles(ROCKERS))
 
 
 def stones(seed: int) -> HeightField:
@@ -50,7 +56,7 @@ def test_it_stands_at_its_height_with_level_rockers(backend):
     drive.stage.step(200)
     # Its centre of mass is off the origin, which is what is told.
     np.testing.assert_allclose(drive.stage.position, [0.0, 0.0, 0.198], atol=allowed(backend, 1.5e-3, 2e-3))
-    np.testing.assert_allclose(rockers(drive), 0.0, atol=1e-3)
+    np.testing.assert_allclose(rockers(drive.stage), 0.0, atol=1e-3)
     assert np.linalg.norm(drive.stage.velocity) < 1e-3
 
 
@@ -78,9 +84,7 @@ def test_it_drives_straight_at_the_speed_told(backend, speed):
     assert abs(way[0] * -ahead[1] + way[1] * ahead[0]) < 0.03
 
 
-# DART has one friction coefficient for all directions, with which Leo's turns are slower than told, and a
-# differential that gives by half a degree.
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("yaw", [0.0, 0.4, np.pi / 4])
 @pytest.mark.parametrize("rate", [0.3, np.deg2rad(60.0)])
 def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
@@ -91,10 +95,12 @@ def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
         yaws.append(drive.stage.yaw)
     yaws = np.unwrap(yaws)
     assert (yaws[-1] - yaws[19]) / 2.0 == pytest.approx(rate, rel=0.1)
-    assert np.linalg.norm(drive.stage.position[:2]) < 0.25
+    # Its rear axle carries more and slips less, so that it turns about a point near that: within half a turn it
+    # is away by less than twice their distance.
+    assert np.linalg.norm(drive.stage.position[:2]) < allowed(backend, 0.25, 0.3)
 
 
-@bullet_alone
+@every_backend
 @pytest.mark.parametrize("seed", [0, 1])
 def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground(backend, seed):
     terrain = stones(seed)
@@ -103,7 +109,7 @@ def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground
     largest = 0.0
     for step in range(160):
         drive.step(0.4, 0.1 * np.sin(step / 30))
-        left, right = rockers(drive)
+        left, right = rockers(drive.stage)
         assert abs(left + right) < 1e-3
         largest = max(largest, abs(left))
         if step % 10:
@@ -114,7 +120,7 @@ def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground
             turned = [cos * middle[0] + sin * middle[2], middle[1], cos * middle[2] - sin * middle[0]]
             where = drive.stage.position + drive.stage.rotation @ (turned + np.array([0.0026, 0.0, -0.0473]))
             round_it = where[:2] + 0.06 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-            assert where[2] - 0.0625 - terrain.height(round_it).max() < 0.004
+            assert where[2] - 0.0625 - terrain.height(round_it).max() < allowed(backend, 0.004, 0.006)
     assert largest > 0.05
     assert drive.stage.position[0] > -3.0
 
@@ -125,9 +131,10 @@ def test_the_body_carries_the_mean_of_its_rockers(backend):
     heights = np.zeros((41, 41))
     x, y = np.meshgrid(np.arange(41) * 0.1 - 2.0, np.arange(41) * 0.1 - 2.0)
     heights[(x > 0.0) & (y > 0.0)] = 0.05
-    drive = leo_on(backend, [ground(HeightField(heights, 0.1, (-2.0, -2.0)))], position_w=(0.0, 0.0, 0.27))
-    drive.stage.step(300)
-    left, right = rockers(drive)
+    drive = leo_on(backend, [ground(HeightField(heights, 0.1, (-2.0, -2.0)))], position_w=(0.0, 0.0, 0.25))
+    # DART lifts what has sunk in at the landing by a millimetre a second.
+    drive.stage.step(900)
+    left, right = rockers(drive.stage)
     pitch = np.arcsin(-drive.stage.rotation[2, 0])
     assert abs(left - right) / 2 > 0.06
     # The right wheels are level, the left ones 0.05 m apart in height: the body has half of that slope.
@@ -154,15 +161,47 @@ def test_a_slope_that_is_too_steep_for_its_motors_stops_it(backend):
         assert speed > 0.2
 
 
-@bullet_alone
-def test_it_holds_on_a_slope(backend):
-    rover = LeoRover(LeoRoverConf(), 1)
-    stage = slope_stage(backend, 0.3, 1.0, robot=rover.body)
-    assert isinstance(stage, Stage)
+@every_backend
+@pytest.mark.parametrize(("yaw", "creep_m"), [(0.0, 0.02), (np.pi / 2, 1e-3)], ids=["uphill", "across"])
+def test_it_holds_on_a_slope(backend, yaw, creep_m):
+    stage = leo_on_slope(backend, 0.3, yaw)
     stage.step(100)
     before = stage.position
-    stage.step(SUBSTEPS * 20)
-    assert np.linalg.norm(stage.position - before) < 0.02
+    # What creeps is servos that brake.
+    stage.step(SUBSTEPS * 100)
+    assert np.linalg.norm(stage.position - before) < creep_m
+    np.testing.assert_allclose(rockers(stage), 0.0, atol=1e-3)
+
+
+@every_backend
+@pytest.mark.parametrize("friction", [1.0, 0.6])
+def test_across_a_slope_it_slides_iff_that_exceeds_half_its_friction(backend, friction):
+    for share, slides in ((0.93, False), (1.2, True)):
+        slope = np.arctan(share * 0.5 * friction)
+        stage = leo_on_slope(backend, slope, np.pi / 2)
+        stage.scene.set_wheel_contacts([friction] * 4, [0.0] * 4)
+        stage.step(60)
+        before, start = stage.velocity, stage.position
+        stage.step(80)
+        gained = np.linalg.norm(stage.velocity - before) / (80 * TIMESTEP_S)
+        if slides:
+            pull = GRAVITY_MPS2 * (np.sin(slope) - 0.5 * friction * np.cos(slope))
+            # In DART its wheels, which roll sideways, take a twelfth of it.
+            assert gained == pytest.approx(pull, rel=0.15)
+        else:
+            assert np.linalg.norm(stage.position - start) < 4e-3
+
+
+@every_backend
+def test_the_same_drive_gives_the_same_bytes_after_a_new_start(backend):
+    drive = leo_on(backend, [ground(stones(0))], position_w=(-5.0, 0.0, 0.3))
+    found = []
+    for _ in range(2):
+        drive.start(0.2, position_w=(-5.0, 0.0, 0.3))
+        for _ in range(20):
+            drive.step(0.4, 0.3)
+        found.append((drive.stage.scene.body_state(), drive.stage.scene.drive_state()))
+    assert found[0] == found[1]
 
 
 def _inertials() -> dict[str, Element]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes
+from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes, terrain_friction
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_meetings import Meetings
 from dune_rl.physics.dart_robot import DartRobot
@@ -173,7 +173,12 @@ class _SceneRobot(DartRobot):
     """Robot `number` of a scene, which it enters after each `place`."""
 
     def __init__(self, spec: SceneSpec, number: int) -> None:
-        super().__init__(spec.robots[number], spec.timestep_s, measures_work=spec.measures_work)
+        super().__init__(
+            spec.robots[number],
+            spec.timestep_s,
+            measures_work=spec.measures_work,
+            terrain_friction=terrain_friction(spec.statics),
+        )
         self._number = number
         self._world: Any = None
         self._meetings: Any = None

@@ -1,7 +1,7 @@
 """What a robot meets in a DART scene: ground, obstacles, and capsules that move as they are told."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
@@ -45,7 +45,7 @@ class Surroundings:
         self.for_feet = [self._body() for _ in robots]
         self._underfoot: list[list[tuple[Any, float]]] = [[] for _ in robots]
         self._given: set[int] = set()
-        self._terrain_friction = next((body.friction for body in statics if body.ground), 1.0)
+        self._terrain_friction = terrain_friction(statics)
         hulls = [(robot.spec.hull_friction, _gap(robot.hull_is_balls)) for robot in robots]
         grounds = {hull: self._body() for hull in dict.fromkeys(hulls)}
         self.for_hull = [grounds[hull] for hull in hulls]
@@ -92,6 +92,11 @@ class Surroundings:
 def _gap(balls: bool) -> float:
     """How far the detector holds links off triangles that are no solid [m]."""
     return 0.0 if balls else _TRIANGLE_MARGIN_M
+
+
+def terrain_friction(statics: Iterable[StaticBody]) -> float:
+    """The ground's friction coefficient, 1 where there is none."""
+    return next((body.friction for body in statics if body.ground), 1.0)
 
 
 class Capsules:

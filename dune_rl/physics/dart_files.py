@@ -2,24 +2,23 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError, SubElement, tostring
+from xml.etree.ElementTree import Element, ParseError, tostring
 
 import numpy as np
 from defusedxml.ElementTree import fromstring, parse
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
+from dune_rl.physics.dart_joints import chain, differentials, hang, let_slip
 from dune_rl.physics.interface import RobotBody, StaticBody
 
 Array = NDArray[np.float64]
 
-# Ends the names of joints and links that stand for the give of a tyre.
-TYRE = "/tyre"
 _FOLD_DEPTH_M = 10.0
 
 
 def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
-    """The robot's URDF with its couplings, and a sliding joint between each driven wheel and its mount.
+    """The robot's URDF with its couplings, and with joints for what DART has no setting for: see `dart_joints`.
 
     `text` is a URDF to take instead of the robot's own.
     Raises `PhysicsError` where there is no such file, or no such joint or link in it.
@@ -32,32 +31,22 @@ def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
     fault = spec.missing_from(joints, [link.get("name", "") for link in root.findall("link")])
     if fault:
         raise PhysicsError(fault)
+    chained = differentials(spec, joints)
     for coupling in spec.couplings:
+        if coupling in chained:
+            chain(joints[coupling.leader], joints[coupling.follower])
+            continue
         gear = {"joint": coupling.leader, "multiplier": repr(coupling.ratio), "offset": "0"}
         joints[coupling.follower].append(Element("mimic", gear))
     for motor in spec.motors:
-        child = joints[motor.joint].find("child")
+        joint = joints[motor.joint]
+        child = joint.find("child")
         # A leg that is led to angles has give enough, and a slider in its knee would sink under it.
         if motor.mode == "velocity" and child is not None and child.get("link") in spec.ground_links:
-            _hang(joints[motor.joint], root)
+            hang(joint, root)
+            if spec.sideways_friction_share != 1.0:
+                let_slip(joint, root)
     return tostring(root, encoding="unicode")
-
-
-def _hang(wheel_joint: Element, root: Element) -> None:
-    mount = wheel_joint.find("parent")
-    assert mount is not None, "a joint has a parent"
-    name = f"{wheel_joint.get('name')}{TYRE}"
-    slider = SubElement(root, "joint", {"name": name, "type": "prismatic"})
-    SubElement(slider, "parent", {"link": mount.get("link", "")})
-    SubElement(slider, "child", {"link": name})
-    SubElement(slider, "axis", {"xyz": "0 0 1"})
-    SubElement(slider, "limit", {"effort": "1e9", "velocity": "1e9", "lower": "-1", "upper": "1"})
-    # Light beside any wheel; nothing at all would be a mass that DART replaces by 1 kg.
-    inertial = SubElement(SubElement(root, "link", {"name": name}), "inertial")
-    SubElement(inertial, "mass", {"value": "1e-3"})
-    moments = {"ixx": "1e-6", "iyy": "1e-6", "izz": "1e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
-    SubElement(inertial, "inertia", moments)
-    mount.set("link", name)
 
 
 def write_meshes(statics: Sequence[StaticBody], hollow: Sequence[bool], folder: Path) -> str:

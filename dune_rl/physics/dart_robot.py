@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart_files import TYRE, robot_urdf
+from dune_rl.physics.dart_differential import Differential, is_chained, set_up
+from dune_rl.physics.dart_files import robot_urdf
 from dune_rl.physics.dart_gears import DrivenGears, driven
+from dune_rl.physics.dart_grip import Grip
+from dune_rl.physics.dart_joints import TYRE
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_tyres import YieldingGround
 from dune_rl.physics.interface import RobotBody
@@ -31,12 +34,18 @@ _GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
 
 class DartRobot:
-    """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`."""
+    """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`.
+
+    `terrain_friction` is the ground's, until `set_foot_friction` says another.
+    """
 
     skeleton: Any
 
-    def __init__(self, spec: RobotBody, timestep_s: float, *, measures_work: bool) -> None:
+    def __init__(
+        self, spec: RobotBody, timestep_s: float, *, measures_work: bool, terrain_friction: float = 1.0
+    ) -> None:
         self.spec, self._timestep_s = spec, timestep_s
+        self._foot_friction = [spec.ground_friction * terrain_friction] * len(spec.ground_links)
         self._as_read = _read_robot(spec)
         self.skeleton = None
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -50,6 +59,8 @@ class DartRobot:
         self._work = 0.0
         self._speeds: Sequence[float] = ()
         self._gears: list[_Gear] = []
+        self._differentials: list[Differential] = []
+        self._grip: Grip | None = None
 
     @property
     def feet_are_balls(self) -> bool:
@@ -90,8 +101,18 @@ class DartRobot:
         self._gears = [
             _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
             for coupling in self.spec.couplings
-            if coupling not in driven(self.spec)
+            if not is_chained(robot, coupling) and coupling not in driven(self.spec)
         ]
+        self._differentials = [
+            Differential(robot, coupling, self._timestep_s)
+            for coupling in self.spec.couplings
+            if is_chained(robot, coupling)
+        ]
+        if self.spec.sideways_friction_share != 1.0:
+            self._grip = Grip(robot, self._feet, self.spec.sideways_friction_share, self._timestep_s)
+            self._grip.set_friction(self._foot_friction)
+        self._gives = self._giving_way() if self._leads else []
+        self._impulses = [0.0] * robot.getNumDofs()
         self._driven_gears = self._gear_up()
         self._geared: Sequence[float] = (0.0,) * len(self._motors)
         self._commands = self.spec.rest_commands()
@@ -105,6 +126,19 @@ class DartRobot:
         if not couplings:
             return None
         return DrivenGears(self.skeleton, couplings, self.spec.drive_joints, self._timestep_s)
+
+    @property
+    def _leads(self) -> bool:
+        """Whether what servos give way by is made up for: the more, the lighter a wheel is without its rotor."""
+        return not self._plain and all(
+            motor.mode == "velocity" and motor.rotor_inertia_kgm2 > 0.0 for motor in self._motors
+        )
+
+    def _giving_way(self) -> list[float]:
+        """The speed [rad/s] by which each motor's servo gives way to an impulse of 1 N m s."""
+        ease = self.skeleton.getInvMassMatrix().diagonal()[self._drives]
+        gives: list[float] = (_SOFTNESS * ease).tolist()
+        return gives
 
     def forget(self) -> None:
         """The scene is gone, and with it the robot."""
@@ -146,6 +180,12 @@ class DartRobot:
         robot, drives = self.skeleton, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
+        if self._gives:
+            # For what all of them bear together, a brake on a slope. For what each bears alone they would push
+            # against each other again.
+            impulses = self._impulses
+            mean = sum([impulses[index] for index in drives]) / len(drives)
+            targets = [target + give * mean for target, give in zip(targets, self._gives, strict=True)]
         robot.setCommands(drives, targets)
         if self._driven_gears is None:
             robot.setForceUpperLimits(drives, torques)
@@ -160,7 +200,8 @@ class DartRobot:
     @property
     def has_work_after(self) -> bool:
         """Whether `after` does anything."""
-        return bool(self.spec.couplings) or self._measures_work
+        slips = self.spec.sideways_friction_share != 1.0
+        return slips or self._leads or bool(self.spec.couplings) or self._measures_work
 
     def after(self) -> None:
         """Do what a physics step that was made asks for."""
@@ -168,6 +209,12 @@ class DartRobot:
             self._react()
         if self._driven_gears is not None:
             self._driven_gears.after()
+        if self._gives or self._differentials or self._grip is not None:
+            self._impulses = impulses = self.skeleton.getJointConstraintImpulses().tolist()
+            for differential in self._differentials:
+                differential.after(impulses)
+            if self._grip is not None:
+                self._grip.after(impulses)
         if self._measures_work:
             self._count_work()
 
@@ -221,6 +268,8 @@ class DartRobot:
                 if node.hasDynamicsAspect():
                     node.getDynamicsAspect().setFrictionCoeff(grip)
                     node.getDynamicsAspect().setRestitutionCoeff(bounce)
+        if self._grip is not None:
+            self._grip.set_friction(friction)
         if stiffness is None or damping is None:
             return
         if self._ground is None:
@@ -253,7 +302,11 @@ class DartRobot:
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         if self.skeleton is None:
             return (0.0,) * len(joints)
-        return tuple(self.skeleton.getPositions([self._index(joint) for joint in joints]).tolist())
+        positions = self.skeleton.getPositions().tolist()
+        # The second arm of a differential hangs on the first.
+        for differential in self._differentials:
+            positions[differential.between] += positions[differential.body]
+        return tuple(positions[self._index(joint)] for joint in joints)
 
 
 @dataclass
@@ -296,6 +349,9 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         if coupling in driven(spec):
             if coupling.follower not in spec.drive_joints:
                 joints[coupling.follower].setActuatorType(dartpy.dynamics.ActuatorType.FORCE)
+            continue
+        if is_chained(robot, coupling):
+            set_up(robot, coupling)
             continue
         leader, follower = joints[coupling.leader], joints[coupling.follower]
         # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.physics.dart_files import TYRE
+from dune_rl.physics.dart_joints import TYRE
 from dune_rl.physics.dart_library import dartpy
 
 # Stiffer wheels share a weight by fits and starts: on ground of 1e7 N/m a rover is 7 % slower in its curves.
