@@ -80,11 +80,14 @@ def cart(
     """10 kg, `centre_m` above the ground, on four braked wheels of 0.5 kg."""
     across, radius = [half_track_m, -half_track_m], 0.05
     wheels = [(f"wheel{x:+}{y:+}", x, y) for x in across for y in across]
-    round_it = f'<origin xyz="0 0 0" rpy="{np.pi / 2} 0 0"/><geometry><cylinder radius="{radius}" length="0.04"/>'
-    ball = f'<origin xyz="0 0 0"/><geometry><sphere radius="{radius}"/>'
     links = [link(name, 0.5, str(radius), "sphere") for name, _, _ in wheels]
     if shape == "cylinder":
-        links = [text.replace(ball, round_it) for text in links]
+        ball, drum = f'<sphere radius="{radius}"/>', f'<cylinder radius="{radius}" length="0.04"/>'
+        links = [text.replace(ball, drum) for text in links]
+        links = [
+            text.replace('"0 0 0"/><geometry>', f'"0 0 0" rpy="{np.pi / 2} 0 0"/><geometry>')
+            for text in links
+        ]
     return body(
         folder,
         link("mass", 10.0, "0.1 0.1 0.1", "box", origin="0 0 0.5"),

@@ -1,4 +1,4 @@
-"""Joints that DART's model of a robot has beyond its URDF: they stand for what the engine has no setting for."""
+"""Joints that a robot has in DART beside those of its URDF, for what the engine has no setting for."""
 
 from xml.etree.ElementTree import Element, SubElement
 
@@ -39,17 +39,18 @@ def let_slip(wheel_joint: Element, root: Element) -> None:
         _insert(wheel_joint, GRIP, root, "continuous", middle, np.cross(axle, _UP))
         return
     _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
-    heavy, light = wheel.find("inertial/mass"), mount.find("inertial/mass")
-    if heavy is not None and light is not None:
-        light.set("value", heavy.get("value", "0"))
-        heavy.set("value", _HARDLY_ANY_KG)
+    mass = wheel.find("inertial/mass")
+    if mass is not None:
         centre = place + turn.apply(_numbers(wheel.find("inertial/origin"), "xyz"))
         for inertial in mount.findall("inertial"):
             SubElement(inertial, "origin", {"xyz": _told(centre)})
+            for light in inertial.findall("mass"):
+                light.set("value", mass.get("value", "0"))
+        mass.set("value", _HARDLY_ANY_KG)
 
 
 def differentials(spec: RobotBody, joints: dict[str, Element]) -> list[Coupling]:
-    """The couplings that turn two joints of one body, on one axis and without motors, opposite to each other."""
+    """The couplings of two joints of one body, on one axis and without motors, that turn opposite."""
     coupled = [name for coupling in spec.couplings for name in (coupling.leader, coupling.follower)]
     return [
         coupling
