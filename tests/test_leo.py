@@ -95,8 +95,8 @@ def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
         yaws.append(drive.stage.yaw)
     yaws = np.unwrap(yaws)
     assert (yaws[-1] - yaws[19]) / 2.0 == pytest.approx(rate, rel=0.1)
-    # Its rear axle carries more and slips less, so that it turns about a point near that: within half a turn it
-    # is away by less than twice their distance.
+    # Its rear axle carries more and slips less, so that it turns about a point near that: in half a turn it
+    # gets no farther than twice their distance.
     assert np.linalg.norm(drive.stage.position[:2]) < allowed(backend, 0.25, 0.3)
 
 

@@ -74,18 +74,29 @@ def sled(folder: Path, friction: float, half_track_m: float, centre_m: float) ->
     )
 
 
-def cart(folder: Path, friction: float, half_track_m: float, centre_m: float) -> RobotBody:
+def cart(
+    folder: Path, friction: float, half_track_m: float, centre_m: float, shape: str = "sphere", **settings
+) -> RobotBody:
     """10 kg, `centre_m` above the ground, on four braked wheels of 0.5 kg."""
     across, radius = [half_track_m, -half_track_m], 0.05
     wheels = [(f"wheel{x:+}{y:+}", x, y) for x in across for y in across]
+    links = [link(name, 0.5, str(radius), "sphere") for name, _, _ in wheels]
+    if shape == "cylinder":
+        ball, drum = f'<sphere radius="{radius}"/>', f'<cylinder radius="{radius}" length="0.04"/>'
+        links = [text.replace(ball, drum) for text in links]
+        links = [
+            text.replace('"0 0 0"/><geometry>', f'"0 0 0" rpy="{np.pi / 2} 0 0"/><geometry>')
+            for text in links
+        ]
     return body(
         folder,
         link("mass", 10.0, "0.1 0.1 0.1", "box", origin="0 0 0.5"),
-        *(link(name, 0.5, str(radius), "sphere") for name, _, _ in wheels),
+        *links,
         *(joint(f"to_{name}", "mass", name, f"{x} {y} {radius - centre_m}") for name, x, y in wheels),
         motors=tuple(Motor(f"to_{name}", 50.0) for name, _, _ in wheels),
         ground_links=tuple(name for name, _, _ in wheels),
         ground_friction=friction,
+        **settings,
     )
 
 
@@ -198,6 +209,30 @@ def test_a_sled_slides_on_a_slope_iff_it_exceeds_friction(backend, tmp_path, fri
         else:
             # Creep of the solver, millimetres a second.
             assert np.linalg.norm(stage.position - place) < 4e-3
+
+
+@every_backend
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+def test_wheels_that_grip_less_along_their_axles_slide_across_a_slope_and_hold_along_it(
+    backend, tmp_path, shape
+):
+    friction, share = 0.8, 0.4
+    robot = cart(tmp_path, friction, 0.3, 0.1, shape, sideways_friction_share=share)
+    for yaw, limit in ((np.pi / 2, share * friction), (0.0, friction)):
+        for part, slides in ((0.93, False), (1.2, True)):
+            slope = np.arctan(part * limit)
+            stage = on_slope(backend, robot, slope, 0.1005, yaw)
+            stage.step(60)
+            before, place = stage.velocity, stage.position
+            stage.step(60)
+            if slides:
+                pull = GRAVITY_MPS2 * (np.sin(slope) - limit * np.cos(slope))
+                gained = np.linalg.norm(stage.velocity - before) / (60 * TIMESTEP_S)
+                # In DART, balls that slide along their axles have to be set rolling: a fourteenth.
+                assert gained == pytest.approx(pull, rel=0.15)
+            else:
+                # Creep of servos that brake, and of the solver.
+                assert np.linalg.norm(stage.position - place) < 2e-2
 
 
 @every_backend

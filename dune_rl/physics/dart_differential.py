@@ -1,4 +1,4 @@
-"""Differentials in DART: a body that is carried at the mean of two arms, which turn opposite to each other."""
+"""Differentials in DART: a body carried at the mean of two arms, which turn opposite to each other."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,13 +14,12 @@ _OFF_RAD = 2.5e-4
 class Differential:
     """Carries the body of a skeleton at the mean of its arms, of which the second hangs on the first.
 
-    See `dart_joints.chain`. DART drives one joint after another, but a coupling
-    that acts on both at once it has not. Of the arms, which stand on the
-    ground, and the light body between them, the body is what can be led: the
-    joint between the arms turns freely, and a servo turns the body by half of
-    that. What the servo gives acts back on the arms a step later. A blow to an
-    arm, which no servo foresees, leaves the body behind by some milliradians,
-    and it is turned by so much after the step.
+    See `dart_joints.chain`. DART couples joints one way: what follows feels what
+    leads at once, and acts back on it a step later. That is stable only where
+    what follows is light, as the body is beside arms that stand on the ground:
+    the joint between the arms turns freely, and a servo turns the body by half
+    of that. A blow to an arm, which no servo foresees, leaves the body behind
+    by some milliradians, and after the step it is turned by so much.
     """
 
     def __init__(self, robot: Any, coupling: Coupling, timestep_s: float) -> None:
@@ -63,7 +62,7 @@ def is_chained(robot: Any, coupling: Coupling) -> bool:
 
 
 def set_up(robot: Any, coupling: Coupling) -> None:
-    """Give the joints of a differential, which have friction, damping and limits of their own, those of both."""
+    """Have the joint between the arms turn with the friction, the damping and the limits of both arms."""
     body, between = robot.getJoint(coupling.leader), robot.getJoint(coupling.follower)
     # Between the arms is twice the angle of either: a torque there does twice the work, damping four times.
     between.setCoulombFriction(0, (body.getCoulombFriction(0) + between.getCoulombFriction(0)) / 2)

@@ -18,7 +18,7 @@ _FOLD_DEPTH_M = 10.0
 
 
 def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
-    """The robot's URDF with its couplings, and with joints for what DART has no setting for: see `dart_joints`.
+    """The robot's URDF with its couplings, and the joints of `dart_joints`.
 
     `text` is a URDF to take instead of the robot's own.
     Raises `PhysicsError` where there is no such file, or no such joint or link in it.

@@ -7,15 +7,16 @@ from dune_rl.physics.dart_joints import GRIP, TYRE
 
 
 class Grip:
-    """Lets wheels slip along their axles, at joints of dry friction: DART's contacts grip alike in any direction.
+    """Lets wheels slip along their axles at joints of dry friction: DART's contacts grip alike any way.
 
     A wheel's contact sticks, and the joint of `dart_joints.let_slip` gives way
     where the friction of a tyre along its axle would, which goes with the load
     of the step before. After each step the joint is where it was, as a tyre
     that has slipped keeps no memory of it.
 
-    `feet` are the bodies of the skeleton `robot` that stand on the ground; those without such a joint are
-    left as they are. `share` is what they grip along the axle of what they grip along the tread.
+    `feet` are the bodies of the skeleton `robot` that stand on the ground; those
+    without such a joint are left as they are. `share` is what they grip along
+    the axle of what they grip along the tread.
     """
 
     def __init__(self, robot: Any, feet: Sequence[Any], share: float, timestep_s: float) -> None:
@@ -28,8 +29,7 @@ class Grip:
         # To ask the joints takes ten times as long.
         self._dofs = [robot.getDof(joint.getIndexInSkeleton(0)) for joint in grips]
         self._shares = [
-            share * _lever_m(joint, feet[number])
-            for joint, number in zip(grips, self._wheels, strict=True)
+            share * _lever_m(joint, feet[number]) for joint, number in zip(grips, self._wheels, strict=True)
         ]
         self._limits: Sequence[float] = ()
 

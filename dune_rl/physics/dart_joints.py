@@ -1,4 +1,4 @@
-"""Joints that DART's model of a robot has beyond its URDF: they stand for what the engine has no setting for."""
+"""Joints that a robot has in DART beside those of its URDF, for what the engine has no setting for."""
 
 from xml.etree.ElementTree import Element, SubElement
 
@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 # Ends the names of joints and links that stand for the give of a tyre, and for its slip along the axle.
 TYRE, GRIP = "/tyre", "/grip"
 
+_HARDLY_ANY_KG = "1e-3"
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -26,21 +27,30 @@ def let_slip(wheel_joint: Element, root: Element) -> None:
 
     A ball rolls sideways about an axis through its middle, so that only what
     rubs on it along the axle turns it, and not what presses it from any side.
-    Other shapes do not roll so: they slide along the axle.
+    Other shapes do not roll so: they slide along the axle, and leave their mass
+    to what does not, which is to move as a whole.
     """
     turn, place = _pose(wheel_joint)
     axle = turn.apply(_axis(wheel_joint))
-    (wheel,) = [link for link in root.findall("link") if link.get("name") == _child(wheel_joint)]
+    wheel, mount = (_link(root, name) for name in (_child(wheel_joint), _mount(wheel_joint).get("link", "")))
     shapes = wheel.findall("collision")
     if len(shapes) == 1 and shapes[0].find("geometry/sphere") is not None:
         middle = place + turn.apply(_numbers(shapes[0].find("origin"), "xyz"))
         _insert(wheel_joint, GRIP, root, "continuous", middle, np.cross(axle, _UP))
-    else:
-        _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
+        return
+    _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
+    mass = wheel.find("inertial/mass")
+    if mass is not None:
+        centre = place + turn.apply(_numbers(wheel.find("inertial/origin"), "xyz"))
+        for inertial in mount.findall("inertial"):
+            SubElement(inertial, "origin", {"xyz": _told(centre)})
+            for light in inertial.findall("mass"):
+                light.set("value", mass.get("value", "0"))
+        mass.set("value", _HARDLY_ANY_KG)
 
 
 def differentials(spec: RobotBody, joints: dict[str, Element]) -> list[Coupling]:
-    """The couplings that turn two joints of one body, on one axis and without motors, opposite to each other."""
+    """The couplings of two joints of one body, on one axis and without motors, that turn opposite."""
     coupled = [name for coupling in spec.couplings for name in (coupling.leader, coupling.follower)]
     return [
         coupling
@@ -81,13 +91,17 @@ def _insert(wheel_joint: Element, ending: str, root: Element, kind: str, place: 
     SubElement(joint, "limit", {"effort": "1e9", "velocity": "1e9", "lower": "-1", "upper": "1"})
     # Light beside any wheel; nothing at all would be a mass that DART replaces by 1 kg.
     inertial = SubElement(SubElement(root, "link", {"name": name}), "inertial")
-    SubElement(inertial, "mass", {"value": "1e-3"})
+    SubElement(inertial, "mass", {"value": _HARDLY_ANY_KG})
     moments = {"ixx": "1e-6", "iyy": "1e-6", "izz": "1e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
     SubElement(inertial, "inertia", moments)
     mount.set("link", name)
     if place.any():
         _place(joint, place)
         _place(wheel_joint, _pose(wheel_joint)[1] - place)
+
+
+def _link(root: Element, name: str) -> Element:
+    return next(link for link in root.findall("link") if link.get("name") == name)
 
 
 def _mount(joint: Element) -> Element:

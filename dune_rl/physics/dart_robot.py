@@ -129,7 +129,7 @@ class DartRobot:
 
     @property
     def _leads(self) -> bool:
-        """Whether what servos give way by is made up for: the more, the lighter a wheel is without its rotor."""
+        """Whether what servos give way by is made up for: much, where wheels are light beside rotors."""
         return not self._plain and all(
             motor.mode == "velocity" and motor.rotor_inertia_kgm2 > 0.0 for motor in self._motors
         )
@@ -181,8 +181,8 @@ class DartRobot:
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
         targets, torques = self._servos.next(angles, speeds)
         if self._gives:
-            # For what all of them bear together, a brake on a slope. For what each bears alone they would push
-            # against each other again.
+            # For what all of them bear together, as on a slope. For what each bears alone they would push
+            # against each other.
             impulses = self._impulses
             mean = sum([impulses[index] for index in drives]) / len(drives)
             targets = [target + give * mean for target, give in zip(targets, self._gives, strict=True)]
