@@ -63,7 +63,7 @@ class Meetings:
     def _shells(self, robots: Sequence[DartRobot], links: Sequence[Links]) -> list[Any]:
         """Have links of different robots meet, with the product of their coefficients."""
         outer = [
-            {kind: bodies for kind, bodies in own.items() if _is_outer(kind, robot)}
+            {kind: [*filter(_is_solid, bodies)] for kind, bodies in own.items() if _is_outer(kind, robot)}
             for robot, own in zip(robots, links, strict=True)
         ]
         shells: list[Links] = []
@@ -118,6 +118,10 @@ def _links(robot: DartRobot) -> Links:
 def _is_outer(kind: Kind, robot: DartRobot) -> bool:
     """Whether a robot's links of a kind meet more than the ground."""
     return not kind.stands or robot.spec.ground_links_meet_obstacles
+
+
+def _is_solid(link: Any) -> bool:
+    return any(node.hasCollisionAspect() for node in link.getShapeNodes())
 
 
 def _all(links: Links) -> list[Any]:
