@@ -186,10 +186,10 @@ def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     low, high = batch.robot.action_bounds()
     draws = np.random.default_rng(0)
     lying, longest, ended = np.zeros(4), 0.0, 0
-    for step in range(400):
+    for step in range(240):
         if step % 10 == 0:
             actions = draws.uniform(low, high, (4, 2)).astype(np.float32)
-        if step % 80 == 0:
+        if step % 60 == 0:
             for scene, bearing in zip(scenes, draws.uniform(-np.pi, np.pi, 4), strict=True):
                 scene.push([200.0 * np.cos(bearing), 200.0 * np.sin(bearing), 0.0])
         outcome = batch.step(actions)
