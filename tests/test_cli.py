@@ -247,7 +247,8 @@ def test_engines_are_compared_in_tables(call: Call, capsys: pytest.CaptureFixtur
     assert speeds == pytest.approx([0.8, 0.8], abs=0.01)
     # Nothing is amiss in six seconds of flat ground.
     for engine in ("bullet", "dart"):
-        assert f"| rover_zero | flat | {engine} | 0.1 | 2 | 0 | 0 | 0 | 0 |" in lines
+        start = f"| rover_zero | flat | {engine} | 0.1 | 2 | 0 | 0 | 0 | 0 | 0 | "
+        assert any(line.startswith(start) for line in lines)
 
 
 def test_a_wrong_setting_of_engines_is_named(call: Call, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,11 +11,13 @@ from walking_robots import Walk
 
 from dune_rl.config.build import build_robot, make_batch, make_torchrl_env
 from dune_rl.config.compose import compose_environment
+from dune_rl.engines.watched import watched_batch
 from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.errors import ConfigError
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal
 from dune_rl.paths import assets_folder
+from dune_rl.physics.interface import ENGINES
 from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 
 SLOPE_RAD = np.deg2rad(10.0)
@@ -220,6 +222,31 @@ def test_its_action_of_rest_stands(engine):
         batch.step(batch.robot.rest_action()[None].astype(np.float32))
     np.testing.assert_allclose(batch.motion.position_w[0], start, atol=6e-3)
     batch.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
+    batch, scenes = watched_batch("flat", engine, "hyperdog", 4, 0, {})
+    batch.reset()
+    low, high = batch.robot.action_bounds()
+    draws = np.random.default_rng(0)
+    lying, longest, ended = np.zeros(4), 0.0, 0
+    for step in range(240):
+        if step % 10 == 0:
+            actions = draws.uniform(low, high, (4, 2)).astype(np.float32)
+        if step % 60 == 0:
+            for scene, bearing in zip(scenes, draws.uniform(-np.pi, np.pi, 4), strict=True):
+                scene.push([200.0 * np.cos(bearing), 200.0 * np.sin(bearing), 0.0])
+        outcome = batch.step(actions)
+        lying = np.where(batch.motion.tilt() > np.deg2rad(40.0), lying + 1, 0)
+        longest = max(longest, lying.max())
+        if outcome.terminated.any():
+            ended += outcome.terminated.sum()
+            batch.reset(outcome.terminated)
+            lying[outcome.terminated] = 0
+    batch.close()
+    assert ended >= 4
+    assert longest * STEP_S <= 2.0
 
 
 def test_instruments_on_joints_read_twelve_and_odometry_is_refused():

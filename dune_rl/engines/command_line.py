@@ -66,9 +66,9 @@ def _main(parsed: Namespace) -> None:
         for robot in conf.robots:
             _say(f"\n### {robot}\n\n{table(robot, conf.places, conf.scenes, conf.seed)}")
     if "stability" in conf.parts:
-        heads = "minutes | episodes | not finite | fallen | jumps | diverged | fastest"
+        heads = "minutes | episodes | not finite | fallen | jumps | diverged | fast | fastest"
         _say(f"\n| robot | world | engine | {heads} |")
-        _say("|---|---|---|---|---|---|---|---|---|---|")
+        _say("|---|---|---|---|---|---|---|---|---|---|---|")
         for robot in conf.robots:
             for world in conf.worlds:
                 for engine in conf.engines:
@@ -76,7 +76,7 @@ def _main(parsed: Namespace) -> None:
                     _say(
                         f"| {robot} | {world} | {engine} | {found.minutes:g} | {found.episodes} "
                         f"| {found.nan} | {found.fallen} | {found.jumps} | {found.diverged} "
-                        f"| {found.fastest_mps:.2f} m/s |"
+                        f"| {found.fast} | {found.fastest_mps:.2f} m/s |"
                     )
 
 

@@ -25,8 +25,11 @@ class Count:
     `nan` are control steps that end in a state which is not finite, `fallen`
     those with the origin deep under the terrain, `jumps` those that carry the
     robot more than 1.5 times as far as it can go in one, see `PossibleSpeed`,
-    and `diverged` the episodes that were given up for one of them.
-    `fastest_mps` is how far it came in any step, over the step's length.
+    and `diverged` the episodes that were given up for one of them. No fault by
+    themselves are `fast`, control steps that carry it over the ground more than
+    1.5 times as far as the largest speed does that it can be told, and
+    `fastest_mps`, the most of any step: what tumbles is fast, and so is what
+    its own motors fling, which a flaw of the robot's model may be behind.
     """
 
     minutes: float
@@ -35,6 +38,7 @@ class Count:
     fallen: int
     jumps: int
     diverged: int
+    fast: int
     fastest_mps: float
 
 
@@ -83,7 +87,7 @@ def count(place: str, engine: Engine, robot: str, minutes: float, scenes: int, s
     step_s = batch.physics.control_step_s
     low, high = batch.robot.action_bounds()
     draws = np.random.default_rng(seed)
-    nan = fallen = jumps = diverged = 0
+    nan = fallen = jumps = diverged = fast = 0
     fastest = 0.0
     before, speed = batch.motion.position_w.copy(), np.linalg.norm(batch.motion.velocity_w, axis=1)
     possible = PossibleSpeed(batch.robot.max_speed_mps, batch.robot.mass_kg, speed)
@@ -98,8 +102,10 @@ def count(place: str, engine: Engine, robot: str, minutes: float, scenes: int, s
         fallen += int((position[:, 2] < batch.world.terrain.height(position[:, :2]) - _FALLEN_M).sum())
         speed = np.where(sound, np.linalg.norm(states[:, 7:10], axis=1), 0.0)
         work = np.array([scene.work_done_j for scene in watched])
-        went = np.linalg.norm(position - before, axis=1) / step_s
+        velocity = (position - before) / step_s
+        went = np.linalg.norm(velocity, axis=1)
         fastest = max(fastest, float(went.max()))
+        fast += int((np.linalg.norm(velocity[:, :2], axis=1) > _JUMP * batch.robot.max_speed_mps).sum())
         jumps += int((went > _JUMP * possible.after(work, before[:, 2] - position[:, 2], speed)).sum())
         diverged += int(batch.motion.diverged.sum())
         done = outcome.terminated | outcome.truncated
@@ -109,4 +115,4 @@ def count(place: str, engine: Engine, robot: str, minutes: float, scenes: int, s
         before = batch.motion.position_w.copy()
     episodes = int((batch.episodes // scenes + 1).sum())
     batch.close()
-    return Count(minutes, episodes, nan, fallen, jumps, diverged, fastest)
+    return Count(minutes, episodes, nan, fallen, jumps, diverged, fast, fastest)
