@@ -120,7 +120,7 @@ def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground
             turned = [cos * middle[0] + sin * middle[2], middle[1], cos * middle[2] - sin * middle[0]]
             where = drive.stage.position + drive.stage.rotation @ (turned + np.array([0.0026, 0.0, -0.0473]))
             round_it = where[:2] + 0.06 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-            assert where[2] - 0.0625 - terrain.height(round_it).max() < allowed(backend, 0.004, 0.006)
+            assert where[2] - 0.0625 - terrain.height(round_it).max() < allowed(backend, 0.004, 0.007)
     assert largest > 0.05
     assert drive.stage.position[0] > -3.0
 

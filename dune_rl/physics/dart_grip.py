@@ -6,6 +6,9 @@ from typing import Any
 from dune_rl.physics.dart_joints import GRIP, TYRE
 
 
+_GRAVITY_MPS2 = 9.81
+
+
 class Grip:
     """Lets wheels slip along their axles at joints of dry friction: DART's contacts grip alike any way.
 
@@ -32,6 +35,7 @@ class Grip:
             share * _lever_m(joint, feet[number]) for joint, number in zip(grips, self._wheels, strict=True)
         ]
         self._limits: Sequence[float] = ()
+        self._usual_load_n = robot.getMass() * _GRAVITY_MPS2 / len(feet)
 
     def set_friction(self, friction: Sequence[float]) -> None:
         """Set the coefficient of each foot along its tread, its own times the ground's."""
@@ -51,7 +55,8 @@ class Grip:
         forces = self._robot.getConstraintForces().tolist()
         for dof, limit, tyre in zip(self._dofs, self._limits, self._tyres, strict=True):
             load = forces[tyre] - impulses[tyre] / self._step_s
-            dof.setCoulombFriction(limit * load if load > 0.0 else 0.0)
+            # In the air a wheel is held as it will be where it lands.
+            dof.setCoulombFriction(limit * (load if load > 0.0 else self._usual_load_n))
 
 
 def _lever_m(grip: Any, foot: Any) -> float:

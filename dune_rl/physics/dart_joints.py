@@ -27,18 +27,12 @@ def let_slip(wheel_joint: Element, root: Element) -> None:
 
     A ball rolls sideways about an axis through its middle, so that only what
     rubs on it along the axle turns it, and not what presses it from any side.
-    Other shapes do not roll so: they slide along the axle, and leave their mass
-    to what does not, which is to move as a whole.
+    Other shapes do not roll so: they slide along the axle. Either way the wheel
+    leaves its weight to what it hangs on, which moves as the whole does.
     """
     turn, place = _pose(wheel_joint)
     axle = turn.apply(_axis(wheel_joint))
     wheel, mount = (_link(root, name) for name in (_child(wheel_joint), _mount(wheel_joint).get("link", "")))
-    shapes = wheel.findall("collision")
-    if len(shapes) == 1 and shapes[0].find("geometry/sphere") is not None:
-        middle = place + turn.apply(_numbers(shapes[0].find("origin"), "xyz"))
-        _insert(wheel_joint, GRIP, root, "continuous", middle, np.cross(axle, _UP))
-        return
-    _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
     mass = wheel.find("inertial/mass")
     if mass is not None:
         centre = place + turn.apply(_numbers(wheel.find("inertial/origin"), "xyz"))
@@ -47,6 +41,12 @@ def let_slip(wheel_joint: Element, root: Element) -> None:
             for light in inertial.findall("mass"):
                 light.set("value", mass.get("value", "0"))
         mass.set("value", _HARDLY_ANY_KG)
+    shapes = wheel.findall("collision")
+    if len(shapes) == 1 and shapes[0].find("geometry/sphere") is not None:
+        middle = place + turn.apply(_numbers(shapes[0].find("origin"), "xyz"))
+        _insert(wheel_joint, GRIP, root, "continuous", middle, np.cross(axle, _UP))
+    else:
+        _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
 
 
 def differentials(spec: RobotBody, joints: dict[str, Element]) -> list[Coupling]:
