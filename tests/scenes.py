@@ -30,7 +30,6 @@ BACKENDS: dict[str, Backend] = {
     "dart": DartScene,
 }
 every_backend = pytest.mark.parametrize("backend", BACKENDS.values(), ids=BACKENDS.keys())
-bullet_alone = pytest.mark.parametrize("backend", [BACKENDS["bullet"]], ids=["bullet"])
 
 
 def allowed(backend: Backend, rigid: float, on_tyres: float) -> float:

@@ -17,7 +17,6 @@ from dune_rl.errors import ConfigError
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal
 from dune_rl.paths import assets_folder
-from dune_rl.physics.interface import ENGINES
 from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 
 SLOPE_RAD = np.deg2rad(10.0)
@@ -224,7 +223,7 @@ def test_its_action_of_rest_stands(engine):
     batch.close()
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@every_engine
 def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     batch, scenes = watched_batch("flat", engine, "hyperdog", 4, 0, {})
     batch.reset()

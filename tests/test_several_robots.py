@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batches import real_batch
+from batches import every_engine, real_batch
 from conformance import (
     check_kept,
     check_no_leak,
@@ -41,7 +41,6 @@ BOTH = ["rover_zero", "leo_rover"]
 TWINS = ["rover_zero", "rover_zero"]
 SHORT = {"termination": {"max_steps": 12, "goal_distance_m": 4.0}}
 STILL = (0.0, 0.0)
-every_engine = pytest.mark.parametrize("engine", ENGINES)
 
 
 def batch_of(robots: list[Any], world: str = "flat", num_scenes: int = 1, **settings: Any) -> Batch:

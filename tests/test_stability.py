@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+from batches import every_engine
 from planted.engines import Kicked, Raised, Teleported, Untouched, tampered
 
 from dune_rl.engines import watched
 from dune_rl.engines.stability import Count, PossibleSpeed, count
-from dune_rl.physics.interface import ENGINES
 from dune_rl.robots.hyperdog import HyperDog
 from dune_rl.robots.rover_zero import RoverZero
 
 MASSES_KG = {"rover_zero": RoverZero.mass_kg, "hyperdog": HyperDog.mass_kg}
-every_engine = pytest.mark.parametrize("engine", ENGINES)
 every_robot = pytest.mark.parametrize("robot", MASSES_KG)
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batches import idle, real_batch
+from batches import every_engine, idle, real_batch
 from scenes import GRAVITY_MPS2, TIMESTEP_S, Stage, about, every_backend, ground, plane_field, quaternion_of
 from scipy.special import ellipk
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.interface import ENGINES, RobotBody
+from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
 
 MASS_KG = 2.0
@@ -329,7 +329,7 @@ def test_a_ball_in_a_groove_lies_at_the_height_that_geometry_says(backend, tmp_p
     assert stage.position[0] == pytest.approx(0.0, abs=2e-3)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@every_engine
 def test_an_inertial_unit_at_rest_feels_gravity(engine):
     batch = real_batch("flat", 2, physics=engine)
     felt = []
