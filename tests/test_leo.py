@@ -176,7 +176,7 @@ def test_it_holds_on_a_slope(backend, yaw, creep_m):
 
 
 def test_wheels_in_the_air_do_not_roll_sideways_at_the_joints_that_let_them_slip():
-    # On its belly, on a pillar. Were there no friction, their weight would set them rolling, faster and faster.
+    # On its belly, on a pillar. Their weight, at joints without friction, once set them rolling ever faster.
     rover = LeoRover(LeoRoverConf(), 1)
     pillar = box((0.0, 0.0), 0.2, 0.16, 0.2, drivable=True)
     stage = Stage(BACKENDS["dart"], [plane(), pillar], robot=rover.body)

@@ -5,7 +5,6 @@ from typing import Any
 
 from dune_rl.physics.dart_joints import GRIP, TYRE
 
-
 _GRAVITY_MPS2 = 9.81
 
 
