@@ -228,7 +228,7 @@ def test_wheels_that_grip_less_along_their_axles_slide_across_a_slope_and_hold_a
             if slides:
                 pull = GRAVITY_MPS2 * (np.sin(slope) - limit * np.cos(slope))
                 gained = np.linalg.norm(stage.velocity - before) / (60 * TIMESTEP_S)
-                # In DART, balls that slide along their axles have to be set rolling: a fourteenth.
+                # In DART, balls that slide along their axles have to be set rolling: a sixteenth.
                 assert gained == pytest.approx(pull, rel=0.15)
             else:
                 # Creep of servos that brake, and of the solver.
