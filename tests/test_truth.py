@@ -12,9 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from batches import every_engine, idle, real_batch
-from scenes import GRAVITY_MPS2, TIMESTEP_S, Stage, about, every_backend, ground, plane_field, quaternion_of
+from scenes import (
+    GRAVITY_MPS2,
+    SUBSTEPS,
+    TIMESTEP_S,
+    Stage,
+    about,
+    every_backend,
+    ground,
+    plane_field,
+    quaternion_of,
+)
 from scipy.special import ellipk
 
+from dune_rl.config.build import build_robot
+from dune_rl.config.compose import compose_environment
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import RobotBody
@@ -339,3 +351,20 @@ def test_an_inertial_unit_at_rest_feels_gravity(engine):
     batch.close()
     # After a landing; what is left is the creep of brakes that are servos.
     np.testing.assert_allclose(np.mean(felt[15:], axis=(0, 1)), [0.0, 0.0, GRAVITY_MPS2], atol=0.02)
+
+
+@every_backend
+@pytest.mark.parametrize(
+    ("name", "top_m"), [("rover_zero", 0.129), ("leo_rover", 0.005), ("hyperdog", 0.035)]
+)
+def test_a_robot_on_its_back_lies_still(backend, name, top_m):
+    robot = build_robot(compose_environment("flat", [f"robot={name}"]).robot, 1).body
+    stage = Stage(backend, robot=robot)
+    for x, y in ((0.3, 0.2), (0.0, 0.0)):
+        stage.place((x, y, top_m + 0.02), (1.0, 0.0, 0.0, 0.0))
+        for _ in range(200):
+            stage.step(SUBSTEPS, robot.rest_commands())
+        # Engines hold boxes up to a millimetre off triangles, or let them in by as much.
+        assert stage.position[2] == pytest.approx(top_m, abs=1.2e-3)
+        np.testing.assert_allclose(stage.position[:2], (x, y), atol=0.02)
+        np.testing.assert_allclose(stage.state[7:], 0.0, atol=2e-3)

@@ -11,6 +11,7 @@ from dune_rl.physics.dart_differential import Differential, is_chained, set_up
 from dune_rl.physics.dart_files import robot_urdf
 from dune_rl.physics.dart_gears import DrivenGears, driven
 from dune_rl.physics.dart_grip import Grip
+from dune_rl.physics.dart_hull import add_corners
 from dune_rl.physics.dart_joints import TYRE
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_tyres import YieldingGround
@@ -325,6 +326,7 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         for node in body.getShapeNodes():
             if node.hasDynamicsAspect():
                 node.getDynamicsAspect().setFrictionCoeff(NEVER_THE_LESSER)
+        add_corners(body, NEVER_THE_LESSER)
     joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
     for name, joint in joints.items():
         if joint.getNumDofs() == 1:

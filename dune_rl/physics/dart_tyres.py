@@ -37,7 +37,7 @@ class YieldingGround:
         hung_on = [joints[names[number]] for number in self._hung]
         self._dofs = [joint.getIndexInSkeleton(0) for joint in hung_on]
         self._of_dofs = np.array(self._dofs, int)
-        mass = np.array([wheels[number].getMass() for number in self._hung])
+        mass = np.array([_hanging_kg(wheels[number]) for number in self._hung])
         above = (robot.getMass() - mass.sum()) / len(wheels)
         # The speed [m/s] by which a servo gives way to an impulse of 1 N s.
         self._give = softness * (1.0 / mass + 1.0 / above)
@@ -72,3 +72,12 @@ class YieldingGround:
         # A servo gives way by itself to what it bears: that much less is told.
         self._told += yielding - robot.getVelocities(dofs)
         robot.setCommands(dofs, self._told)
+
+
+def _hanging_kg(wheel: Any) -> float:
+    """Mass of a wheel and of the links that it hangs on, up to the sliding joint."""
+    mass = float(wheel.getMass())
+    while not wheel.getParentJoint().getName().endswith(TYRE):
+        wheel = wheel.getParentBodyNode()
+        mass += wheel.getMass()
+    return mass
