@@ -88,7 +88,6 @@ class DartScene:
         self._grow_corners()
         # A robot that falls on its back goes deep in the steps between.
         self._watches = self._corners.are_wanted and any(robot.falls() for robot in self._robots)
-        self._forget_contacts()
         pushes = []
         for robot in self._robots:
             push = robot.pushed()
@@ -99,9 +98,12 @@ class DartScene:
             self._advance(count, pushes)
             return
         centres = self._centres(kinematic_poses)
-        near = np.zeros(len(centres), bool)
-        for robot in self._robots:
-            near |= np.abs(centres[:, :2] - robot.xy()).max(axis=1) < _NEAR_M
+        places = np.array([robot.xy() for robot in self._robots])
+        near = (np.abs(centres[:, None, :2] - places) < _NEAR_M).all(axis=2).any(axis=1)
+        if not near.any():
+            self._rest(centres)
+            self._advance(count, pushes)
+            return
         start = np.where(near[:, None], self._capsule_centres, centres)
         self._capsules.skeleton.setPositions(start.ravel())
         # They move at these speeds by themselves, and what they meet feels it.
@@ -120,22 +122,17 @@ class DartScene:
         base = self._first.skeleton.getBodyNode(0)
         self._filter.addBodyNodePairToBlackList(base, base)
 
-    def _advance(self, count: int, pushes: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
-        if not pushes:
-            self.coast(count)
-            return
-        for _ in range(count):
-            for robot, push in pushes:
-                robot.apply(push)
-            self.coast(1)
-        for robot, _ in pushes:
-            robot.let_go()
-
     def coast(self, count: int) -> None:
+        self._advance(count, ())
+
+    def _advance(self, count: int, pushes: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
+        self._forget_contacts()
         advance = self._world.step
         befores = [robot.before for robot in self._robots if robot.has_work_before]
         afters = [robot.after for robot in self._robots if robot.has_work_after]
         for _ in range(count):
+            for robot, push in pushes:
+                robot.apply(push)
             for before in befores:
                 before()
             # False: joints keep their commands.
@@ -144,6 +141,8 @@ class DartScene:
                 after()
             if self._watches:
                 self._grow_corners()
+        for robot, _ in pushes:
+            robot.let_go()
 
     def _grow_corners(self) -> None:
         if self._corners.are_wanted and self._corners.grow(self._world.getLastCollisionResult()):
