@@ -199,6 +199,25 @@ def test_a_coupling_turns_one_joint_with_the_other(backend, arm, ratio):
 
 
 @every_backend
+@pytest.mark.parametrize("ratio", [-1.0, 0.5, 2.0])
+def test_a_falling_arm_turns_the_one_that_it_is_coupled_to(backend, arm, ratio):
+    body = arm(
+        passive=(PassiveJoint("first"), PassiveJoint("second")),
+        couplings=(Coupling("first", "second", ratio),),
+    )
+    before, _, after = body.urdf.read_text().rpartition('<axis xyz="0 0 1"/>')
+    body.urdf.write_text(f'{before}<axis xyz="0 1 0"/>{after}')
+    stage = Stage(backend, robot=body, gravity_mps2=0.0)
+    stage.place([0.0, 0.0, 20.0])
+    stage.scene.push([0.0, 0.0, 9.81 * 400.4])
+    stage.step(40, [])
+    first, second = stage.scene.joint_angles(("first", "second"))
+    # What gravity does to the one arm moves both.
+    assert second == pytest.approx(0.5 * 9.81 * 0.2**2 / (1 + 1 / ratio**2), rel=0.06)
+    assert first == pytest.approx(second / ratio, abs=2e-3)
+
+
+@every_backend
 @pytest.mark.parametrize("slope", [0.0, 0.3])
 def test_wheels_on_belts_drive_as_wheels_with_motors_do(backend, slope):
     body = rover_body()

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError, tostring
+from xml.etree.ElementTree import ParseError, tostring
 
 import numpy as np
 from defusedxml.ElementTree import fromstring, parse
@@ -31,13 +31,8 @@ def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
     fault = spec.missing_from(joints, [link.get("name", "") for link in root.findall("link")])
     if fault:
         raise PhysicsError(fault)
-    chained = differentials(spec, joints)
-    for coupling in spec.couplings:
-        if coupling in chained:
-            chain(joints[coupling.leader], joints[coupling.follower])
-            continue
-        gear = {"joint": coupling.leader, "multiplier": repr(coupling.ratio), "offset": "0"}
-        joints[coupling.follower].append(Element("mimic", gear))
+    for coupling in differentials(spec, joints):
+        chain(joints[coupling.leader], joints[coupling.follower])
     for motor in spec.motors:
         joint = joints[motor.joint]
         child = joint.find("child")

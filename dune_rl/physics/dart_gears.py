@@ -1,4 +1,4 @@
-"""Gears between joints of which motors turn one or both, in a DART scene."""
+"""Gears between joints, in a DART scene."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,13 +14,14 @@ Array = NDArray[np.float64]
 _RETURN = 0.2
 
 
-def driven(spec: RobotBody) -> tuple[Coupling, ...]:
-    """Couplings that have a motor at either joint."""
-    return tuple(each for each in spec.couplings if {each.leader, each.follower} & {*spec.drive_joints})
+def drives_any(spec: RobotBody) -> bool:
+    """Whether a motor is at a joint of any coupling."""
+    coupled = {name for each in spec.couplings for name in (each.leader, each.follower)}
+    return not coupled.isdisjoint(spec.drive_joints)
 
 
-class DrivenGears:
-    """Keeps followers at their ratios to leaders, for couplings that have a motor at either joint.
+class Gears:
+    """Keeps followers at their ratios to leaders, with motors at either joint or without.
 
     After each physics step the whole skeleton `robot` is given the impulses
     that it lacked to keep the ratios, and what torques they stand for acts in

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart_differential import Differential, is_chained, set_up
 from dune_rl.physics.dart_files import robot_urdf
-from dune_rl.physics.dart_gears import DrivenGears, driven
+from dune_rl.physics.dart_gears import Gears, drives_any
 from dune_rl.physics.dart_grip import Grip
 from dune_rl.physics.dart_joints import TYRE
 from dune_rl.physics.dart_library import dartpy
@@ -32,8 +32,6 @@ dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
 
 _FALL_MPS = 0.5
 
-_GEAR_TORQUE_NM, _GEAR_RESPONSE = 1e4, 0.2
-
 
 class DartRobot:
     """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`.
@@ -53,14 +51,14 @@ class DartRobot:
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         self._motors = spec.motors
         # Most wheels take a command as it is, once a control step; others need a look in every physics step.
-        self._plain = all(motor.is_plain for motor in self._motors) and not driven(spec)
+        self._plain = all(motor.is_plain for motor in self._motors) and not drives_any(spec)
         self._servos = Servos(self._motors, timestep_s)
         self._commands: Sequence[float] = spec.rest_commands()
         self._push: Sequence[float] | None = None
         self._measures_work = measures_work and bool(self._motors)
         self._work = 0.0
         self._speeds: Sequence[float] = ()
-        self._gears: list[_Gear] = []
+        self._gears: Gears | None = None
         self._differentials: list[Differential] = []
         self._grip: Grip | None = None
 
@@ -100,11 +98,6 @@ class DartRobot:
         self._drives = [self._index(joint) for joint in self.spec.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in self.spec.ground_links]
         self._ground: YieldingGround | None = None
-        self._gears = [
-            _Gear(self._index(coupling.leader), self._index(coupling.follower), coupling.ratio)
-            for coupling in self.spec.couplings
-            if not is_chained(robot, coupling) and coupling not in driven(self.spec)
-        ]
         self._differentials = [
             Differential(robot, coupling, self._timestep_s)
             for coupling in self.spec.couplings
@@ -115,7 +108,7 @@ class DartRobot:
             self._grip.set_friction(self._foot_friction)
         self._gives = self._giving_way() if self._leads else []
         self._impulses = [0.0] * robot.getNumDofs()
-        self._driven_gears = self._gear_up()
+        self._gears = self._gear_up()
         self._geared: Sequence[float] = (0.0,) * len(self._motors)
         self._commands = self.spec.rest_commands()
         self._servos.rest()
@@ -123,11 +116,11 @@ class DartRobot:
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
 
-    def _gear_up(self) -> DrivenGears | None:
-        couplings = driven(self.spec)
+    def _gear_up(self) -> Gears | None:
+        couplings = [each for each in self.spec.couplings if not is_chained(self.skeleton, each)]
         if not couplings:
             return None
-        return DrivenGears(self.skeleton, couplings, self.spec.drive_joints, self._timestep_s)
+        return Gears(self.skeleton, couplings, self.spec.drive_joints, self._timestep_s)
 
     @property
     def _leads(self) -> bool:
@@ -193,11 +186,11 @@ class DartRobot:
             mean = sum([impulses[index] for index in drives]) / len(drives)
             targets = [target + give * mean for target, give in zip(targets, self._gives, strict=True)]
         robot.setCommands(drives, targets)
-        if self._driven_gears is None:
+        if self._gears is None:
             robot.setForceUpperLimits(drives, torques)
             robot.setForceLowerLimits(drives, [-torque for torque in torques])
             return
-        self._geared = geared = self._driven_gears.on_drives.tolist()
+        self._geared = geared = self._gears.on_drives.tolist()
         most = [gear + torque for gear, torque in zip(geared, torques, strict=True)]
         least = [gear - torque for gear, torque in zip(geared, torques, strict=True)]
         robot.setForceUpperLimits(drives, most)
@@ -211,10 +204,8 @@ class DartRobot:
 
     def after(self) -> None:
         """Do what a physics step that was made asks for."""
-        if self._gears:
-            self._react()
-        if self._driven_gears is not None:
-            self._driven_gears.after()
+        if self._gears is not None:
+            self._gears.after()
         if self._gives or self._differentials or self._grip is not None:
             self._impulses = impulses = self.skeleton.getJointConstraintImpulses().tolist()
             for differential in self._differentials:
@@ -223,15 +214,6 @@ class DartRobot:
                 self._grip.after(impulses)
         if self._measures_work:
             self._count_work()
-
-    def _react(self) -> None:
-        """Have the leaders of couplings feel what their followers take."""
-        impulses = self.skeleton.getJointConstraintImpulses()
-        for gear in self._gears:
-            wanted = -gear.ratio * impulses[gear.follower] / self._timestep_s
-            # At once, the torque of one step on the motion of the next would swing up.
-            gear.torque_nm += _GEAR_RESPONSE * (wanted - gear.torque_nm)
-            self.skeleton.setCommand(gear.leader, gear.torque_nm)
 
     def _count_work(self) -> None:
         speeds = self.skeleton.getVelocities(self._drives).tolist()
@@ -315,14 +297,6 @@ class DartRobot:
         return tuple(positions[self._index(joint)] for joint in joints)
 
 
-@dataclass
-class _Gear:
-    leader: int
-    follower: int
-    ratio: float
-    torque_nm: float = 0.0
-
-
 def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
     robot = parsed(robot_urdf(spec, text), spec.urdf.parent)
     if robot is None:
@@ -352,27 +326,8 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         joint.setForceUpperLimit(0, motor.max_torque_nm)
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
-        if coupling in driven(spec):
-            if coupling.follower not in spec.drive_joints:
-                joints[coupling.follower].setActuatorType(dartpy.dynamics.ActuatorType.FORCE)
-            continue
         if is_chained(robot, coupling):
             set_up(robot, coupling)
-            continue
-        leader, follower = joints[coupling.leader], joints[coupling.follower]
-        # DART drives the follower after the leader, which feels nothing of it by itself: see `_gear`. What
-        # holds the one holds the other, so that the leader has the friction and the damping of both.
-        share = abs(coupling.ratio)
-        friction = leader.getCoulombFriction(0) + share * follower.getCoulombFriction(0)
-        damping = leader.getDampingCoefficient(0) + share**2 * follower.getDampingCoefficient(0)
-        leader.setCoulombFriction(0, friction)
-        leader.setDampingCoefficient(0, damping)
-        follower.setCoulombFriction(0, 0.0)
-        follower.setDampingCoefficient(0, 0.0)
-        follower.setLimitEnforcement(False)
-        follower.setUseCouplerConstraint(False)
-        follower.setForceLowerLimit(0, -_GEAR_TORQUE_NM)
-        follower.setForceUpperLimit(0, _GEAR_TORQUE_NM)
     return robot
 
 
