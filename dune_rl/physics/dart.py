@@ -128,16 +128,16 @@ class DartScene:
     def _advance(self, count: int, pushes: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
         self._forget_contacts()
         advance = self._world.step
-        befores = [robot.before for robot in self._robots if robot.has_work_before]
-        afters = [robot.after for robot in self._robots if robot.has_work_after]
+        first = [robot.before for robot in self._robots if robot.has_work_before]
+        last = [robot.after for robot in self._robots if robot.has_work_after]
         for _ in range(count):
             for robot, push in pushes:
                 robot.apply(push)
-            for before in befores:
+            for before in first:
                 before()
             # False: joints keep their commands.
             advance(False)
-            for after in afters:
+            for after in last:
                 after()
             if self._watches:
                 self._grow_corners()
