@@ -260,8 +260,9 @@ class PhysicsScene(PhysicsRobot, Protocol):
 
     Between two bodies the friction coefficient is the product of theirs:
     a robot's links have those of `RobotBody`, statics their own, kinematic
-    bodies `CAPSULE_FRICTION`. Nothing bounces, and nothing but contacts,
-    joints and motors slows a body down.
+    bodies `CAPSULE_FRICTION`. Contacts give nothing back, and nothing but
+    contacts, joints and motors slows a body down. DART's wheels hang on
+    springs, which give back what a hard landing puts in.
     """
 
     @property
