@@ -2,14 +2,15 @@
 
 import sys
 from argparse import Namespace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, cast
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from dune_rl import command
 from dune_rl.command import Page
+from dune_rl.config.checks import validated
 from dune_rl.engines.agreement import table
 from dune_rl.engines.stability import count
 from dune_rl.errors import ConfigError
@@ -83,9 +84,10 @@ def _main(parsed: Namespace) -> None:
 def settings(words: list[str]) -> EnginesConf:
     """The settings that the words of a command line say; `ConfigError` where they say something else."""
     try:
-        return EnginesConf.model_validate(OmegaConf.to_object(OmegaConf.from_dotlist(words)))
-    except (OmegaConfBaseException, ValidationError, ValueError) as error:
+        data = OmegaConf.to_object(OmegaConf.from_dotlist(words))
+    except (OmegaConfBaseException, ValueError) as error:
         raise ConfigError(f"{error}\nsee python -m dune_rl.engines --help") from error
+    return validated(EnginesConf, cast("dict[str, Any]", data))
 
 
 def _say(text: str) -> None:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.bullet_robot import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
+from dune_rl.physics.first_robot import AnswersAsFirst
 from dune_rl.physics.interface import CAPSULE_FRICTION, KinematicCapsule, SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.quiet import silent_stderr
-from dune_rl.physics.varied_body import BodyVariation
 
 with silent_stderr():
     import pybullet
@@ -26,7 +26,7 @@ _NEAR_M = 2.0
 _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
 
 
-class BulletScene:
+class BulletScene(AnswersAsFirst[BulletRobot]):
     """One PyBullet client in DIRECT mode."""
 
     def __init__(self, spec: SceneSpec) -> None:
@@ -124,9 +124,6 @@ class BulletScene:
         pybullet.changeDynamics(handle, -1, lateralFriction=CAPSULE_FRICTION, physicsClientId=self._client)
         return handle
 
-    def set_body(self, variation: BodyVariation) -> None:
-        self._first.set_body(variation)
-
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
     ) -> None:
@@ -197,33 +194,6 @@ class BulletScene:
                 for robot in self._robots:
                     if robot.measures_work:
                         robot.count_work()
-
-    def push(self, force_w: Sequence[float]) -> None:
-        self._first.push(force_w)
-
-    def set_wheel_contacts(
-        self,
-        friction: Sequence[float],
-        restitution: Sequence[float],
-        stiffness: Sequence[float] | None = None,
-        damping: Sequence[float] | None = None,
-    ) -> None:
-        self._first.set_wheel_contacts(friction, restitution, stiffness, damping)
-
-    def body_state(self) -> tuple[float, ...]:
-        return self._first.body_state()
-
-    def drive_state(self) -> tuple[float, ...]:
-        return self._first.drive_state()
-
-    def work_j(self) -> float:
-        return self._first.work_j()
-
-    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        return self._first.joint_angles(joints)
-
-    def touched(self) -> list[int]:
-        return self._first.touched()
 
     def close(self) -> None:
         self._end()

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.dart_bodies import Capsules, Surroundings, shared_meshes, terrain_friction
-from dune_rl.physics.dart_hull import Corners
+from dune_rl.physics.dart_corners import Corners
 from dune_rl.physics.dart_library import dartpy
 from dune_rl.physics.dart_meetings import Meetings
 from dune_rl.physics.dart_robot import DartRobot
+from dune_rl.physics.first_robot import AnswersAsFirst
 from dune_rl.physics.interface import SceneSpec
-from dune_rl.physics.varied_body import BodyVariation
 
 # A kinematic body farther than this from the robot is moved once per control
 # step: it cannot touch the robot before the next one.
@@ -22,7 +22,7 @@ _NEAR_M = 2.0
 _CONE_TOLERANCE = 1e-3
 
 
-class DartScene:
+class DartScene(AnswersAsFirst["_SceneRobot"]):
     """One DART world, with Bullet's collision detector and DART's own contact solvers."""
 
     def __init__(self, spec: SceneSpec) -> None:
@@ -34,9 +34,6 @@ class DartScene:
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
-
-    def set_body(self, variation: BodyVariation) -> None:
-        self._first.set_body(variation)
 
     def place(
         self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
@@ -128,16 +125,16 @@ class DartScene:
     def _advance(self, count: int, pushes: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
         self._forget_contacts()
         advance = self._world.step
-        first = [robot.before for robot in self._robots if robot.has_work_before]
-        last = [robot.after for robot in self._robots if robot.has_work_after]
+        before_each = [robot.before for robot in self._robots if robot.has_work_before]
+        after_each = [robot.after for robot in self._robots if robot.has_work_after]
         for _ in range(count):
             for robot, push in pushes:
                 robot.apply(push)
-            for before in first:
+            for before in before_each:
                 before()
             # False: joints keep their commands.
             advance(False)
-            for after in last:
+            for after in after_each:
                 after()
             if self._watches:
                 self._grow_corners()
@@ -147,33 +144,6 @@ class DartScene:
     def _grow_corners(self) -> None:
         if self._corners.are_wanted and self._corners.grow(self._world.getLastCollisionResult()):
             self._meetings.look_again()
-
-    def push(self, force_w: Sequence[float]) -> None:
-        self._first.push(force_w)
-
-    def set_wheel_contacts(
-        self,
-        friction: Sequence[float],
-        restitution: Sequence[float],
-        stiffness: Sequence[float] | None = None,
-        damping: Sequence[float] | None = None,
-    ) -> None:
-        self._first.set_wheel_contacts(friction, restitution, stiffness, damping)
-
-    def work_j(self) -> float:
-        return self._first.work_j()
-
-    def body_state(self) -> tuple[float, ...]:
-        return self._first.body_state()
-
-    def drive_state(self) -> tuple[float, ...]:
-        return self._first.drive_state()
-
-    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        return self._first.joint_angles(joints)
-
-    def touched(self) -> list[int]:
-        return self._first.touched()
 
     def close(self) -> None:
         # What the engine holds goes with the last reference to it.

@@ -36,7 +36,7 @@ _FALL_MPS = 0.5
 class DartRobot:
     """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`.
 
-    `terrain_friction` is the ground's, until `set_foot_friction` says another.
+    `terrain_friction` is the ground's, until `set_foot_contacts` says another.
     """
 
     skeleton: Any
