@@ -27,7 +27,7 @@ from dune_rl.learning.evaluation import summary
 from dune_rl.learning.progress import Bar, Lines
 from dune_rl.learning.table import results_table
 from dune_rl.learning.trainer import Trainer, TrainingResult
-from dune_rl.robots.hyperdog import HyperDogConf
+from dune_rl.robots.hyperdog.robot import HyperDogConf
 
 USAGE = (
     ("python -m dune_rl.train +world=inspection", "train; settings follow"),

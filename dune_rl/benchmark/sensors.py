@@ -14,7 +14,7 @@ from dune_rl.env.batch import Batch
 from dune_rl.env.pictures import Pictures
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.physics.bullet_reference import BulletReference
+from dune_rl.physics.bullet.reference import BulletReference
 from dune_rl.physics.interface import StaticBody
 from dune_rl.rendering.light import LightConf
 from dune_rl.sensors.camera import Camera, CameraConf

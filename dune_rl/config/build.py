@@ -11,11 +11,11 @@ from dune_rl.env.torchrl import DuneEnv
 from dune_rl.env.variety import Variety
 from dune_rl.errors import ConfigError
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
-from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
-from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
+from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
+from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
-from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
-from dune_rl.robots.urdf_robot import UrdfConf, UrdfRobot
+from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
@@ -59,11 +59,11 @@ def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
     # An engine is loaded when it is asked for: one may be missing.
     match backend:
         case "bullet":
-            from dune_rl.physics.bullet import BulletScene
+            from dune_rl.physics.bullet.scene import BulletScene
 
             return BulletScene
         case "dart":
-            from dune_rl.physics.dart import DartScene
+            from dune_rl.physics.dart.scene import DartScene
 
             return DartScene
 

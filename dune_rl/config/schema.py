@@ -15,10 +15,10 @@ from dune_rl.learning.sac import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.hyperdog import HyperDogConf
-from dune_rl.robots.leo_rover import LeoRoverConf
-from dune_rl.robots.rover_zero import RoverZeroConf
-from dune_rl.robots.urdf_robot import UrdfConf
+from dune_rl.robots.hyperdog.robot import HyperDogConf
+from dune_rl.robots.leo_rover.robot import LeoRoverConf
+from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.urdf.robot import UrdfConf
 from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf

@@ -3,7 +3,7 @@
 import sys
 
 from dune_rl.errors import RobotError
-from dune_rl.robots.urdf_robot import UrdfConf, UrdfRobot
+from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
 
 
 def main(words: list[str]) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dune_rl.rendering.body import Body, Solid
 from dune_rl.rendering.light import linear
 from dune_rl.rendering.scenery import Segment, Shape, joined
-from dune_rl.robots.urdf_meshes import UrdfMeshes
+from dune_rl.robots.urdf.meshes import UrdfMeshes
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,9 @@ from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.sensors.medium import InTurn, RangeEffect, effects_of
 from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
 from dune_rl.sensors.position import Position, PositionConf
-from dune_rl.sensors.realism import (
+from dune_rl.sensors.realism.camera import CameraRealismConf, realistic_camera
+from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
+from dune_rl.sensors.realism.pipeline import (
     EncoderRealismConf,
     ImuRealismConf,
     OdometryRealismConf,
@@ -32,8 +34,6 @@ from dune_rl.sensors.realism import (
     SpeedRealismConf,
     realistic,
 )
-from dune_rl.sensors.realism_camera import CameraRealismConf, realistic_camera
-from dune_rl.sensors.realism_lidar import BeamFaults, LidarRealismConf
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.speed import Speed

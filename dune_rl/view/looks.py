@@ -8,9 +8,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dune_rl.files import replaced
 from dune_rl.view.stage import Stage
-from dune_rl.viewing.contact_sheet import contact_sheet
-from dune_rl.viewing.film import film
-from dune_rl.viewing.overlay import with_overlays
+from dune_rl.visualization.contact_sheet import contact_sheet
+from dune_rl.visualization.film import film
+from dune_rl.visualization.overlay import with_overlays
 
 
 def write_orbit(stage: Stage, path: Path) -> Path:

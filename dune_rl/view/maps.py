@@ -16,10 +16,10 @@ from dune_rl.learning.layout import Layout
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import Spawner
 from dune_rl.view.drivers import driver, ending
-from dune_rl.viewing.site_colours import OBSTACLES, PATHS
-from dune_rl.viewing.site_layers import example_episodes, placements, things
-from dune_rl.viewing.site_map import site_map
-from dune_rl.viewing.site_panel import Drive, Site
+from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
+from dune_rl.visualization.site_map.figure import site_map
+from dune_rl.visualization.site_map.layers import example_episodes, placements, things
+from dune_rl.visualization.site_map.panel import Drive, Site
 
 _MOST_SCENES = 16
 # Of the region's side: markers of examples are that far apart.

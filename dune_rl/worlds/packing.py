@@ -17,8 +17,8 @@ from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import Ground, GroundPicture
 from dune_rl.worlds.importing.imported import ImportedWorld
+from dune_rl.worlds.importing.objects import ImportedProp
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
-from dune_rl.worlds.importing.things import ImportedProp
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Soil, Surface
 from dune_rl.worlds.world import Prop, World

@@ -16,19 +16,19 @@ from dune_rl.paths import cache_folder, package_folder
 from dune_rl.worlds import registry
 from dune_rl.worlds.appearance import is_worked_out
 from dune_rl.worlds.cache_folder import CacheFolder, Shelf
-from dune_rl.worlds.construction import ConstructionConf
+from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.heightmap import HeightmapConf
 from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.imported_mesh import MeshConf
-from dune_rl.worlds.importing.sdf import SdfConf
-from dune_rl.worlds.importing.sdf_files import RESOURCE_VARIABLE
+from dune_rl.worlds.importing.sdf.build import SdfConf
+from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
 from dune_rl.worlds.importing.sources import Sources, recorded
-from dune_rl.worlds.inspection import InspectionConf
+from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.packing import UnpackableError, pack, unpack
 from dune_rl.worlds.preparation import Preparation
-from dune_rl.worlds.rubicon import RubiconConf
+from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 

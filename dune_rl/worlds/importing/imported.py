@@ -16,9 +16,9 @@ from dune_rl.worlds.ground import Ground, GroundPicture
 from dune_rl.worlds.importing.ground_from_mesh import find_ground
 from dune_rl.worlds.importing.ground_pictures import coloured_ground
 from dune_rl.worlds.importing.import_files import Report
+from dune_rl.worlds.importing.objects import ImportedProp, things_on
 from dune_rl.worlds.importing.parts import GREY, Part
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
-from dune_rl.worlds.importing.things import ImportedProp, things_on
 from dune_rl.worlds.world import Rectangle, World
 
 Floats = NDArray[np.float32]

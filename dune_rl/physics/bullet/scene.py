@@ -1,0 +1,207 @@
+"""The PyBullet backend."""
+
+import math
+import weakref
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import PhysicsError
+from dune_rl.physics.bullet.robot import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
+from dune_rl.physics.first_robot import AnswersAsFirst
+from dune_rl.physics.interface import CAPSULE_FRICTION, KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.mesh_pieces import mesh_pieces
+from dune_rl.physics.quiet import silent_stderr
+
+with silent_stderr():
+    import pybullet
+
+# A kinematic body farther than this from the robot is moved once per control
+# step: it cannot touch the robot before the next one.
+_NEAR_M = 2.0
+
+# PyBullet's wheel takes no more vertices and indices in a mesh (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
+_MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
+
+
+class BulletScene(AnswersAsFirst[BulletRobot]):
+    """One PyBullet client in DIRECT mode."""
+
+    def __init__(self, spec: SceneSpec) -> None:
+        if not pybullet.isNumpyEnabled():
+            raise PhysicsError(
+                "this PyBullet was built without NumPy; install the wheel: pip install pybullet"
+            )
+        if spec.friction != "pyramid":
+            raise PhysicsError(
+                "PyBullet's friction cone turns robots at rates that depend on their heading; "
+                "take physics.friction=pyramid, or physics=dart"
+            )
+        self._spec = spec
+        self._client: int | None = pybullet.connect(pybullet.DIRECT)
+        if self._client < 0:
+            raise PhysicsError("PyBullet opened no further client in this process; use fewer scenes")
+        # A client holds some 30 MB, which PyBullet keeps until it is told to end it.
+        self._end = weakref.finalize(self, _disconnect, self._client)
+        self._end.atexit = False
+        iterations = spec.solver_iterations
+        if any(robot.couplings for robot in spec.robots):
+            iterations = max(iterations, GEAR_ITERATIONS)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=spec.timestep_s,
+            numSolverIterations=iterations,
+            # Both are needed for bit-identical runs: pairs in a fixed order, no mesh of another world.
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,
+            # The cone, which is the default, makes skid-steer turn at a rate that depends on the heading.
+            enableConeFriction=0,
+            physicsClientId=self._client,
+        )
+        pybullet.setGravity(0.0, 0.0, -spec.gravity_mps2, physicsClientId=self._client)
+        self._numbers: dict[int, int] = {}
+        for number, body in enumerate(spec.statics):
+            for vertices, faces in mesh_pieces(body.vertices, body.faces, _MOST_VERTICES, _MOST_FACES):
+                handle = self._add_static(replace(body, vertices=vertices, faces=faces))
+                if not body.ground:
+                    self._numbers[handle] = number
+        self._kinematics = [self._add_capsule(body) for body in spec.kinematics]
+        self._centre_heights = [body.height_m / 2 for body in spec.kinematics]
+        for number, handle in enumerate(self._kinematics, start=len(spec.statics)):
+            self._numbers[handle] = number
+        self._poses = np.zeros((len(self._kinematics), 4))
+        # Without others there is no hull to meet, and runs are as they ever were.
+        meets = GROUND | OBSTACLE | (HULL if spec.others else 0)
+        self._robots = [
+            BulletRobot(
+                self._client,
+                robot,
+                spec.timestep_s,
+                self._numbers,
+                meets,
+                measures_work=spec.measures_work,
+            )
+            for robot in spec.robots
+        ]
+        self._first, self.others = self._robots[0], self._robots[1:]
+        self._placed: list[int] = []
+        self._plain = all(robot.plain for robot in self._robots)
+        self._measures_work = any(robot.measures_work for robot in self._robots)
+
+    def _add_static(self, body: StaticBody) -> int:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH,
+            vertices=body.vertices.tolist(),
+            indices=body.faces.ravel().tolist(),
+            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+            physicsClientId=self._client,
+        )
+        if shape < 0:
+            raise PhysicsError(f"PyBullet refused the mesh of {body.name!r} ({len(body.faces)} faces)")
+        handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+        group = GROUND if body.ground else OBSTACLE
+        mask = WHEEL | HULL if body.ground else HULL
+        pybullet.setCollisionFilterGroupMask(handle, -1, group, mask, physicsClientId=self._client)
+        pybullet.changeDynamics(
+            handle,
+            -1,
+            lateralFriction=body.friction,
+            restitution=body.restitution,
+            physicsClientId=self._client,
+        )
+        return handle
+
+    def _add_capsule(self, body: KinematicCapsule) -> int:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_CAPSULE,
+            radius=body.radius_m,
+            height=body.height_m - 2 * body.radius_m,
+            physicsClientId=self._client,
+        )
+        handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+        pybullet.setCollisionFilterGroupMask(handle, -1, OBSTACLE, HULL, physicsClientId=self._client)
+        pybullet.changeDynamics(handle, -1, lateralFriction=CAPSULE_FRICTION, physicsClientId=self._client)
+        return handle
+
+    def place(
+        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
+    ) -> None:
+        # Setting poses and speeds back would keep the solver's warm-start
+        # impulses (bullet3 #2442): a robot loaded anew has none.
+        for handle, robot in zip(self._placed, self._robots, strict=False):
+            robot.remove()
+            self._numbers.pop(handle, None)
+        self._first.stand(position_w, quaternion)
+        self._placed = [robot.place() for robot in self._robots]
+        if self.others:
+            self._numbers |= {
+                handle: number for number, handle in enumerate(self._placed, self._spec.first_robot)
+            }
+        for index in range(len(self._kinematics)):
+            self._move(index, kinematic_poses[index].tolist())
+        self._poses[:] = kinematic_poses
+
+    def _move(self, index: int, pose: list[float]) -> None:
+        x, y, z, yaw = pose
+        pybullet.resetBasePositionAndOrientation(
+            self._kinematics[index],
+            (x, y, z + self._centre_heights[index]),
+            (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)),
+            physicsClientId=self._client,
+        )
+
+    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+        self._first.drive(commands)
+        pushes = []
+        for robot in self._robots:
+            push = robot.pushed()
+            if push is not None:
+                pushes.append((robot, push))
+            robot.begin(count)
+        near: list[tuple[int, list[float], list[float]]] = []
+        if self._kinematics:
+            places = [robot.xy() for robot in self._robots]
+            for index, (old, new) in enumerate(
+                zip(self._poses.tolist(), kinematic_poses.tolist(), strict=True)
+            ):
+                if any(abs(new[0] - x) < _NEAR_M and abs(new[1] - y) < _NEAR_M for x, y in places):
+                    near.append((index, old, new))
+                else:
+                    self._move(index, new)
+            self._poses[:] = kinematic_poses
+        if not near and not pushes:
+            self.coast(count)
+            return
+        for part in range(1, count + 1):
+            share = part / count
+            for index, old, new in near:
+                pose = [a + (b - a) * share for a, b in zip(old[:3], new[:3], strict=True)]
+                self._move(index, [*pose, new[3]])
+            for robot, push in pushes:
+                robot.apply(push)
+            self.coast(1)
+
+    def coast(self, count: int) -> None:
+        client, advance = self._client, pybullet.stepSimulation
+        for _ in range(count):
+            if not self._plain:
+                for robot in self._robots:
+                    if not robot.plain:
+                        robot.act()
+            advance(physicsClientId=client)
+            if self._measures_work:
+                for robot in self._robots:
+                    if robot.measures_work:
+                        robot.count_work()
+
+    def close(self) -> None:
+        self._end()
+        for robot in self._robots:
+            robot.forget()
+        self._client = None
+
+
+def _disconnect(client: int) -> None:
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)

@@ -1,0 +1,1 @@
+"""HyperDog, a quadruped of twelve servos."""

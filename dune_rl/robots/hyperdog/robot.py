@@ -1,0 +1,183 @@
+"""HyperDog: a quadruped of twelve servos that walks where a rover would drive."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.paths import assets_folder
+from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.motors import Motor
+from dune_rl.robots.battery import BatteryConf
+from dune_rl.robots.heading import HeadingConf, HeadingController
+from dune_rl.robots.hyperdog.leg_kinematics import Leg
+from dune_rl.robots.hyperdog.trot import Trot, TrotConf
+from dune_rl.robots.mounts import MountsConf
+from dune_rl.robots.robot import BodyMotion, RectangularHull, speed_and_heading_bounds
+from dune_rl.settings import Settings
+
+Array = NDArray[np.float64]
+
+_LEGS = ("front_left", "front_right", "rear_left", "rear_right")
+_JOINTS = ("hip", "upper", "lower")
+_HIPS_B = np.array([[0.175, 0.066, 0.0], [0.175, -0.066, 0.0], [-0.175, 0.066, 0.0], [-0.175, -0.066, 0.0]])
+_SIDE = np.sign(_HIPS_B[:, 1])
+_LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
+_LIMITS_OF_ALL = np.tile(_LIMITS_RAD, (4, 1)).T
+_LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
+_FOOT_RADIUS_M = 0.02
+_MAX_CORRECTION = np.array([0.06, 0.4])
+
+
+class HyperDogMountsConf(MountsConf):
+    """A LiDAR on the rear of the back, a camera in the head, and the inertial unit amid the body."""
+
+    scanner_b: tuple[float, float, float] = (-0.04, 0.0, 0.1)
+    camera_b: tuple[float, float, float] = (0.24, 0.0, 0.028)
+    camera_pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class HyperDogConf(Settings):
+    """Settings of the dog: what its actions are, its gait and its servos.
+
+    `action` is `speed_and_heading`, as for rovers, or `joints`: the twelve
+    angles, legs front left, front right, rear left, rear right, each hip,
+    upper and lower, from -1 to 1 over each joint's range.
+    """
+
+    name: Literal["hyperdog"] = "hyperdog"
+    action: Literal["speed_and_heading", "joints"] = "speed_and_heading"
+    heading: HeadingConf = HeadingConf()
+    gait: TrotConf = TrotConf()
+    max_speed_mps: float = Field(0.4, gt=0.0, le=1.0)
+    max_yaw_rate_radps: float = Field(1.0, gt=0.0, le=3.0)
+    max_acceleration_mps2: float = Field(1.0, gt=0.0)
+    max_yaw_acceleration_radps2: float = Field(2.0, gt=0.0)
+    speed_ki_per_s: float = Field(0.5, ge=0.0, le=10.0)
+    yaw_rate_ki_per_s: float = Field(1.0, ge=0.0, le=10.0)
+    max_torque_nm: float = Field(10.0, gt=0.0)
+    no_load_speed_radps: float | None = Field(10.0, gt=0.0)
+    foot_friction: float = Field(1.0, gt=0.0, le=3.0)
+    mounts: HyperDogMountsConf = HyperDogMountsConf()
+    battery: BatteryConf = BatteryConf(capacity_wh=73.9, idle_w=40.0, efficiency=0.16)
+
+    @property
+    def standing_height_m(self) -> float:
+        """Height of the origin over level ground."""
+        return self.gait.height_m + _FOOT_RADIUS_M
+
+
+class HyperDog(RectangularHull):
+    """M dogs: a `Robot`.
+
+    Frame: x forward, y left, z up, origin at the body's centre,
+    `standing_height_m` above level ground.
+    """
+
+    length_m = 0.43
+    width_m = 0.40
+    height_m = 0.30
+    contact_radius_m = _FOOT_RADIUS_M
+    contact_width_m = 2 * _FOOT_RADIUS_M
+    mass_kg = 5.0
+    wheels = None
+
+    def __init__(self, conf: HyperDogConf, num_scenes: int) -> None:
+        self.conf = conf
+        self._heading = HeadingController(conf.heading, conf.max_yaw_rate_radps, num_scenes)
+        self._trot = Trot(conf.gait, _HIPS_B, num_scenes)
+        self._wanted = np.zeros((num_scenes, 2))
+        self._correction = np.zeros((num_scenes, 2))
+        self._yaw = np.full(num_scenes, np.nan)
+        rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
+        self.standing_height_m = conf.standing_height_m
+        self.mounts: MountsConf = conf.mounts
+        self.battery = conf.battery
+        no_load = np.inf if conf.no_load_speed_radps is None else conf.no_load_speed_radps
+        self.body = RobotBody(
+            urdf=assets_folder() / "robots" / "hyperdog" / "hyperdog.urdf",
+            motors=tuple(
+                Motor(
+                    f"{leg}_{joint}_joint",
+                    conf.max_torque_nm,
+                    mode="position",
+                    position_gain_per_s=80.0,
+                    max_speed_radps=no_load,
+                    no_load_speed_radps=no_load,
+                    rest_rad=float(angle),
+                )
+                for leg, angles in zip(_LEGS, rest, strict=True)
+                for joint, angle in zip(_JOINTS, angles, strict=True)
+            ),
+            ground_links=tuple(f"{leg}_lower" for leg in _LEGS),
+            ground_friction=conf.foot_friction,
+            ground_links_meet_obstacles=True,
+        )
+
+    @property
+    def contact_centres_b(self) -> Array:
+        """Middles (4, 3) [m] of the feet as it stands."""
+        return self._trot.rest_b
+
+    @property
+    def max_speed_mps(self) -> float:
+        """Largest speed that can be commanded."""
+        return self.conf.max_speed_mps
+
+    def action_bounds(self) -> tuple[Array, Array]:
+        """Bounds of speed and heading, each (2,), or of the joints, each (12,)."""
+        if self.conf.action == "joints":
+            return -np.ones(12), np.ones(12)
+        return speed_and_heading_bounds(self.max_speed_mps)
+
+    def rest_action(self) -> Array:
+        """No speed and no turn, (2,), or the angles (12,) at which it is put down."""
+        if self.conf.action == "joints":
+            low, high = _LIMITS_OF_ALL
+            return 2.0 * (np.array(self.body.rest_commands()) - low) / (high - low) - 1.0
+        return np.zeros(2)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Stand still and forget the past in the scenes in `mask` (M,)."""
+        self._heading.reset(mask)
+        self._trot.reset(mask)
+        self._wanted[mask] = 0.0
+        self._correction[mask] = 0.0
+        self._yaw[mask] = np.nan
+
+    def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
+        """Angle of each joint [rad], (M, 12), to be reached at the end of the step."""
+        if self.conf.action == "joints":
+            low, high = _LIMITS_OF_ALL
+            return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        tilt = motion.roll_pitch_yaw[:, :2]
+        twist = self._twist(action, self._trot.careful(tilt), motion, step_s)
+        feet = self._trot.feet(twist, tilt, step_s)
+        angles = _LEG.angles(feet - _HIPS_B, _SIDE)
+        return within(angles, *_LIMITS_RAD.T).reshape(len(action), 12)
+
+    def _twist(self, action: Array, careful: Array, motion: BodyMotion, step_s: float) -> Array:
+        """Speed [m/s] and yaw rate [rad/s] for the gait (M, 2)."""
+        conf = self.conf
+        most = conf.max_speed_mps
+        speed = careful * within(action[:, 0], -most, most)
+        turn = self._heading.yaw_rate(within(action[:, 1], -np.pi, np.pi), step_s)
+        gain = step_s * np.array([conf.max_acceleration_mps2, conf.max_yaw_acceleration_radps2])
+        wanted = np.column_stack([speed, turn])
+        self._wanted = within(wanted, self._wanted - gain, self._wanted + gain)
+        # Feet slip: what is missing of the motion is added up.
+        # The turn from one step to the next: the body sways, and the rates at steps' ends are no mean.
+        yaw = motion.roll_pitch_yaw[:, 2]
+        turned = np.where(np.isnan(self._yaw), 0.0, wrap_angle(yaw - self._yaw))
+        self._yaw = yaw.copy()
+        told = np.column_stack([motion.velocity_b[:, 0], turned / step_s])
+        missing = step_s * np.array([conf.speed_ki_per_s, conf.yaw_rate_ki_per_s]) * (self._wanted - told)
+        self._correction = within(self._correction + missing, -_MAX_CORRECTION, _MAX_CORRECTION)
+        # Told to stand still it does, whatever the sum.
+        still = (speed == 0.0) & (turn == 0.0)
+        self._correction[still] = 0.0
+        # With care, it does not push on harder where it does not get along.
+        return self._wanted + self._correction * np.column_stack([careful, np.ones_like(careful)])

@@ -1,0 +1,1 @@
+"""Leo Rover: four wheels on two rockers."""

@@ -1,0 +1,1 @@
+"""Rover Zero, the paper's skid-steer platform."""

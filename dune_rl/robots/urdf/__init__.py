@@ -1,0 +1,1 @@
+"""Differential and skid-steer robots read from a URDF."""

@@ -1,0 +1,1 @@
+"""Rate, latency, noise and drop-out models of real sensors."""

@@ -1,0 +1,243 @@
+"""What real cameras add to perfect pictures: shutter, exposure, noise, dirt, and the noise of depth."""
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.rendering.light import linear
+from dune_rl.sensors.draws import normal, uniform
+from dune_rl.sensors.realism.pipeline import Realism, RealismConf, Rows
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, Sensor
+
+Floats = NDArray[np.float32]
+
+# Light of each byte, and the nearest byte to each of so many levels of light: enough for the darkest.
+_LIGHT: Floats = linear(np.arange(256, dtype=np.float32) / np.float32(255.0))
+_LEVELS = 2**14
+_BYTES = np.searchsorted((_LIGHT[1:] + _LIGHT[:-1]) / 2, np.linspace(0.0, 1.0, _LEVELS)).astype(np.uint8)
+
+_COLOURED = ("camera_rgb", "camera_grey")
+_DEPTH = "camera_depth"
+# What an automatic exposure aims at, the mean of a picture, in linear light: a grey of 18 %.
+_MEAN_LIGHT = 0.18
+_MOST_GAIN = 8.0
+
+
+class CameraRealismConf(RealismConf):
+    """Faults of a camera's pictures and depth; segments and normals stay as they are.
+
+    Each row of a picture is exposed for `shutter_s`, the lowest until now and
+    the highest `readout_s` before it (a rolling shutter). `gain` brightens it;
+    with `auto_exposure_s` the gain follows, with that time constant, what
+    brings the picture's mean to 18 % of white times `gain`. `full_well_e`
+    [electrons] is what a white pixel holds at a gain of 1, which gives shot
+    noise, and `read_noise_e` the noise of reading it. `dirt` is the share of
+    light that the worst of `smudges` smudges keeps off, elsewhere in each
+    episode. Depth z has noise of deviation `depth_noise_per_m` * z² and
+    steps of `depth_quantum_m`; it is lost at `depth_dropout` of the pixels,
+    nearer than `depth_near_m` and farther than `depth_far_m`, and reads
+    there what it does where nothing is seen.
+    """
+
+    kind = "camera"
+
+    shutter_s: float = Field(0.0, ge=0.0, le=1.0)
+    readout_s: float = Field(0.0, ge=0.0, le=1.0)
+    gain: float = Field(1.0, gt=0.0, le=_MOST_GAIN)
+    auto_exposure_s: float | None = Field(None, gt=0.0, le=60.0)
+    full_well_e: float | None = Field(None, ge=10.0)
+    read_noise_e: float = Field(0.0, ge=0.0)
+    dirt: float = Field(0.0, ge=0.0, le=1.0)
+    smudges: int = Field(6, ge=1, le=64)
+    depth_noise_per_m: float = Field(0.0, ge=0.0, le=1.0)
+    depth_quantum_m: float = Field(0.0, ge=0.0, le=10.0)
+    depth_dropout: float = Field(0.0, ge=0.0, le=1.0)
+    depth_near_m: float = Field(0.0, ge=0.0)
+    depth_far_m: float | None = Field(None, gt=0.0)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        if self.read_noise_e > 0.0 and self.full_well_e is None:
+            raise ValueError("read_noise_e is counted in electrons: give full_well_e, some thousands, too")
+        if self.depth_far_m is not None and self.depth_far_m <= self.depth_near_m:
+            raise ValueError(
+                f"depth_far_m ({self.depth_far_m:g}) must be more than depth_near_m ({self.depth_near_m:g})"
+            )
+        return self
+
+    def steps(self, step_s: float) -> tuple[int, int]:
+        """As of any sensor; a picture must also be taken within a control step."""
+        taken_s = self.shutter_s + self.readout_s
+        if taken_s > step_s * (1.0 + 1e-6):
+            raise ValueError(
+                f"shutter_s + readout_s ({taken_s:g}) must be at most the control step of {step_s:g} s; "
+                "lessen one of them"
+            )
+        return super().steps(step_s)
+
+
+class CameraFaults:
+    """A camera's sensor with the faults of `conf`, without rate and latency, which are any sensor's.
+
+    In the order of a camera, in linear light: dirt on the lens, motion while
+    the shutter is open, exposure, shot and read noise, bytes. Between two
+    control steps light is taken to change evenly, pixel by pixel: a row is
+    the mean of that over its time. What moves by many pixels in a control
+    step is seen twice rather than smeared.
+    """
+
+    def __init__(self, sensor: Sensor, conf: CameraRealismConf, num_scenes: int, step_s: float) -> None:
+        self._sensor, self._conf, self._step_s = sensor, conf, step_s
+        self._bounds = sensor.bounds()
+        self._seen: dict[str, Reading] = {
+            name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self._bounds.items()
+        }
+        coloured = [name for name in _COLOURED if name in self._bounds]
+        self._gain = {name: np.full((num_scenes, 1, 1, 1), conf.gain, np.float32) for name in coloured}
+        # To find memory for a batch of pictures costs more than what is worked out in it.
+        self._scratch: dict[str, tuple[NDArray[Any], ...]] = {
+            name: tuple(np.empty(self._seen[name].shape, kind) for kind in (np.intp, np.float32, np.float32))
+            for name in coloured
+        }
+        self._before: dict[str, Floats] = {}
+        height, width = next(iter(self._bounds.values()))[0].shape[:2]
+        if conf.shutter_s or conf.readout_s:
+            self._before = {name: np.zeros(self._seen[name].shape, np.float32) for name in coloured}
+            above = 1.0 - (np.arange(height) + 0.5) / height
+            age = (conf.readout_s * above + conf.shutter_s / 2) / step_s
+            self._age = age.astype(np.float32).reshape(height, 1, 1)
+        self._clear = np.ones((num_scenes, height, width, 1), np.float32)
+        self._perfect = not (
+            conf.shutter_s or conf.readout_s or conf.auto_exposure_s or conf.full_well_e or conf.dirt
+        ) and (conf.gain == 1.0)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Those of the sensor within."""
+        return self._bounds
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Look in the scenes in `mask` (M,), with a lens soiled anew, and nothing seen before."""
+        self._sensor.begin(mask, now)
+        rows = np.flatnonzero(mask)
+        if self._conf.dirt:
+            self._soil(rows, now)
+        self._take(rows, now, first=True)
+
+    def measure(self, now: Moment) -> None:
+        """Look again."""
+        self._sensor.measure(now)
+        self._take(slice(None), now, first=False)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest pictures."""
+        return {name: seen.copy() for name, seen in self._seen.items()}
+
+    def _take(self, rows: Rows, now: Moment, first: bool) -> None:
+        for name, frames in self._sensor.read().items():
+            frame = frames[rows]
+            if name in self._gain and not self._perfect:
+                frame = self._picture(name, frame, rows, now, first)
+            elif name == _DEPTH:
+                frame = self._depth(frame, rows, now)
+            self._seen[name][rows] = frame
+
+    def _picture(self, name: str, frame: Reading, rows: Rows, now: Moment, first: bool) -> NDArray[np.uint8]:
+        """Bytes (N, height, width, channels) of the perfect `frame`."""
+        conf = self._conf
+        index, light, work = (scratch[: len(frame)] for scratch in self._scratch[name])
+        index[...] = frame
+        np.take(_LIGHT, index, out=light, mode="clip")
+        if conf.dirt:
+            # What a smudge keeps off comes scattered from everywhere.
+            veil = _means(light)
+            light -= veil
+            light *= self._clear[rows]
+            light += veil
+        if self._before:
+            before = self._before[name]
+            np.subtract(light if first else before[rows], light, out=work)
+            before[rows] = light
+            work *= self._age
+            light += work
+        gain = self._exposure(name, light, rows, first)
+        light *= gain
+        if conf.full_well_e is not None:
+            size = int(np.prod(frame.shape[1:]))
+            noise = normal(now.seed, f"{name} noise", now.episodes[rows], now.steps[rows], size)
+            # Electrons e of a pixel vary by √(e + read²); there are full_well / gain of them in white.
+            per_electron = gain / np.float32(conf.full_well_e)
+            np.add(light, per_electron * np.float32(conf.read_noise_e**2), out=work)
+            work *= per_electron
+            np.sqrt(work, out=work)
+            work *= noise.reshape(frame.shape)
+            light += work
+        light *= np.float32(_LEVELS - 1)
+        light += np.float32(0.5)
+        index[...] = light
+        taken: NDArray[np.uint8] = _BYTES.take(index, mode="clip")
+        return taken
+
+    def _exposure(self, name: str, light: Floats, rows: Rows, first: bool) -> Floats:
+        """Gains (N, 1, 1, 1); an automatic one is settled when an episode begins."""
+        conf = self._conf
+        gains = self._gain[name]
+        if conf.auto_exposure_s is not None:
+            mean = np.maximum(light.mean(axis=(1, 2, 3), keepdims=True), np.float32(1e-4))
+            wanted = np.clip(conf.gain * _MEAN_LIGHT / mean, 1.0 / _MOST_GAIN, _MOST_GAIN)
+            kept = 0.0 if first else float(np.exp(-self._step_s / conf.auto_exposure_s))
+            gains[rows] = gains[rows] ** kept * wanted ** (1.0 - kept)
+        exposed: Floats = gains[rows]
+        return exposed
+
+    def _depth(self, frame: Floats, rows: Rows, now: Moment) -> Floats:
+        """Depth (N, height, width, 1) [m] as stereo measures it: an error of disparity grows with depth²."""
+        conf = self._conf
+        low, high = self._bounds[_DEPTH]
+        depth, at = frame, (now.episodes[rows], now.steps[rows], int(np.prod(frame.shape[1:])))
+        if conf.depth_noise_per_m:
+            noise = normal(now.seed, "camera_depth noise", *at).reshape(frame.shape)
+            depth = depth + noise * (np.float32(conf.depth_noise_per_m) * frame * frame)
+        if conf.depth_quantum_m:
+            depth = np.rint(depth / np.float32(conf.depth_quantum_m)) * np.float32(conf.depth_quantum_m)
+        lost = (frame >= high) | (frame < np.float32(conf.depth_near_m))
+        if conf.depth_far_m is not None:
+            lost |= frame > np.float32(conf.depth_far_m)
+        if conf.depth_dropout:
+            lost |= uniform(now.seed, "camera_depth return", *at).reshape(frame.shape) < conf.depth_dropout
+        measured: Floats = np.where(lost, high, np.minimum(np.maximum(depth, low), high))
+        return measured
+
+    def _soil(self, rows: NDArray[np.int64], now: Moment) -> None:
+        """Smudges on the lenses of `rows`: soft discs, of a tenth to a third of the picture's width."""
+        conf = self._conf
+        height, width = self._clear.shape[1:3]
+        first = np.zeros_like(now.steps[rows])
+        drawn = uniform(now.seed, "camera dirt", now.episodes[rows], first, 4 * conf.smudges)
+        drawn = drawn.reshape(-1, conf.smudges, 4, 1, 1)
+        y, x = (np.mgrid[0:height, 0:width].astype(np.float32) + np.float32(0.5)) / np.float32(width)
+        clear = np.ones((len(rows), height, width), np.float32)
+        for smudge in range(conf.smudges):
+            column, row, size, strength = (drawn[:, smudge, part] for part in range(4))
+            away = (x - column) ** 2 + (y - row * np.float32(height / width)) ** 2
+            radius = np.float32(0.05) + np.float32(0.12) * size
+            clear *= 1.0 - np.float32(conf.dirt) * strength * np.exp(-((away / radius**2) ** 2))
+        self._clear[rows] = clear[..., None]
+
+
+def _means(light: Floats) -> Floats:
+    """Mean (N, 1, 1, channels) of each channel; along rows first, which is ten times faster."""
+    rows, height, width, channels = light.shape
+    columns = light.reshape(rows, height, width * channels).mean(axis=1)
+    means: Floats = columns.reshape(rows, width, channels).mean(axis=1)
+    return means[:, None, None]
+
+
+def realistic_camera(
+    sensor: Sensor, conf: CameraRealismConf | None, num_scenes: int, step_s: float
+) -> Sensor:
+    """A camera's sensor with the faults of `conf`, rate and latency included; itself where there are none."""
+    if conf is None:
+        return sensor
+    return Realism(CameraFaults(sensor, conf, num_scenes, step_s), conf, num_scenes, step_s)

@@ -1,0 +1,128 @@
+"""What light adds to true ranges: noise, drop-out, and far, slanted or dark things that return nothing."""
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.sensors.draws import normal, uniform
+from dune_rl.sensors.lidar import LidarConf, beam_angles
+from dune_rl.sensors.realism.pipeline import RealismConf
+from dune_rl.sensors.sensor import Moment
+
+Floats = NDArray[np.float32]
+
+# Three neighbouring returns lie on one flat thing if they miss a straight line by less than this share.
+_FLAT = 0.1
+
+
+class LidarRealismConf(RealismConf):
+    """Faults of each beam.
+
+    A range has noise of deviation `noise_m` + `noise_share` * range, and steps
+    of `quantum_m`. `dropout` of the beams return nothing. Of those that meet
+    something head-on at `half_return_m`, half return; the share falls with
+    the light that comes back, which goes as reflectance * cos(slant) /
+    range². `reflectance` is relative to what `half_return_m` is stated for,
+    one number between the two for each episode.
+    """
+
+    kind = "lidar"
+
+    noise_m: float = Field(0.0, ge=0.0, le=10.0)
+    noise_share: float = Field(0.0, ge=0.0, le=1.0)
+    quantum_m: float = Field(0.0, ge=0.0, le=10.0)
+    dropout: float = Field(0.0, ge=0.0, le=1.0)
+    half_return_m: float | None = Field(None, gt=0.0, le=10_000.0)
+    reflectance: tuple[float, float] = (1.0, 1.0)
+
+    @model_validator(mode="after")
+    def _low_to_high(self) -> Self:
+        low, high = self.reflectance
+        if not 0.0 < low <= high <= 10.0:
+            raise ValueError(
+                "reflectance must be two numbers above 0 and at most 10, the lower first "
+                f"(got {low:g}, {high:g})"
+            )
+        return self
+
+
+class BeamFaults:
+    """Ranges as a real LiDAR gives them; they depend on the true ones and on the moment alone."""
+
+    def __init__(self, conf: LidarRealismConf, lidar: LidarConf) -> None:
+        self._conf, self._name = conf, "lidar"
+        self._limits_m, self._count = (lidar.min_range_m, lidar.range_m), lidar.n_beams
+        angles = beam_angles(lidar)
+        self._full_circle = bool(np.isclose(lidar.fov_rad, 2 * np.pi))
+        apart = float(angles[1] - angles[0]) if len(angles) > 1 else 0.0
+        # Beams so far apart tell nothing of what lies between them.
+        self._slanted = 0.0 < apart < np.pi / 4 and len(angles) > 2
+        self._cos, self._sin = np.float32(np.cos(apart)), np.float32(np.sin(apart))
+
+    @classmethod
+    def of_rings(cls, conf: LidarRealismConf, limits_m: tuple[float, float], count: int) -> Self:
+        """For `count` beams of rings, whose ranges end at `limits_m`; all count as met head-on."""
+        faults = cls(conf, LidarConf())
+        faults._name, faults._limits_m, faults._count, faults._slanted = "lidar 3d", limits_m, count, False
+        return faults
+
+    def applied(self, ranges: Floats, now: Moment) -> Floats:
+        """`ranges` (M, n_beams) [m] with faults: `range_m` where nothing returns, otherwise within limits."""
+        conf = self._conf
+        nearest, farthest = (np.float32(limit) for limit in self._limits_m)
+        returned = ranges < farthest
+        if conf.dropout > 0.0 or conf.half_return_m is not None:
+            chance = uniform(now.seed, f"{self._name} return", now.episodes, now.steps, self._count)
+            returned &= chance < self._return_share(ranges, now)
+        measured = ranges
+        if conf.noise_m > 0.0 or conf.noise_share > 0.0:
+            noise = normal(now.seed, f"{self._name} noise", now.episodes, now.steps, self._count)
+            noise *= np.float32(conf.noise_m) + np.float32(conf.noise_share) * ranges
+            measured = ranges + noise
+        if conf.quantum_m > 0.0:
+            measured = np.rint(measured / np.float32(conf.quantum_m)) * np.float32(conf.quantum_m)
+        measured = np.minimum(np.maximum(measured, nearest), farthest)
+        return np.where(returned, measured, farthest)
+
+    def _return_share(self, ranges: Floats, now: Moment) -> Floats:
+        """Share (M, n_beams) of beams that return.
+
+        Photons come back at random (a Poisson process), and one is enough:
+        1 - 2^-(reflectance * cos(slant) * (half_return_m / range)²), in the
+        far nearly proportional to 1 / range². After the LiDAR equation for
+        something matt that fills the beam.
+        """
+        conf = self._conf
+        stays = np.float32(1.0 - conf.dropout)
+        if conf.half_return_m is None:
+            return np.full_like(ranges, stays)
+        low, high = conf.reflectance
+        first = np.zeros_like(now.steps)
+        reflectance = low + (high - low) * uniform(
+            now.seed, f"{self._name} reflectance", now.episodes, first, 1
+        )
+        near: Floats = np.reciprocal(np.maximum(ranges, np.float32(1e-3)))
+        light = near * near * self._cos_slant(near)
+        light *= (reflectance * conf.half_return_m**2).astype(np.float32)
+        share: Floats = stays * (np.float32(1.0) - np.exp2(-light))
+        return share
+
+    def _cos_slant(self, near: Floats) -> Floats:
+        """Cosine (M, n_beams) of the angle at which beams of inverse range `near` meet what they meet.
+
+        Along a straight wall, inverse range is a sine of the bearing: its
+        neighbours tell both whether it is one and how it slants. What is not
+        flat, or seen by a single beam, counts as met head-on.
+        """
+        head_on = np.ones_like(near)
+        if not self._slanted:
+            return head_on
+        before, after = np.roll(near, 1, axis=1), np.roll(near, -1, axis=1)
+        flat = np.abs(before + after - 2 * self._cos * near) < np.float32(_FLAT) * near
+        if not self._full_circle:
+            flat[:, [0, -1]] = False
+        tangent = (after - before) / (2 * self._sin * near)
+        cosine: Floats = np.where(flat, 1.0 / np.sqrt(1.0 + tangent * tangent), head_on)
+        return cosine

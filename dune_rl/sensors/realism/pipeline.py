@@ -1,0 +1,222 @@
+"""What real instruments add to the truth: rate, latency, noise, drifting biases and steps between values."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, NoiseConf, Rows
+from dune_rl.sensors.realism.presets import Kind, preset
+from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, Sensor
+from dune_rl.settings import Settings
+
+
+class RealismConf(Settings):
+    """Rate and latency of a sensor; classes derived from this add its own faults.
+
+    Without `rate_hz` it reads each control step, with it at the beginning of
+    an episode and from then on at that rate, which must divide the control
+    rate. A reading arrives `latency_s` late, a whole number of control steps;
+    until then the first reading of the episode is given.
+
+    Classes for a `kind` of part take the name of one: alone ("bno055"), or as
+    `preset` beside settings that differ.
+    """
+
+    kind: ClassVar[Kind | None] = None
+
+    preset: str | None = None
+    rate_hz: float | None = Field(None, gt=0.0, le=10_000.0)
+    latency_s: float = Field(0.0, ge=0.0, le=2.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_part(cls, data: Any) -> Any:
+        if isinstance(data, str):
+            data = {"preset": data}
+        if not isinstance(data, Mapping) or not isinstance(data.get("preset"), str):
+            return data
+        if cls.kind is None:
+            raise ValueError(f"preset must be null (got {data['preset']!r}): no parts are known here")
+        return _merged(preset(data["preset"], cls.kind).settings, data)
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """Faults of each of the `size` entries of a reading; none at all for a sensor with its own."""
+        return ()
+
+    def steps(self, step_s: float) -> tuple[int, int]:
+        """Control steps of `step_s` between two readings, and until a reading arrives; or ValueError."""
+        every = 1 if self.rate_hz is None else self._every(1.0 / step_s, self.rate_hz)
+        late = self.latency_s / step_s
+        if abs(late - round(late)) > 1e-3:
+            near = " or ".join(f"{steps * step_s:.4g}" for steps in (int(late), int(late) + 1))
+            raise ValueError(
+                f"latency_s={self.latency_s:g} is not a whole number of control steps of {step_s:g} s; "
+                f"write {near}"
+            )
+        return every, round(late)
+
+    @staticmethod
+    def _every(control_hz: float, rate_hz: float) -> int:
+        every = control_hz / rate_hz
+        if every < 1.0 - 1e-3:
+            raise ValueError(
+                f"rate_hz={rate_hz:g} is above the control rate of {control_hz:g} Hz; "
+                f"write {control_hz:g} or a whole fraction of it, or null for every control step"
+            )
+        if abs(every - round(every)) > 1e-3 * every:
+            near = " or ".join(f"{control_hz / steps:.4g}" for steps in (int(every), int(every) + 1))
+            raise ValueError(
+                f"rate_hz={rate_hz:g} does not divide the control rate of {control_hz:g} Hz; write {near}"
+            )
+        return round(every)
+
+
+class ImuRealismConf(RealismConf):
+    """Faults of an inertial unit: `tilt` is of roll and pitch, `heading` of yaw."""
+
+    kind = "imu"
+
+    accelerometer: NoiseConf = NoiseConf()
+    gyroscope: NoiseConf = NoiseConf()
+    tilt: AngleNoiseConf = AngleNoiseConf()
+    heading: AngleNoiseConf = AngleNoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """Three axes of each, and three angles."""
+        return (self.accelerometer,) * 3 + (self.gyroscope,) * 3 + (self.tilt,) * 2 + (self.heading,)
+
+
+class SpeedRealismConf(RealismConf):
+    """Faults of what a rover's own controller knows: `forward` [m/s] and `turn` [rad/s]."""
+
+    forward: NoiseConf = NoiseConf()
+    turn: NoiseConf = NoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """One each."""
+        return (self.forward, self.turn)
+
+
+class ReadingRealismConf(RealismConf):
+    """Faults of a sensor whose entries are all alike: heights, depths, currents."""
+
+    each: NoiseConf = NoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """The same for all, drawn for each."""
+        return (self.each,) * size
+
+
+class EncoderRealismConf(RealismConf):
+    """Faults of wheel encoders: of each `turn` [rad], and of each `speed` [rad/s]."""
+
+    turn: NoiseConf = NoiseConf()
+    speed: NoiseConf = NoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """Turns first, then speeds."""
+        return (self.turn,) * (size // 2) + (self.speed,) * (size // 2)
+
+
+class OdometryRealismConf(RealismConf):
+    """Faults of dead reckoning: `place` is of x and y [m], `forward` [m/s] and `turn` [rad/s] of speeds."""
+
+    place: NoiseConf = NoiseConf()
+    heading: AngleNoiseConf = AngleNoiseConf()
+    forward: NoiseConf = NoiseConf()
+    turn: NoiseConf = NoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """In the order of the reading."""
+        return (self.place, self.place, self.heading, self.forward, self.turn)
+
+
+class PositionRealismConf(RealismConf):
+    """Faults of a satellite receiver and a compass: `place` is of x and y [m], `height` of z [m]."""
+
+    place: NoiseConf = NoiseConf()
+    height: NoiseConf = NoiseConf()
+    heading: AngleNoiseConf = AngleNoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """In the order of the reading."""
+        return (self.place, self.place, self.height, self.heading)
+
+
+class Realism:
+    """A sensor seen through the faults of `conf`; within its bounds and of its types.
+
+    The stages follow one another as in an instrument: a reading is taken at
+    the rate; biases and noise are added; it falls on a step between values
+    and is held to the range; it arrives late, and is held until the next.
+    What is random depends on the seed, the episode and its step alone.
+    """
+
+    def __init__(self, sensor: Sensor, conf: RealismConf, num_scenes: int, step_s: float) -> None:
+        self._sensor = sensor
+        self.needs_wheels = getattr(sensor, "needs_wheels", False)
+        self._every, delay = conf.steps(step_s)
+        self._faults: dict[str, Faults] = {}
+        self._ring: dict[str, Reading] = {}
+        for name, bounds in sensor.bounds().items():
+            low = bounds[0]
+            self._ring[name] = np.zeros((delay + 1, num_scenes, *low.shape), low.dtype)
+            channels = conf.channels(low.size)
+            if channels:
+                self._faults[name] = Faults(name, bounds, channels, num_scenes, self._every * step_s)
+        self._slots, self._newest = delay + 1, 0
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Those of the sensor within."""
+        return self._sensor.bounds()
+
+    def begin(self, mask: Flags, now: Moment) -> None:
+        """Read, and forget what the scenes in `mask` (M,) have read before."""
+        self._sensor.begin(mask, now)
+        rows = np.flatnonzero(mask)
+        for name, reading in self._sensor.read().items():
+            fresh = reading[rows]
+            if name in self._faults:
+                self._faults[name].begin(rows, now)
+                fresh = self._faults[name].applied(fresh, rows, now)
+            self._ring[name][:, rows] = fresh
+
+    def measure(self, now: Moment) -> None:
+        """Read where a reading is due, and let the others stand."""
+        self._sensor.measure(now)
+        due = now.steps % self._every == 0
+        rows: Rows = slice(None) if due.all() else np.flatnonzero(due)
+        readings = self._sensor.read() if due.any() else {}
+        before = self._newest
+        self._newest = (before + 1) % self._slots
+        for name, ring in self._ring.items():
+            if not due.all():
+                ring[self._newest] = ring[before]
+            if name not in readings:
+                continue
+            fresh = readings[name][rows]
+            if name in self._faults:
+                self._faults[name].advance(rows, now)
+                fresh = self._faults[name].applied(fresh, rows, now)
+            ring[self._newest, rows] = fresh
+
+    def read(self) -> dict[str, Reading]:
+        """The readings that have arrived."""
+        oldest = (self._newest + 1) % self._slots
+        return {name: ring[oldest].copy() for name, ring in self._ring.items()}
+
+
+def realistic(sensor: Sensor, conf: RealismConf | None, num_scenes: int, step_s: float) -> Sensor:
+    """`sensor` with the faults of `conf`; itself where there are none."""
+    return sensor if conf is None else Realism(sensor, conf, num_scenes, step_s)
+
+
+def _merged(part: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a part, and those given in their stead."""
+    merged = {**part, **given}
+    for name, settings in part.items():
+        if isinstance(settings, Mapping) and isinstance(given.get(name), Mapping):
+            merged[name] = {**settings, **given[name]}
+    return merged

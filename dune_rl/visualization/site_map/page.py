@@ -1,0 +1,97 @@
+"""The page that a map is on: places in inches, text, scale bars and arrows."""
+
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle as Box
+
+from dune_rl.visualization import site_colours as colours
+
+WIDTH_IN, HEIGHT_IN = 13.0, 8.0
+_SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
+# A panel narrower than that has no room above it for a scale bar, or for arrows beside that.
+_SCALE_BAR_IN, _ARROWS_IN = 1.9, 3.4
+
+
+@dataclass(frozen=True)
+class Place:
+    """A rectangle on the page [in], from its lower left corner."""
+
+    left: float
+    bottom: float
+    width: float
+    height: float
+
+    @property
+    def top(self) -> float:
+        """The height of its upper side [in]."""
+        return self.bottom + self.height
+
+
+def panel_axes(figure: Figure, place: Place) -> Axes:
+    """Axes at a place of the page."""
+    return figure.add_axes(
+        (place.left / WIDTH_IN, place.bottom / HEIGHT_IN, place.width / WIDTH_IN, place.height / HEIGHT_IN)
+    )
+
+
+def page_axes(figure: Figure) -> Axes:
+    """Axes over the whole page, in inches."""
+    for axes in figure.axes:
+        if axes.get_label() == "page":
+            return axes
+    axes = figure.add_axes((0, 0, 1, 1), label="page", zorder=-1)
+    axes.set_xlim(0, WIDTH_IN)
+    axes.set_ylim(0, HEIGHT_IN)
+    axes.set_axis_off()
+    return axes
+
+
+def write(
+    figure: Figure, x: float, y: float, text: str, size: float, *, weight: str = "normal",
+    colour: str = colours.INK, ha: str = "left",
+) -> None:  # fmt: skip
+    """Write a line from (x, y) [in] on, `size` in points."""
+    page_axes(figure).text(x, y, text, fontsize=size, fontweight=weight, color=colour, ha=ha, va="baseline")
+
+
+def scale_bar(figure: Figure, place: Place, per_m: float) -> None:
+    """A bar of a round length over the right end of a panel; `per_m` is the scale [in/m]."""
+    if place.width < _SCALE_BAR_IN:
+        return
+    longest = 0.24 * place.width / per_m
+    length = max((scale for scale in _SCALES_M if scale <= longest), default=_SCALES_M[0])
+    right, y = place.left + place.width - 0.62, place.top + 0.13
+    left = right - length * per_m
+    page = page_axes(figure)
+    half = (right - left) / 2
+    page.add_patch(
+        Box((left, y - 0.025), half, 0.05, facecolor=colours.INK, edgecolor=colours.INK, linewidth=0.6)
+    )
+    page.add_patch(
+        Box(
+            (left + half, y - 0.025),
+            half,
+            0.05,
+            facecolor=colours.PAPER,
+            edgecolor=colours.INK,
+            linewidth=0.6,
+        )
+    )
+    write(figure, right + 0.06, y - 0.045, f"{length:g} m", 7.5)
+
+
+def arrows(figure: Figure, place: Place) -> None:
+    """The directions of x and y, over the middle of a panel."""
+    if place.width < _ARROWS_IN:
+        return
+    page = page_axes(figure)
+    x, y = place.left + 0.45 * place.width, place.top + 0.07
+    for dx, dy, name, at in ((0.24, 0.0, "x", (0.28, -0.03)), (0.0, 0.24, "y, N", (-0.32, 0.14))):
+        page.annotate(
+            "", (x + dx, y + dy), (x, y),
+            arrowprops={"arrowstyle": "-|>,head_length=4,head_width=2", "color": colours.INK,
+                        "mutation_scale": 1, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+        write(figure, x + at[0], y + at[1], name, 7)

@@ -1,0 +1,1 @@
+"""The construction site: rooms of stud walls."""

@@ -1,0 +1,1 @@
+"""Gazebo models and worlds (SDF)."""

@@ -1,0 +1,187 @@
+"""A world from a Gazebo model or world (SDF)."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.errors import WorldError
+from dune_rl.worlds.importing.ground_pictures import tiled_ground
+from dune_rl.worlds.importing.height_files import read_heights
+from dune_rl.worlds.importing.heightmap import grid_of
+from dune_rl.worlds.importing.import_files import Folder, Report, existing
+from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region, with_region
+from dune_rl.worlds.importing.objects import is_single_sheet, things_on
+from dune_rl.worlds.importing.parts import Part, without_faults
+from dune_rl.worlds.importing.sdf.files import Library
+from dune_rl.worlds.importing.sdf.reader import Found, HeightMap, SdfReader, mean_colour
+from dune_rl.worlds.importing.sdf.shapes import plane
+from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.world import Rectangle
+
+Array = NDArray[np.float64]
+
+_MOST_FRICTION = 5.0
+_PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
+_TERRAIN_M, _TERRAIN_M2 = 15.0, 100.0
+
+
+class SdfConf(SurfaceFileConf):
+    """Settings of `build_sdf`."""
+
+    name: Literal["sdf"] = "sdf"
+    path: str = Field(min_length=1, description="an .sdf or .world file, or the folder of a model")
+    spacing_m: float | None = Field(
+        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen by the size"
+    )
+    friction: float | None = Field(
+        default=None, gt=0.0, le=5.0, description="None: the ground's in the file, else 1"
+    )
+    region: Rectangle | None = Field(
+        default=None, description="xmin, xmax, ymin, ymax of the spawn region; None: the freest level square"
+    )
+
+
+def build_sdf(conf: SdfConf) -> ImportedWorld:
+    """The world of a Gazebo file: its collisions as ground and things, its visuals where there are none.
+
+    Files are read beside the file and in GZ_SIM_RESOURCE_PATH alone. What is missing or not supported is a
+    `WorldWarning`; what makes no world is a `WorldError`.
+    """
+    path = existing(conf.path)
+    report = Report(path.name)
+    own = Folder(path.resolve() if path.is_dir() else path.resolve().parent)
+    library = Library(own.root, report)
+    file = library.description(own.root, own) if path.is_dir() else path.resolve()
+    found = SdfReader(library, report).read(file, own)
+    parts = without_faults(found.parts, report)
+    region = checked_region(conf.region)
+    levels = [height_map for height_map in found.height_maps if _is_level(height_map)]
+    friction = conf.friction if conf.friction is not None else _ground_friction(found, parts, report)
+    if len(found.height_maps) == 1 and levels:
+        world = _on_height_map(levels[0], parts, conf, friction, found, report)
+    else:
+        if found.height_maps:
+            parts += [_as_part(height_map, report) for height_map in found.height_maps]
+        elif found.planes:
+            parts = _with_planes(found, parts, report)
+        if not parts:
+            raise WorldError(
+                f"{path} holds nothing that a robot could stand on: it needs a plane, mesh or height map."
+            )
+        world = assembled(
+            "sdf",
+            parts,
+            report,
+            spacing_m=conf.spacing_m,
+            friction=friction,
+            region=region,
+            light=found.light,
+        )
+    world.surfaces = read_surfaces(conf, world.extent)
+    report.tell()
+    return world
+
+
+def _is_level(height_map: HeightMap) -> bool:
+    return bool(np.allclose(height_map.matrix[:3, :3], np.eye(3), atol=1e-6))
+
+
+def _in_metres(height_map: HeightMap, report: Report) -> Array:
+    """Samples (rows, columns) [m] over the map's own middle, as Gazebo scales them."""
+    heights = read_heights(height_map.path, report)
+    samples, top = heights.samples, float(height_map.size[2])
+    if not heights.metric:
+        return samples * top
+    highest = float(np.nanmax(samples))
+    # The greatest height becomes the size along z; below zero Gazebo has no rule, so the range is scaled.
+    if highest > 0:
+        return samples * (top / highest)
+    low = float(np.nanmin(samples))
+    return (samples - low) * (top / max(highest - low, 1e-9))
+
+
+def _on_height_map(
+    height_map: HeightMap, parts: list[Part], conf: SdfConf, friction: float, found: Found, report: Report
+) -> ImportedWorld:
+    # Its own grid, exactly: nothing is sampled anew.
+    size = (float(height_map.size[0]), float(height_map.size[1]))
+    terrain, known = grid_of(_in_metres(height_map, report), size, conf.spacing_m, report)
+    x, y, z = height_map.matrix[:3, 3]
+    moved = type(terrain)(
+        terrain.heights + z, terrain.spacing_m, (terrain.origin[0] + x, terrain.origin[1] + y)
+    )
+    none = np.zeros(sum(len(part.faces) for part in parts), bool)
+    colours, picture = None, None
+    if height_map.picture is not None:
+        picture = tiled_ground(moved, height_map.picture, height_map.tile_m)
+        colours = np.full((*terrain.heights.shape, 3), picture.colours.mean(axis=(0, 1)), np.float32)
+    elif height_map.colour is not None:
+        colours = np.broadcast_to(np.array(height_map.colour, np.float32), (*terrain.heights.shape, 3))
+    world = ImportedWorld(
+        "sdf",
+        moved,
+        things_on(parts, none, moved, report),
+        region=moved.extent,
+        friction=friction,
+        ground_colours=colours,
+        picture=picture,
+        light=found.light,
+    )
+    return with_region(world, checked_region(conf.region), report, known)
+
+
+def _as_part(height_map: HeightMap, report: Report) -> Part:
+    samples = _in_metres(height_map, report)
+    size = (float(height_map.size[0]), float(height_map.size[1]))
+    terrain, _ = grid_of(samples, size, None, report)
+    colour = height_map.colour
+    if colour is None and height_map.picture is not None:
+        report.warn("the textures of several height maps are shown in their mean colours")
+        colour = mean_colour(height_map.picture)
+    return Part.of("heightmap", *terrain.mesh(), colour, ground=True).moved(height_map.matrix)
+
+
+def _with_planes(found: Found, parts: list[Part], report: Report) -> list[Part]:
+    """The parts and the planes, unless a mesh is the terrain: then a plane would be under or through it."""
+    terrain = next((part for part in parts if _is_terrain(part)), None)
+    if terrain is not None:
+        report.warn(f"its <plane> is left out, since the mesh {terrain.name!r} is the ground")
+        return parts
+    least = np.full(2, _SMALLEST_PLANE_M)
+    if parts:
+        reach = np.max([np.abs(part.vertices[:, :2]).max(axis=0) for part in parts], axis=0)
+        least = np.clip(2 * (reach + _PLANE_MARGIN_M), _SMALLEST_PLANE_M, _LARGEST_PLANE_M)
+    return [
+        *parts,
+        *(
+            Part.of("ground plane", *plane(shape, least), colour).moved(matrix)
+            for shape, matrix, colour in found.planes
+        ),
+    ]
+
+
+def _is_terrain(part: Part) -> bool:
+    across = np.ptp(part.vertices[:, :2], axis=0)
+    return part.solid and is_single_sheet(part) and across.min() > _TERRAIN_M and across.prod() > _TERRAIN_M2
+
+
+def _ground_friction(found: Found, parts: list[Part], report: Report) -> float:
+    """The ground's friction; a warning where others differ, since a world has one."""
+    if not found.frictions:
+        return 1.0
+    terrain = next((part.name for part in parts if _is_terrain(part)), None)
+    for name in ("heightmap", terrain, "plane"):
+        if name in found.frictions:
+            ground = found.frictions[name]
+            break
+    else:
+        ground = float(np.median(list(found.frictions.values())))
+    if len(set(found.frictions.values())) > 1:
+        report.warn(f"has several frictions, and a world has one: {ground:g} is taken for all")
+    if not 0.0 < ground <= _MOST_FRICTION:
+        held = float(np.clip(ground, 0.01, _MOST_FRICTION))
+        report.warn(f"has a friction of {ground:g}; {held:g} is taken")
+        return held
+    return ground

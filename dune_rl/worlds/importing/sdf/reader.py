@@ -1,0 +1,321 @@
+"""Gazebo models and worlds (SDF) as parts, height maps, a sun and frictions."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.rendering.light import LightConf
+from dune_rl.worlds.importing.import_files import (
+    MAX_FACES,
+    Bytes,
+    Folder,
+    Report,
+    first_line,
+    read_bytes,
+    read_image,
+    shown,
+)
+from dune_rl.worlds.importing.mesh_files import mesh_parts
+from dune_rl.worlds.importing.parts import GREY, Part, likely_colour
+from dune_rl.worlds.importing.sdf.files import Library
+from dune_rl.worlds.importing.sdf.shapes import numbers, pose_of, simple_shape
+from dune_rl.worlds.importing.sdf.sun import sun_of
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+_DEEPEST, _MOST_INCLUDES, _MOST_ELEMENTS = 16, 2_000, 20_000
+# What says nothing of how a world is shaped.
+_SILENT = {
+    *("pose", "name", "static", "uri", "inertial", "gravity", "physics", "scene", "gui", "wind", "audio"),
+    *("atmosphere", "magnetic_field", "spherical_coordinates", "state", "self_collide", "enable_wind"),
+    *("allow_auto_disable", "kinematic", "velocity_decay", "must_be_base_link", "frame", "author"),
+}  # fmt: skip
+
+
+@dataclass(eq=False)
+class HeightMap:
+    """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4).
+
+    Its `colour`; and the `picture` (rows, columns, 3) that it shows in tiles `tile_m` wide, None for none.
+    """
+
+    path: Path
+    size: Array
+    matrix: Array
+    colour: Colour | None
+    picture: Bytes | None = None
+    tile_m: float = 1.0
+
+
+@dataclass(eq=False)
+class Found:
+    """All that a file holds: solid and visible parts, planes with their places, height maps, the sun."""
+
+    parts: list[Part] = field(default_factory=list)
+    planes: list[tuple[Element, Array, Colour]] = field(default_factory=list)
+    height_maps: list[HeightMap] = field(default_factory=list)
+    # Of a part's, a plane's ("plane") or a height map's ("heightmap") surface.
+    frictions: dict[str, float] = field(default_factory=dict)
+    light: LightConf | None = None
+
+
+class SdfReader:
+    """Reads a file and all that it includes into `found`."""
+
+    def __init__(self, library: Library, report: Report) -> None:
+        self.found = Found()
+        self._library, self._report = library, report
+        self._elements = self._includes = self._faces = 0
+        self._meshes: dict[Path, list[Part]] = {}
+        self._pictures: dict[Path, Bytes] = {}
+
+    def read(self, path: Path, folder: Folder) -> Found:
+        """All of the file at `path`, which may name files in `folder`."""
+        self._file(path, folder, np.eye(4), "", ())
+        return self.found
+
+    def _file(self, path: Path, folder: Folder, matrix: Array, name: str, chain: tuple[Path, ...]) -> None:
+        real = path.resolve()
+        if real in chain:
+            loop = " > ".join(p.parent.name + "/" + p.name for p in (*chain[chain.index(real) :], real))
+            raise WorldError(f"{self._report.source} includes itself ({loop}): take one <include> out.")
+        if len(chain) >= _DEEPEST:
+            raise WorldError(f"{self._report.source} has <include>s more than {_DEEPEST} deep: flatten them.")
+        here = folder.at(path.parent)
+        try:
+            self._children(self._library.document(path), here, matrix, name, (*chain, real))
+        except WorldError as error:
+            # Once, with the innermost file's name.
+            text = str(error)
+            raise WorldError(text if path.name in text or chain else f"{path.name}: {text}") from None
+
+    def _children(
+        self, element: Element, folder: Folder, matrix: Array, name: str, chain: tuple[Path, ...]
+    ) -> None:
+        for child in element:
+            self._elements += 1
+            if self._elements > _MOST_ELEMENTS:
+                raise WorldError(
+                    f"{self._report.source} has more than {_MOST_ELEMENTS:,} elements: reduce it."
+                )
+            if child.tag in ("world", "model"):
+                self._say_what_is_fixed(child)
+                # A world's name says nothing, and that of an <include> is instead of the model's own.
+                own = "" if child.tag == "world" else child.get("name") or ""
+                full = name if element.tag == "sdf" and name else _path(name, own)
+                self._children(child, folder, matrix @ self._pose(child), full, chain)
+            elif child.tag == "link":
+                self._link(child, folder, matrix @ self._pose(child), name or shown(child.get("name") or ""))
+            elif child.tag == "include":
+                self._include(child, folder, matrix, name, chain)
+            elif child.tag == "light":
+                self._light(child, matrix)
+            elif child.tag not in _SILENT:
+                self._report.warn(f"<{shown(child.tag, 40)}> is not supported and left out")
+
+    def _say_what_is_fixed(self, element: Element) -> None:
+        # Without <static> a model would fall and be pushed about.
+        if element.tag == "model" and (element.findtext("static") or "false").strip() not in ("true", "1"):
+            self._report.warn("models that are not <static> stand still here")
+
+    def _pose(self, element: Element) -> Array:
+        pose = element.find("pose")
+        if pose is not None and (pose.get("relative_to") or pose.get("frame")):
+            self._report.warn(
+                "<pose relative_to> is not supported; such poses are taken in their parent's frame"
+            )
+        return pose_of(element)
+
+    def _include(
+        self, element: Element, folder: Folder, matrix: Array, name: str, chain: tuple[Path, ...]
+    ) -> None:
+        uri = (element.findtext("uri") or "").strip()
+        if element.find("placement_frame") is not None:
+            self._report.warn("<placement_frame> is not supported and left out")
+        found = self._library.find(uri, folder)
+        if found is None:
+            return
+        path, within = found
+        if path.is_dir():
+            path = self._library.description(path, within)
+        self._includes += 1
+        if self._includes > _MOST_INCLUDES:
+            raise WorldError(f"{self._report.source} has more than {_MOST_INCLUDES:,} <include>s: reduce it.")
+        own = (element.findtext("name") or "").strip() or path.parent.name
+        self._file(path, within, matrix @ self._pose(element), _path(name, own), chain)
+
+    def _link(self, link: Element, folder: Folder, matrix: Array, name: str) -> None:
+        for child in link:
+            if child.tag == "light":
+                self._light(child, matrix)
+            elif child.tag not in ("collision", "visual") and child.tag not in _SILENT:
+                self._report.warn(f"<{shown(child.tag, 40)}> is not supported and left out")
+        visuals, collisions = link.findall("visual"), link.findall("collision")
+        looks = [self._look(visual, folder) for visual in visuals]
+        look = next((colour for colour in looks if colour is not None), None)
+        for collision in collisions:
+            self._shape(collision, folder, matrix, name, look, visuals, solid=True)
+        if not collisions:
+            for visual, colour in zip(visuals, looks, strict=True):
+                self._shape(visual, folder, matrix, name, colour, [visual], solid=False)
+
+    def _shape(
+        self,
+        holder: Element,
+        folder: Folder,
+        matrix: Array,
+        name: str,
+        look: Colour | None,
+        visuals: list[Element],
+        *,
+        solid: bool,
+    ) -> None:
+        matrix = matrix @ self._pose(holder)
+        friction = _friction(holder)
+        for shape in holder.findall("geometry/*"):
+            self._elements += 1
+            if shape.tag == "plane":
+                if solid:
+                    self.found.planes.append((shape, matrix, look or GREY))
+                    self._rub("plane", friction)
+            elif shape.tag == "heightmap":
+                self._height_map(shape, folder, matrix, look, visuals)
+                self._rub("heightmap", friction)
+            elif shape.tag != "empty":
+                parts = list(self._solids(shape, folder, matrix, name or "thing", look, solid))
+                for part in parts:
+                    self._faces += len(part.faces)
+                    self._rub(part.name, friction)
+                if self._faces > MAX_FACES:
+                    raise WorldError(
+                        f"{self._report.source} has more than {MAX_FACES:,} triangles: reduce it."
+                    )
+                self.found.parts += parts
+
+    def _rub(self, name: str, friction: float | None) -> None:
+        if friction is not None:
+            self.found.frictions[name] = friction
+
+    def _solids(
+        self, shape: Element, folder: Folder, matrix: Array, name: str, look: Colour | None, solid: bool
+    ) -> Iterator[Part]:
+        mesh = simple_shape(shape)
+        if mesh is not None:
+            yield Part.of(name, *mesh, look, shape.tag, ground=None, solid=solid).moved(matrix)
+        elif shape.tag == "mesh":
+            if shape.find("submesh") is not None:
+                self._report.warn("<submesh> is not supported; the whole mesh is taken")
+            found = self._library.find((shape.findtext("uri") or "").strip(), folder)
+            if found is None:
+                return
+            path, within = found
+            real = path.resolve()
+            if real not in self._meshes:
+                self._meshes[real] = mesh_parts(path, within.at(path.parent), self._report)
+            scale = np.eye(4)
+            scale[range(3), range(3)] = numbers(shape.find("scale"), 3, (1, 1, 1))
+            if abs(float(np.linalg.det(scale))) < 1e-12:
+                raise WorldError("<scale> of a <mesh> must not be zero.")
+            for part in self._meshes[real]:
+                about = f"{part.name} {path.stem} {part.about}"
+                colours = part.colours if look is None else look
+                skin = part.skin if look is None else None
+                yield Part.of(
+                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid, skin=skin
+                ).moved(matrix @ scale)
+        else:
+            self._report.warn(f"<{shown(shape.tag, 40)}> as a shape is not supported and left out")
+
+    def _height_map(
+        self, shape: Element, folder: Folder, matrix: Array, look: Colour | None, visuals: list[Element]
+    ) -> None:
+        found = self._library.find((shape.findtext("uri") or "").strip(), folder)
+        if found is None:
+            return
+        picture, tile_m = None, 10.0
+        pictures = [shape, *(s for visual in visuals for s in visual.iter("heightmap"))]
+        for texture in (t for s in pictures for t in s.findall("texture")):
+            diffuse = self._picture((texture.findtext("diffuse") or "").strip(), folder)
+            if picture is None and diffuse is not None:
+                picture, tile_m = diffuse, float(numbers(texture.find("size"), 1, (10.0,))[0])
+            # Only its absence is told.
+            self._picture((texture.findtext("normal") or "").strip(), folder)
+        if not 1e-3 <= tile_m <= 1e5:
+            self._report.warn(f"<size> of a <texture> is {tile_m:g} m; it is shown in its mean colour")
+            look = look or (None if picture is None else mean_colour(picture))
+            picture = None
+        size = numbers(shape.find("size"), 3, (1, 1, 1))
+        place = np.eye(4)
+        place[:3, 3] = numbers(shape.find("pos"), 3, (0, 0, 0))
+        if not ((size > 0) & (size < 1e5)).all():
+            raise WorldError("<size> of a <heightmap> must be above 0.")
+        self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look, picture, tile_m))
+
+    def _look(self, visual: Element, folder: Folder) -> Colour | None:
+        """A visual's one colour; None where it says none, or is a mesh with its own."""
+        material = visual.find("material")
+        if material is None:
+            return None
+        picture = self._picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        found = None if picture is None else mean_colour(picture)
+        if found is None and material.find("diffuse") is not None:
+            words = (material.findtext("diffuse") or "").split()[:4]
+            try:
+                red, green, blue = (min(max(float(word), 0.0), 1.0) for word in words[:3])
+                found = (red, green, blue)
+            except ValueError:
+                self._report.warn(f"<diffuse> {shown(' '.join(words), 40)!r} is no colour")
+        script = material.findtext("script/name")
+        if found is None and script:
+            self._report.warn("material scripts are not supported; their colours are guessed by name")
+            found = likely_colour(script)
+        return found
+
+    def _picture(self, uri: str, folder: Folder) -> Bytes | None:
+        """A picture; None, with a warning, where it cannot be read."""
+        found = self._library.find(uri, folder) if uri else None
+        if found is None:
+            return None
+        real = found[0].resolve()
+        try:
+            if real not in self._pictures:
+                self._pictures[real] = self._report.kept(read_image(read_bytes(real)))
+            return self._pictures[real]
+        except ValueError as error:
+            self._report.warn(f"{shown(uri)} is left out: {first_line(error)}")
+            return None
+
+    def _light(self, element: Element, matrix: Array) -> None:
+        if element.get("type") != "directional":
+            self._report.warn(
+                f"lights of type {shown(element.get('type') or 'none', 20)!r} are left out; the sun is kept"
+            )
+            return
+        if self.found.light is not None:
+            self._report.warn("has several directional lights; the first is the sun")
+            return
+        self.found.light = sun_of(element, (matrix @ self._pose(element))[:3, :3], self._report)
+
+
+def mean_colour(picture: Bytes) -> Colour:
+    """The mean in sRGB of a picture's bytes (rows, columns, 3)."""
+    red, green, blue = (picture.mean(axis=(0, 1)) / 255.0).tolist()
+    return red, green, blue
+
+
+def _path(name: str, own: str) -> str:
+    return shown("/".join(word for word in (name, own) if word))
+
+
+def _friction(collision: Element) -> float | None:
+    for way in ("ode/mu", "bullet/friction"):
+        found = collision.find(f"surface/friction/{way}")
+        if found is not None:
+            return float(numbers(found, 1, (1.0,))[0])
+    return None

@@ -1,0 +1,1 @@
+"""The inspection site: solar arrays, a bridge, a pipeline, walls and water."""

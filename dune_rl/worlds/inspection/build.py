@@ -1,0 +1,52 @@
+"""An industrial site on hills: solar arrays, a pipeline, a bridge over a gully, culverts, walls and posts."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from dune_rl.worlds.grass import grow
+from dune_rl.worlds.inspection.layout import place_props
+from dune_rl.worlds.inspection.terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
+from dune_rl.worlds.natural_surfaces import Part, surface_map
+from dune_rl.worlds.seeded import SeededConf
+from dune_rl.worlds.surfaces import SurfaceChoice
+from dune_rl.worlds.world import World
+
+_SURFACES = (Part("grass", 0.6), Part("gravel", 0.25, steep=0.5), Part("mud", 0.15, steep=-0.5, high=-1.0))
+
+
+class InspectionConf(SeededConf):
+    """Settings of `build_inspection`.
+
+    Every `seed` gives another site of the same family: the slopes, the relief
+    and the share of ground built over stay alike.
+    """
+
+    name: Literal["inspection"] = "inspection"
+    yard_obstacles: int = Field(
+        default=4, ge=0, le=20, description="things in and round the 8 by 8 m training square"
+    )
+    friction: float = Field(default=1.0, gt=0.0, le=5.0)
+    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
+    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
+
+
+def build_inspection(conf: InspectionConf) -> World:
+    """The site of `conf.seed`: 60 by 60 m with a margin of 2 m, its training square in the south-west."""
+    terrain, gully = build_terrain(conf.seed)
+    props = place_props(terrain, gully, conf.layout, conf.yard_obstacles)
+    x, y = YARD_CENTRE
+    region = (x - YARD_HALF_M, x + YARD_HALF_M, y - YARD_HALF_M, y + YARD_HALF_M)
+    standing = [(prop.vertices, prop.faces) for prop in props]
+    return World(
+        "inspection",
+        terrain,
+        props,
+        region=region,
+        friction=conf.friction,
+        texture_seed=conf.seed,
+        grass=grow(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed),
+        surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
+    )

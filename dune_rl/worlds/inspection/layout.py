@@ -1,0 +1,203 @@
+"""Where the inspection world's props stand."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import cycle, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.seeding import stream
+from dune_rl.worlds import structures
+from dune_rl.worlds.inspection.terrain import (
+    BRIDGE_LENGTH_M,
+    BRIDGE_WIDTH_M,
+    HALF_MAIN_M,
+    YARD_CENTRE,
+    Gully,
+)
+from dune_rl.worlds.plan import Plan
+from dune_rl.worlds.props import bearing
+from dune_rl.worlds.world import Prop
+
+Array = NDArray[np.float64]
+
+_HOLLOW_RADIUS_M = 11.0
+_GAP_M = 1.6
+# Convex things this far apart leave a robot of up to 0.5 m radius a way round each of them.
+_YARD_GAP_M = 1.3
+_YARD_REACH_M = 4.2
+_YARD_ARRAY_NEAR_M = 3.6
+_YARD_ARRAY_FAR_M = 5.2
+_WIDE_YARD_HALF_M = 7.0
+_TRIES = 400
+_POINT_SPACING_M = 0.25
+_YARD_KINDS = ("array", "pipe", "wall", "post", "post", "wall", "post", "stand", "post", "post")
+
+_MAIN_PIPE = ((-4.0, -25.0), (9.0, -25.0), (13.5, -8.5), (26.0, -7.5))
+_MAIN_PIPE_LIFTS = (0.15, 1.1, 0.15)
+_COUNTS = {"array": 4, "culvert": 5, "wall": 4, "post": 8}
+
+
+def place_props(terrain: HeightField, gully: Gully, seed: int, yard_obstacles: int) -> list[Prop]:
+    """All props of the world of `seed`, `yard_obstacles` of them in and round the training square."""
+    rng = stream(seed, "inspection layout")
+    plan = Plan(_POINT_SPACING_M)
+    water = _water(terrain)
+    plan.take_points(water.vertices[:, :2])
+    props: list[Prop] = [water]
+    props += structures.bridge(terrain, "bridge", gully.centre, gully.yaw, BRIDGE_LENGTH_M, BRIDGE_WIDTH_M)
+    plan.take(np.array(gully.centre), gully.yaw, BRIDGE_LENGTH_M + 4.0, BRIDGE_WIDTH_M + 2.0)
+    props += _main_pipeline(terrain, plan)
+    props += _yard(terrain, plan, stream(seed, "inspection yard"), yard_obstacles)
+    props += _scatter(terrain, plan, rng)
+    return props
+
+
+def _water(terrain: HeightField) -> Prop:
+    x, y = np.meshgrid(np.linspace(-4, 4, 17), np.linspace(-4, 4, 17))
+    xy = np.stack([x, y], axis=-1).reshape(-1, 2)
+    heights = terrain.height(xy)
+    lowest = xy[heights.argmin()]
+    return structures.water_table(terrain, "water table", lowest, float(heights.min()) + 0.6, 8.0)
+
+
+def _main_pipeline(terrain: HeightField, plan: Plan) -> list[Prop]:
+    nodes = np.array(_MAIN_PIPE)
+    legs = []
+    for i, lift in enumerate(_MAIN_PIPE_LIFTS):
+        start, end = nodes[i], nodes[i + 1]
+        low = lift < 1.0
+        spacing = 2.2 if low else 3.0
+        name = f"pipeline {i + 1}"
+        legs.append(
+            structures.pipe_run(terrain, name, start, end, radius=0.21, lift=lift, spacing=spacing, valve=low)
+        )
+        ahead = end - start
+        plan.take((start + end) / 2, float(np.arctan2(ahead[1], ahead[0])), float(np.hypot(*ahead)), 0.5)
+    return legs
+
+
+@dataclass(frozen=True)
+class _Place:
+    xy: Array
+    yaw: float
+
+
+def _find(
+    rng: np.random.Generator,
+    plan: Plan,
+    draw: Callable[[], Array],
+    size: tuple[float, float],
+    gap: float,
+    yaws: tuple[float, float] = (-np.pi, np.pi),
+) -> _Place | None:
+    # A free place for a rectangle of this length and width, or None.
+    for _ in range(_TRIES):
+        place = _Place(draw(), float(rng.uniform(*yaws)))
+        if plan.gap(place.xy, place.yaw, *size) >= gap:
+            return place
+    return None
+
+
+def _yard(terrain: HeightField, plan: Plan, rng: np.random.Generator, count: int) -> list[Prop]:
+    props: list[Prop] = []
+    for i, listed in enumerate(islice(cycle(_YARD_KINDS), count)):
+        # One array and one pipe are what the square holds; further rounds of the list bring small things.
+        kind = "stand" if i >= len(_YARD_KINDS) and listed in ("array", "pipe") else listed
+        size = _yard_size(rng, kind)
+        place = _find_in_yard(terrain, plan, rng, kind, size)
+        if place is None:
+            raise WorldError(
+                f"The inspection yard has no room for world.yard_obstacles={count}: "
+                f"obstacle {i + 1} fits nowhere. Lower it to {i} or less."
+            )
+        plan.take(place.xy, place.yaw, *size)
+        props += _build(terrain, rng, kind, f"yard {kind} {i + 1}", place, size[0])
+    return props
+
+
+def _find_in_yard(
+    terrain: HeightField, plan: Plan, rng: np.random.Generator, kind: str, size: tuple[float, float]
+) -> _Place | None:
+    # In the training square while there is room, then in the wider square round it.
+    inner, outer = (_YARD_ARRAY_NEAR_M, _YARD_ARRAY_FAR_M) if kind == "array" else (0.0, _YARD_REACH_M)
+    for reach in (outer, max(outer, _WIDE_YARD_HALF_M - size[0] / 2)):
+
+        def draw(reach: float = reach) -> Array:
+            while True:
+                offset = rng.uniform(-reach, reach, 2)
+                if np.abs(offset).max() >= inner:
+                    return YARD_CENTRE + offset
+
+        found = [_find(rng, plan, draw, size, _YARD_GAP_M) for _ in range(8 if kind == "array" else 1)]
+        places = [place for place in found if place is not None]
+        if places:
+            return min(places, key=lambda place: structures.array_gap(terrain, place.xy, place.yaw))
+    return None
+
+
+def _yard_size(rng: np.random.Generator, kind: str) -> tuple[float, float]:
+    if kind == "wall":
+        return float(rng.uniform(1.6, 2.8)), 0.3
+    sizes = {
+        "array": (structures.ARRAY_LENGTH_M, structures.ARRAY_DEPTH_M),
+        "pipe": (3.6, 0.5),
+        "post": (0.3, 0.3),
+        "stand": (0.6, 0.6),
+    }
+    return sizes[kind]
+
+
+def _scatter(terrain: HeightField, plan: Plan, rng: np.random.Generator) -> list[Prop]:
+    def draw() -> Array:
+        while True:
+            xy = rng.uniform(-(HALF_MAIN_M - 3.0), HALF_MAIN_M - 3.0, 2)
+            in_yard = np.abs(xy - YARD_CENTRE).max() < _WIDE_YARD_HALF_M + 2.0
+            if not in_yard and np.hypot(*xy) > _HOLLOW_RADIUS_M:
+                return xy
+
+    props: list[Prop] = []
+    sizes = {"array": (structures.ARRAY_LENGTH_M, 3.0), "culvert": (0.8, 2.8), "post": (0.3, 0.3)}
+    facing = float(rng.uniform(-np.pi, np.pi))
+    for kind, count in _COUNTS.items():
+        yaws = (facing - 0.2, facing + 0.2) if kind == "array" else (-np.pi, np.pi)
+        for i in range(count):
+            size = (float(rng.uniform(3.0, 5.5)), 0.3) if kind == "wall" else sizes[kind]
+            found = [_find(rng, plan, draw, size, _GAP_M, yaws) for _ in range(8)]
+            places = [place for place in found if place is not None]
+            # The gentlest of a few places, as a builder would choose.
+            place = min(places, key=lambda place: _unfitness(terrain, kind, place))
+            plan.take(place.xy, place.yaw, *size)
+            props += _build(terrain, rng, kind, f"{kind} {i + 1}", place, size[0])
+    return props
+
+
+def _unfitness(terrain: HeightField, kind: str, place: _Place) -> float:
+    uneven = structures.array_gap(terrain, place.xy, place.yaw) if kind == "array" else 0.0
+    return uneven + float(terrain.slope(place.xy))
+
+
+def _build(
+    terrain: HeightField,
+    rng: np.random.Generator,
+    kind: str,
+    name: str,
+    place: _Place,
+    length: float,
+) -> tuple[Prop, ...]:
+    xy, yaw = place.xy, place.yaw
+    if kind == "array":
+        return structures.solar_array(terrain, name, xy, yaw)
+    if kind == "pipe":
+        step = length / 2 * bearing(yaw)
+        return (structures.pipe_run(terrain, name, xy - step, xy + step, radius=0.2, lift=0.1, valve=True),)
+    if kind == "culvert":
+        return (structures.culvert(terrain, name, xy, yaw),)
+    if kind == "wall":
+        return (structures.wall(terrain, name, xy, yaw, length, float(rng.uniform(0.9, 1.5))),)
+    if kind == "stand":
+        return (structures.stand(terrain, name, xy, yaw),)
+    return (structures.post(terrain, name, xy, float(rng.uniform(0.05, 0.15)), float(rng.uniform(2.0, 3.0))),)

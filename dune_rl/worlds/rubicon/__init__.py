@@ -1,0 +1,1 @@
+"""A wooded hillside with rocks."""

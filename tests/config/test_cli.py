@@ -1,0 +1,286 @@
+"""The command lines, end to end on a run of seconds: what they write, say and return."""
+
+import csv
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from test_config import CHOOSE, NO_MOON
+
+from dune_rl import benchmark, command, engines, evaluate, train
+from dune_rl.learning.progress import Lines, Status
+from dune_rl.worlds.importing.import_files import WorldWarning
+
+TINY = [
+    "total_frames=192",
+    "learning.learning_starts=64",
+    "learning.batch_size=32",
+    "learning.hidden=[16]",
+    "learning.updates_per_frame=0.1",
+    "learning.replay.capacity=1000",
+    "learning.collector.mode=serial",
+    "learning.collector.scenes=4",
+    "learning.collector.steps=8",
+    "learning.evaluation.episodes=2",
+    "learning.evaluation.scenes=2",
+    "task.termination.max_steps=20",
+    "actors=none",
+]
+Call = Callable[..., int]
+
+
+def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(train.main, "+world=flat", "run_dir=run", "seed=3", *TINY) == 0
+    run = folder / "run"
+    assert {"checkpoint.pt", "policy.pt", "policy_last.pt", "metrics.csv", "curve.png", "config.yaml"} <= {
+        path.name for path in run.iterdir()
+    }
+    assert list(run.glob("events.out.tfevents.*"))
+    assert (run / ".hydra" / "config.yaml").exists()
+    resolved = yaml.safe_load((run / "config.yaml").read_text())
+    assert (resolved["seed"], resolved["world"]["name"], resolved["run_dir"]) == (3, "flat", str(run))
+    assert f"evaluate checkpoint={run}" in capsys.readouterr().out
+
+    assert call(train.main, "resume=run", "total_frames=256") == 0
+    assert "after 256 frames" in capsys.readouterr().out
+    assert yaml.safe_load((run / "config.yaml").read_text())["seed"] == 3
+
+    written = (run / "checkpoint.pt").read_bytes()
+    assert call(train.main, "+world=flat", "run_dir=run", *TINY) == 2
+    assert capsys.readouterr().err == (
+        "run already holds a run; continue it with resume=run, or choose another run_dir\n"
+    )
+    assert (run / "checkpoint.pt").read_bytes() == written
+
+    assert call(evaluate.main, "checkpoint=run", "episodes=3", "seed=7") == 0
+    assert "flat: 3 episodes of seed 7" in capsys.readouterr().out
+    with (run / "episodes_flat_seed7.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["policy"], row["episode"]) for row in rows] == [("run", "0"), ("run", "1"), ("run", "2")]
+
+    assert call(evaluate.main, "checkpoint=run", "sensors.lidar.n_segments=16", "episodes=1") == 2
+    assert "lidar has 32 values there, 16 values here" in capsys.readouterr().err
+
+    (folder / "short.pt").write_bytes((run / "policy.pt").read_bytes()[:3000])
+    assert call(evaluate.main, "checkpoint=short.pt") == 2
+    message = capsys.readouterr().err
+    assert "short.pt is truncated" in message
+    assert message.count("\n") <= 2
+
+
+@pytest.mark.parametrize(
+    ("engine", "other", "words"),
+    [
+        ("bullet", "dart", ["+world=inspection", "robot=leo_rover"]),
+        (
+            "dart",
+            "bullet",
+            ["+world=island", "robot=hyperdog", "robot.action=joints", "learning.warm_up=random"],
+        ),
+    ],
+    ids=["leo_rover", "hyperdog by joints"],
+)
+def test_a_policy_of_one_engine_is_evaluated_on_the_other(
+    engine: str, other: str, words: list[str], call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(train.main, *words, *TINY, f"physics={engine}", "run_dir=run", "total_frames=96") == 0
+    told = capsys.readouterr().out
+    assert ("against=random" if "robot.action=joints" in words else "against=go_to_goal") in told
+    if engine == "dart":
+        assert call(train.main, "resume=run", "total_frames=128") == 0
+        assert "after 128 frames" in capsys.readouterr().out
+    for physics in (engine, other):
+        assert call(evaluate.main, "checkpoint=run", "episodes=2", f"physics={physics}") == 0
+    files = {path.name: path.read_text() for path in (folder / "run").glob("episodes_*.csv")}
+    assert len(files) == 2 and any("_dart_" in name for name in files)
+    # The same episodes, which differ in their physics.
+    one, two = (list(csv.DictReader(text.splitlines())) for text in files.values())
+    assert [row["episode"] for row in one] == [row["episode"] for row in two] == ["0", "1"]
+    assert one != two
+
+
+def test_a_kept_policy_arrives_on_the_second_engine(call: Call, folder: Path) -> None:
+    policy = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
+    assert call(evaluate.main, f"checkpoint={policy}", "episodes=2", "physics=dart", "out=rows.csv") == 0
+    rows = list(csv.DictReader((folder / "rows.csv").read_text().splitlines()))
+    assert [row["success"] for row in rows] == ["1", "1"]
+
+
+@pytest.mark.parametrize("policy", ["go_to_goal", "random"])
+def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
+    words = ["+world=flat", "episodes=2", "task.termination.max_steps=30", "out=new/rows.csv", "actors=none"]
+    assert call(evaluate.main, f"policy={policy}", *words) == 0
+    assert len((folder / "new" / "rows.csv").read_text().splitlines()) == 3
+
+
+def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["-m", "+world=flat", "'task.spawn.region=[0,0.1,0,0.1],world'", "hydra.sweep.dir=sweep", *TINY]
+    assert call(train.main, *(word.strip("'") for word in words)) == 2
+    error = capsys.readouterr().err
+    assert "job 0 failed: " in error
+    assert "Traceback" not in error
+    done = folder / "sweep" / "1_flat_seed1"
+    assert yaml.safe_load((done / ".hydra" / "config.yaml").read_text())["task"]["spawn"]["region"] == "world"
+    assert (done / "policy.pt").exists()
+    assert list(done.glob("events.out.tfevents.*"))
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "message"),
+    [
+        (train, [], CHOOSE + "\n"),
+        (train, ["+world=moon"], NO_MOON + "\n"),
+        (train, ["-m", "+world=flat", "seed=1,-1"], "seed must be at least 0 (got -1)\n"),
+        (train, ["+world=flat", "seed=-1", "+sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?\n"
+         "seed must be at least 0 (got -1)\n"),
+        (train, ["+world=flat", "run_dir=file"],
+         "cannot write file: a file of that name is in the way; choose another place\n"),
+        (train, ["+world=flat", "run_dir=file/run"],
+         "cannot write file/run: a part of the path is a file; choose another place\n"),
+        (train, ["-m", "resume=run"], "resume goes on with one run; leave -m out\n"),
+        (train, ["--wrold"], "there is no flag --wrold; settings are written key=value (see --help)\n"),
+        (evaluate, ["policy=random", "+world=flat", "out=file/rows.csv"],
+         "cannot write file: a file of that name is in the way; choose another place\n"),
+        (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
+        (evaluate, ["+world=flat"],
+         "choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random\n"),
+    ],
+)  # fmt: skip
+def test_bad_input(
+    program: object,
+    words: list[str],
+    message: str,
+    call: Call,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (folder / "file").write_text("kept")
+    assert call(program.main, *words) == 2
+    assert capsys.readouterr().err == message
+    assert [path.name for path in folder.iterdir()] == ["file"]
+    assert (folder / "file").read_text() == "kept"
+
+
+@pytest.mark.parametrize("words", [["resume=nowhere"], ["resume=empty"], ["resume=empty/policy.pt"]])
+def test_nothing_to_resume(
+    words: list[str], call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "empty").mkdir()
+    assert call(train.main, *words) == 2
+    error = capsys.readouterr().err
+    assert 1 <= error.count("\n") <= 2
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_save_and_end(
+    number: int,
+    code: int,
+    call: Call,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Interrupting(Lines):
+        def update(self, status: Status) -> None:
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(train, "Lines", Interrupting)
+    assert call(train.main, "+world=flat", "run_dir=run", *TINY) == code
+    assert "go on with resume=" in capsys.readouterr().err
+    monkeypatch.setattr(train, "Lines", Lines)
+    assert call(train.main, "resume=run") == 0
+    assert "after 192 frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("program", [train, evaluate])
+def test_help(program: object, call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(program.main, "--help") == 0
+    text = capsys.readouterr().out
+    for words in ("+world=NAME", "construction, flat, heightmap", "seed=N", "python -m dune_rl."):
+        assert words in text
+
+
+def test_shown_settings_are_the_used_ones(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(train.main, "+world=flat", "seed=4", "--cfg", "job") == 0
+    shown = yaml.safe_load(capsys.readouterr().out)
+    assert (shown["seed"], shown["world"]["name"]) == (4, "flat")
+    assert call(evaluate.main, "+world=flat", "policy=random", "--cfg", "job") == 0
+    assert yaml.safe_load(capsys.readouterr().out)["policy"] == "random"
+    assert not list(folder.iterdir())
+
+
+def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
+    assert call(benchmark.main, *words) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    alone, cameras, sensors, terrain, new_world, together = lines
+    assert [line["benchmark"] for line in lines] == [
+        *("environment", "cameras", "sensors", "terrain", "new_world", "processes"),
+    ]
+    for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
+        assert alone[name] > 0
+    assert cameras["overhead_ratio_camera"] > 1 and cameras["overhead_ratio_depth"] > 1
+    for name in ("lidar_speedup", "camera_speedup", "camera_speedup_heightfield", "picture_1280x720_s"):
+        assert sensors[name] > 0
+    for name in ("height", "normal", "slope", "roughness", "nearest_obstacle"):
+        assert terrain[f"terrain_{name}_mpoints_per_s"] > 0
+    assert min(new_world[f"{name}_ms"] for name in ("build", "fresh", "load", "kept")) > 0
+    assert together["processes"] == 1
+    assert together["core_steps_per_s"] > 0
+
+
+def test_engines_are_compared_in_tables(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(engines.main, "places=[slope]", "worlds=[flat]", "minutes=0.1", "scenes=2") == 0
+    lines = capsys.readouterr().out.splitlines()
+    straight = next(line for line in lines if line.startswith("| slope | straight |")).split("|")
+    speeds = [float(cell.split()[0]) for cell in straight[3:5]]
+    assert speeds == pytest.approx([0.8, 0.8], abs=0.01)
+    # Nothing is amiss in six seconds of flat ground.
+    for engine in ("bullet", "dart"):
+        start = f"| rover_zero | flat | {engine} | 0.1 | 2 | 0 | 0 | 0 | 0 | 0 | "
+        assert any(line.startswith(start) for line in lines)
+
+
+def test_a_wrong_setting_of_engines_is_named(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(engines.main, "minute=1") == 2
+    assert "minute is not a setting; did you mean minutes?" in capsys.readouterr().err
+
+
+def test_both_engines_are_timed_in_one_run(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["world=flat", "actors=none", "parts=[engines]", "scenes=2", "rounds=1", "steps=2"]
+    assert call(benchmark.main, *words, "robot=hyperdog", "robot.action=joints") == 0
+    (line,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(line[f"{engine}_physics_steps_per_s"] > 0 for engine in ("bullet", "dart"))
+
+
+def test_two_policies_are_compared_on_the_same_episodes(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "policy=go_to_goal",
+        "against=random",
+        "+world=flat",
+        "actors=none",
+        "episodes=3",
+        "out=both.csv",
+    ]
+    assert call(evaluate.main, *words, "task.termination.max_steps=250") == 0
+    assert "Paired: go_to_goal alone succeeds in " in capsys.readouterr().out
+    rows = (folder / "both.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["go_to_goal"] * 3 + ["random"] * 3
+    assert [row.split(",")[3] for row in rows] == ["0", "1", "2"] * 2
+
+
+def test_a_warning_is_a_line_without_our_code(capsys: pytest.CaptureFixture[str]) -> None:
+    command._warn(WorldWarning("sand.png is missing"), WorldWarning, "reader.py", 7)
+    assert capsys.readouterr().err == "warning: sand.png is missing\n"

@@ -1,0 +1,376 @@
+"""The configuration: every option composes, YAML and classes agree, and each fault has its words."""
+
+from pathlib import Path
+from typing import Any
+
+import hydra
+import pytest
+import yaml
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+
+from dune_rl import paths
+from dune_rl.actors.actor import ActorConf
+from dune_rl.config.compose import (
+    check_sweep,
+    compose,
+    compose_environment,
+    compose_evaluation,
+    compose_resumed,
+)
+from dune_rl.config.schema import Conf, EnvConf, EvaluateConf, LearningConf
+from dune_rl.env.distributions import Integers, LogUniform, Uniform
+from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.errors import ConfigError
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.physics.interface import PhysicsConf
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.hyperdog.robot import HyperDogConf
+from dune_rl.robots.leo_rover.robot import LeoRoverConf
+from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.urdf.robot import UrdfConf
+from dune_rl.sensors.camera import CameraConf
+from dune_rl.sensors.lidar_3d import Lidar3dConf
+from dune_rl.sensors.suite import SensorsConf
+from dune_rl.settings import Settings
+from dune_rl.tasks.point_goal import PointGoalConf
+from dune_rl.tasks.rewards import RewardConf
+from dune_rl.tasks.terminations import TerminationConf
+from dune_rl.worlds.construction.build import ConstructionConf
+from dune_rl.worlds.flat import FlatConf
+from dune_rl.worlds.importing.heightmap import HeightmapConf
+from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.sdf.build import SdfConf
+from dune_rl.worlds.inspection.build import InspectionConf
+from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.rubicon.build import RubiconConf
+
+CONF = paths.conf_folder()
+OPTIONS = sorted(
+    (path.parent.name, path.stem) for path in CONF.glob("*/*.yaml") if path.parent.name != "experiment"
+)
+EXPERIMENTS = sorted(path.stem for path in CONF.glob("experiment/*.yaml"))
+
+# What a user says, and no option.
+GIVEN = "a/file"
+WORLDS = "construction, flat, heightmap, inspection, island, mesh, rubicon or sdf"
+CHOOSE = f"choose a world: +world=NAME with {WORLDS}"
+NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
+# What each option says, written down a second time as plain objects.
+WORLDS = RandomisationConf(
+    world_seed=Integers(low=1000, high=1_000_000),
+    friction=LogUniform(low=0.6, high=1.25),
+    sun_bearing_rad=Uniform(low=-3.1415, high=3.1415),
+    sun_elevation_rad=Uniform(low=0.25, high=1.3),
+    brightness=LogUniform(low=0.7, high=1.4),
+)
+BODY = RandomisationConf(
+    mass=Uniform(low=0.8, high=1.3),
+    centre_x_m=Uniform(low=-0.03, high=0.03),
+    centre_y_m=Uniform(low=-0.02, high=0.02),
+    centre_z_m=Uniform(low=-0.02, high=0.05),
+    motor_strength=Uniform(low=0.8, high=1.1),
+    wheel_friction=LogUniform(low=0.8, high=1.25),
+    action_latency_s=Uniform(low=0.0, high=0.1),
+)
+
+PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
+    ("actors", "none"): (),
+    ("actors", "walkers"): (ActorConf(), ActorConf()),
+    ("actors", "external_walkers"): (ActorConf(controller="external"), ActorConf(controller="external")),
+    ("learning", "sac"): LearningConf(),
+    ("metrics", "paper"): MetricsConf(),
+    ("physics", "bullet"): PhysicsConf(),
+    ("randomisation", "none"): RandomisationConf(),
+    ("randomisation", "worlds"): WORLDS,
+    ("randomisation", "body"): BODY,
+    ("randomisation", "everything"): RandomisationConf(**(WORLDS.drawn | BODY.drawn)),
+    ("physics", "dart"): PhysicsConf(backend="dart"),
+    ("robot", "hyperdog"): HyperDogConf(),
+    ("robot", "leo_rover"): LeoRoverConf(),
+    ("robot", "rover_zero"): RoverZeroConf(),
+    ("robot", "urdf"): UrdfConf(path=GIVEN),
+    ("sensors", "default"): SensorsConf(),
+    ("sensors", "camera"): SensorsConf(enabled=("camera", "lidar", "lidar_past", "imu", "goal", "velocity")),
+    ("sensors", "all"): SensorsConf(
+        enabled=(
+            *("camera", "lidar", "lidar_past", "lidar_3d", "depth_strip", "height_scan", "imu", "goal"),
+            *("velocity", "encoders", "odometry", "currents", "position"),
+        ),
+        camera=CameraConf(outputs=("rgb", "depth", "segmentation", "normals", "grey")),
+        lidar_3d=Lidar3dConf(outputs=("range", "intensity", "segmentation")),
+    ),
+    ("task", "point_goal"): PointGoalConf(),
+    ("task", "dune_code"): PointGoalConf(
+        reward=RewardConf(
+            min_progress_m=0.001,
+            signed_progress=True,
+            heading_limit_rad=1.2566370614359172,
+            misaligned=-0.03,
+            heading_bonus=0.0,
+            turn_scale=0.0015,
+            stuck=-25.0,
+            flipped=-20.0,
+            out_of_world=-10.0,
+            collision_distance_m=0.3,
+            contact=0.0,
+        ),
+        termination=TerminationConf(
+            goal_distance_m=0.5, stuck_distance_m=0.001, stuck_steps=600, continue_after_goal=True
+        ),
+    ),
+    ("task", "paper"): PointGoalConf(reward=RewardConf(contact=0.0)),
+    ("weather", "clear"): WeatherConf(),
+    ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_rad=3.4, sun_elevation_rad=0.1)),
+    ("weather", "dust"): WeatherConf(dust_visibility_m=30.0),
+    ("weather", "fog"): WeatherConf(fog_visibility_m=50.0),
+    ("world", "construction"): ConstructionConf(),
+    ("world", "flat"): FlatConf(),
+    ("world", "heightmap"): HeightmapConf(path=GIVEN),
+    ("world", "island"): IslandConf(),
+    ("world", "mesh"): MeshConf(path=GIVEN),
+    ("world", "rubicon"): RubiconConf(),
+    ("world", "sdf"): SdfConf(path=GIVEN),
+    ("world", "inspection"): InspectionConf(),
+}
+
+
+def words(group: str, option: str) -> list[str]:
+    return [f"{group}={option}"] if group == "world" else [f"+world={place(group)}", f"{group}={option}"]
+
+
+def place(group: str) -> str:
+    """A world in which every option of the group makes sense: what is drawn from a seed needs one."""
+    return "inspection" if group == "randomisation" else "flat"
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS)
+def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
+    if group == "learning":
+        composed: EnvConf = compose(words(group, option))
+    else:
+        words_given = [f"{group}.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
+        composed = compose_environment(
+            option if group == "world" else place(group), words_given, {group: option}
+        )
+    assert getattr(composed, group) == PLAIN[group, option]
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS)
+def test_yaml_states_every_setting(group: str, option: str) -> None:
+    stated = yaml.safe_load((CONF / group / f"{option}.yaml").read_text())
+    plain = PLAIN[group, option]
+    for part, settings in zip(
+        stated if isinstance(plain, tuple) else [stated],
+        plain if isinstance(plain, tuple) else [plain],
+        strict=True,
+    ):
+        if "defaults" in part:
+            # It changes another option, which states the rest.
+            assert leaves({k: v for k, v in part.items() if k != "defaults"}) < leaves(settings.model_dump())
+        else:
+            assert leaves(part) | ({"path"} & leaves(settings.model_dump())) == leaves(settings.model_dump())
+
+
+def leaves(data: dict[str, Any], prefix: str = "") -> set[str]:
+    found: set[str] = set()
+    for name, value in data.items():
+        found |= leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name}
+    return found
+
+
+def test_every_yaml_line_with_a_first_use_is_explained() -> None:
+    for path in CONF.glob("*/*.yaml"):
+        assert path.read_text().startswith("# "), f"{path} does not say what it is"
+
+
+def test_root_settings_agree() -> None:
+    composed = compose(["+world=flat"])
+    plain = Conf(world=FlatConf(), actors=(ActorConf(), ActorConf()), run_dir=composed.run_dir)
+    assert composed == plain
+    evaluation = compose_evaluation(["+world=flat", "policy=random"])
+    assert evaluation == EvaluateConf(world=FlatConf(), actors=(ActorConf(), ActorConf()), policy="random")
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_experiments_compose_and_give_way(experiment: str) -> None:
+    assert compose([f"+experiment={experiment}", "seed=7"]).seed == 7
+    for world in ("world=inspection", "+world=inspection"):
+        assert compose([f"+experiment={experiment}", world]).world.name == "inspection"
+
+
+@pytest.mark.parametrize("seed", ["seed=3", "+seed=3", "++seed=3"])
+@pytest.mark.parametrize("world", ["world=flat", "+world=flat"])
+@pytest.mark.parametrize("actors", ["actors=none", "+actors=none"])
+def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> None:
+    conf = compose([world, actors, seed])
+    assert (conf.world.name, conf.actors, conf.seed) == ("flat", (), 3)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ([], CHOOSE),
+        (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
+        (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
+        (["world=flat", "actors=crowd"],
+         "there is no actors 'crowd'; choose external_walkers, none or walkers"),
+        (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
+        (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
+        (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
+        (["world=flat", "learning.tau=nan"], "learning.tau must be a finite number (got nan)"),
+        (["world=flat", "learning.hidden=[0]"], "learning.hidden.0 must be at least 1 (got 0)"),
+        (["world=flat", "learning.hidden=[]"], "learning.hidden must be a list of at least 1 (got [])"),
+        (["world=flat", "total_frames=1.5"], "total_frames must be a whole number (got 1.5)"),
+        (["world=flat", "total_frames=abc"], "total_frames must be a whole number (got 'abc')"),
+        (["world=flat", "total_frames=null"], "total_frames must be a whole number (got null)"),
+        (["world=flat", "device=tpu"], "device must be one of cpu, cuda (got 'tpu')"),
+        (["world=flat", "task.spawn.region=moon"],
+         "task.spawn.region must be one of world, anywhere or a list (got 'moon')"),
+        (["world=flat", "sensors.lidar=3"],
+         "sensors.lidar must be a section with settings of its own (got 3)"),
+        (["world=flat", "sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
+        (["world=flat", "+sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
+        (["world=flat", "++sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
+        (["world=flat", "batch_size=64"], "batch_size is not a setting; did you mean learning.batch_size?"),
+        (["world=flat", "max_steps=64"],
+         "max_steps is not a setting; did you mean task.termination.max_steps?"),
+        (["world=flat", "physics.zzz=1"],
+         "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations, "
+         "friction"),
+        (["world=flat", "actors.1.speed_mps=9"], "actors.1.speed_mps must be at most 5.0 (got 9)"),
+        (["world=flat", "physics.control_hz=30"],
+         "physics: control_hz must divide physics_hz (30 does not divide 200); "
+         "take 10, 20, 25, 40 or 50 with 200"),
+        (["world=flat", "learning.replay.capacity=64"],
+         "learning: replay.capacity must be at least batch_size (got 64 and 512)"),
+        (["world=flat", "actors=external_walkers"],
+         "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"),
+        (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
+        (["world=flat", "learning.hidden=[256"],
+         "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "
+         "brackets or equals signs: 'learning.hidden=\"...\"'"),
+        (["world=flat", "seed=1,2"],
+         "seed=1,2 has several values; add -m to run them all, or quote the value"),
+        (["world=flat", "wrold/x=1"],
+         "there is no group 'wrold/x'; "
+         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, sensors, task, "
+         "weather, world"),
+        (["world=flat", "seed=${nowhere}"],
+         "cannot resolve the settings: Interpolation key 'nowhere' not found"),
+    ],
+)  # fmt: skip
+def test_bad_overrides(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose(overrides)
+    assert str(caught.value) == message
+
+
+def test_faults_come_together() -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose(["world=moon", "seed=-1", "blah", "+sensors.lidar.n_beam=5", "actors.0.radius_m=0"])
+    assert sorted(str(caught.value).splitlines()) == [
+        "actors.0.radius_m must be above 0.0 (got 0)",
+        "cannot read 'blah'; write key=value",
+        "seed must be at least 0 (got -1)",
+        "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
+        NO_MOON,
+    ]
+
+
+def test_a_sweep_is_checked_in_every_value() -> None:
+    assert check_sweep(["+world=flat,inspection", "seed=1,2"]) == ["+world=flat,inspection", "seed=1,2"]
+    with pytest.raises(ConfigError) as caught:
+        check_sweep(["+world=flat,moon", "seed=1,-2", "robot.wheel_friction=0.5,1.0,9"])
+    assert str(caught.value).splitlines() == [
+        NO_MOON,
+        "seed must be at least 0 (got -2)",
+        "robot.wheel_friction must be at most 3.0 (got 9)",
+    ]
+
+
+def test_environment_settings_reach_what_the_command_line_reaches() -> None:
+    by_words = compose(["+world=flat", "actors=none", "task.termination.max_steps=100", "world.friction=0.5"])
+    by_settings = compose_environment(
+        {"name": "flat", "friction": 0.5}, (), {"actors": "none", "task": {"termination": {"max_steps": 100}}}
+    )
+    mixed = compose_environment(
+        "flat", ["task.termination.max_steps=100", "world.friction=0.5"], {"actors": []}
+    )
+    expected = EnvConf(**{name: getattr(by_words, name) for name in EnvConf.model_fields})
+    assert by_settings == mixed == expected
+
+
+def test_environment_settings_share_the_messages() -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
+    assert sorted(str(caught.value).splitlines()) == [
+        "colour is not a setting; "
+        "the top level has world, weather, robot, robots, actors, sensors, physics, task, metrics, "
+        "randomisation",
+        "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
+        NO_MOON,
+    ]
+
+
+def test_saved_settings_stay_unless_asked() -> None:
+    saved = compose(["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(
+        mode="json"
+    )
+    resumed = compose_resumed(["total_frames=9"], (), saved)
+    assert (resumed.world.name, resumed.actors, resumed.seed) == ("inspection", (), 5)
+    assert (resumed.learning.tau, resumed.total_frames) == (0.1, 9)
+
+    same = compose_evaluation(["checkpoint=x"], (), saved)
+    assert (same.world.name, same.actors, same.seed) == ("inspection", (), 0)
+    other = compose_evaluation(["checkpoint=x", "+world=flat", "physics.control_hz=10"], (), saved)
+    assert (other.world, other.actors, other.physics.control_hz) == (FlatConf(), (), 10)
+
+
+def test_saved_settings_share_the_messages() -> None:
+    saved = compose(["+world=flat"]).model_dump(mode="json")
+    with pytest.raises(ConfigError) as caught:
+        compose_resumed(["total_frames=0", "lerning.tau=1"], (), saved)
+    assert str(caught.value).splitlines() == [
+        "total_frames must be at least 1 (got 0)",
+        "lerning is not a setting; did you mean learning?",
+    ]
+
+
+@pytest.mark.parametrize("words", [["+world=flat"], ["+world=flat", "policy=random", "checkpoint=x"]])
+def test_an_evaluation_has_one_policy(words: list[str]) -> None:
+    with pytest.raises(ConfigError, match="choose one policy: checkpoint=PATH, policy=go_to_goal or"):
+        compose_evaluation(words)
+
+
+def test_own_folders_add_options(tmp_path: Path) -> None:
+    (tmp_path / "world").mkdir()
+    (tmp_path / "world" / "icy.yaml").write_text("name: flat\nfriction: 0.1\n")
+    assert compose(["+world=icy"], [str(tmp_path)]).world == FlatConf(friction=0.1)
+    with pytest.raises(ConfigError, match="there is no world 'icy'"):
+        compose(["+world=icy"])
+    with pytest.raises(ConfigError, match=r"there is no folder .*absent to read"):
+        compose(["+world=icy"], [str(tmp_path / "absent")])
+
+
+def test_composing_leaves_a_callers_hydra_alone() -> None:
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        before = GlobalHydra.instance().hydra
+        compose(["+world=flat"])
+        assert before is not None
+        assert GlobalHydra.instance().is_initialized()
+        assert hydra.compose("train", ["+world=flat"]).world.name == "flat"
+    GlobalHydra.instance().clear()
+    assert HydraConfig.instance().cfg is None or not GlobalHydra.instance().is_initialized()
+
+
+def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
+    (tmp_path / "world").mkdir()
+    (tmp_path / "world" / "mine.yaml").write_text("name: flat\nname: flat\n")
+    with pytest.raises(ConfigError, match=r"no valid YAML: .*mine\.yaml.*duplicate key name") as caught:
+        compose(["+world=mine"], [str(tmp_path)])
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,35 @@
+"""The studies under `experiments/`: their weights fit what is in the tree, and drive."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.compose import compose_evaluation
+from dune_rl.learning.checkpoint import read
+from dune_rl.learning.evaluation import averages, evaluate
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.policies import load_policy
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+POLICIES = sorted(EXPERIMENTS.rglob("policy.pt"))
+
+
+@pytest.mark.parametrize("file", POLICIES, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
+def test_the_weights_of_a_study_still_drive(file: Path) -> None:
+    conf = compose_evaluation([f"checkpoint={file}"], [], read(file, "policy")["config"])
+    env = make_torchrl_env(conf, 8, seed=3)
+    policy, _ = load_policy(file, Layout.of(env))
+    rows = evaluate(policy, env, 8, seed=3)
+    env.close()
+    # Random actions reach one goal in ten.
+    assert averages(rows)["TR"] >= 0.75
+
+
+def test_studies_name_no_folder_of_the_machine_they_ran_on() -> None:
+    assert len(POLICIES) >= 4
+    for file in POLICIES:
+        config = torch.load(file, weights_only=True)["config"]
+        assert not Path(config["run_dir"]).is_absolute()
+        assert "run_dir: runs/" in (file.parent / "config.yaml").read_text()

@@ -1,0 +1,84 @@
+"""A rover on ground of given surfaces, in true physics, without an environment round it."""
+
+import numpy as np
+from scenes import Backend, plane_field
+
+from dune_rl.env.motion import Motion
+from dune_rl.env.scene import scene_spec, standing_pose
+from dune_rl.env.traction import Traction
+from dune_rl.physics.interface import PhysicsConf
+from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.worlds.surface_map import SurfaceMap
+from dune_rl.worlds.surfaces import SURFACES, Surface
+from dune_rl.worlds.world import World
+
+# The middle of one large triangle of `slope_world`: at edges a wheel that yields has two contacts.
+MIDDLE = (-1.5, -3.5)
+
+
+def slope_world(surface: Surface | None, slope_rad: float = 0.0, *, sinkage: bool = False) -> World:
+    """A slope that rises along x, all of one surface; None: without a map."""
+    terrain = plane_field(slope_rad, half=8, spacing_m=5.0)
+    surfaces = None if surface is None else SurfaceMap([[0]], terrain.extent, [surface], sinkage=sinkage)
+    return World("slope", terrain, region=(-1, 1, -1, 1), surfaces=surfaces)
+
+
+def named(name: str) -> Surface:
+    return next(surface for surface in SURFACES if surface.name == name)
+
+
+class Rig:
+    """One rover on a world of surfaces, driven by wheel speeds."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        world: World,
+        *,
+        at: tuple[float, float] = MIDDLE,
+        yaw: float = 0.0,
+        drop_m: float = 0.0,
+        conf: RoverZeroConf | None = None,
+        factors: tuple[float, float] = (1.0, 1.0),
+        tyres: float = 1.0,
+        load: float = 1.0,
+    ) -> None:
+        self.world, self.physics = world, PhysicsConf()
+        self.rover = RoverZero(conf or RoverZeroConf(), 1)
+        self.engine = backend(scene_spec(world, self.rover, (), self.physics))
+        self.motion = Motion(1, self.rover)
+        self.traction = Traction(self.rover, self.physics, 1)
+        self.traction.friction_factor[:], self.traction.stiffness_factor[:] = factors
+        self.traction.tyre_factor[:], self.traction.load_factor[:] = tyres, load
+        position, quaternion = standing_pose(world, self.rover, *at, yaw)
+        position[2] += drop_m
+        self.engine.place(position.tolist(), quaternion.tolist(), np.zeros((0, 4)))
+        self.traction.begin(0, world, self.engine, position, quaternion)
+        self._sense()
+
+    def _sense(self) -> None:
+        self.motion.update(np.array([self.engine.body_state()]), np.array([self.engine.drive_state()]))
+
+    def step(self, wheels: float = 0.0, count: int = 1, substeps: int | None = None) -> None:
+        for _ in range(count):
+            force = self.traction.update([self.engine], self.motion)
+            if force is not None:
+                self.engine.push(force[0].tolist())
+            self.engine.step(substeps or self.physics.substeps, [wheels] * 4, np.zeros((0, 4)))
+            self._sense()
+
+    @property
+    def position(self) -> np.ndarray:
+        return self.motion.position_w[0]
+
+    @property
+    def speed(self) -> float:
+        """Along the nose [m/s]."""
+        return float(self.motion.velocity_b[0, 0])
+
+    @property
+    def height(self) -> float:
+        """Of the wheels' bottoms over the ground [m], as if the ground were hard."""
+        bottoms = self.position + self.rover.wheel_positions_b @ self.motion.rotation[0].T
+        ground, normal = self.world.terrain.height_and_normal(bottoms[:, :2])
+        return float(((bottoms[:, 2] - ground) * normal[:, 2]).mean()) - self.rover.standing_height_m

@@ -1,0 +1,105 @@
+"""Moments for the sensors on wheels: made up, or of a rover that drives in true physics."""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from scanning import moment_of
+from scenes import STEP_S, Drive
+
+from dune_rl.env.motion import Motion
+from dune_rl.physics.bullet.scene import BulletScene
+from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.sensors.currents import Currents, CurrentsConf
+from dune_rl.sensors.encoders import Encoders, EncodersConf
+from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
+from dune_rl.sensors.position import Position, PositionConf
+from dune_rl.sensors.sensor import Moment, Sensor, Wheels
+
+ALL = np.array([True])
+WHEELS = 4
+TRACK_M = 0.36
+LEFT, RIGHT = (0, 2), (1, 3)
+
+
+def geometry(track_m: float = TRACK_M) -> DriveGeometry:
+    return DriveGeometry(RoverZeroConf().drive.wheel_radius_m, track_m, LEFT, RIGHT)
+
+
+def moment(
+    angle: np.ndarray, speed: np.ndarray | float = 0.0, torque: np.ndarray | float = 0.0, step: int = 0
+) -> Moment:
+    """Rovers that stand still while their wheels, (M, W), are told to do this."""
+    angle = np.asarray(angle, float)
+    wheels = Wheels(
+        angle, *(np.broadcast_to(np.asarray(each, float), angle.shape) for each in (speed, torque))
+    )
+    still = moment_of(Motion(len(angle), RoverZero(RoverZeroConf(), len(angle))), step=step)
+    return replace(still, wheels=wheels)
+
+
+def reading(sensor: Sensor, row: int = 0) -> np.ndarray:
+    (value,) = sensor.read().values()
+    return value[row]
+
+
+def within_bounds(sensor: Sensor) -> bool:
+    ((low, high),) = sensor.bounds().values()
+    (value,) = sensor.read().values()
+    same = value.shape[1:] == low.shape == high.shape and value.dtype == low.dtype == high.dtype == np.float32
+    return same and bool(((low <= value) & (value <= high)).all())
+
+
+class Measured:
+    """A rover whose sensors measure every control step of a `Drive`."""
+
+    def __init__(self, drive: Drive, *sensors: Sensor) -> None:
+        self.drive = drive
+        self.sensors = sensors
+        self.motion = Motion(1, drive.rover)
+        self.steps = 0
+        self.begin()
+
+    def _now(self) -> Moment:
+        stage = self.drive.stage
+        self.motion.update(stage.state[None], np.array([stage.scene.drive_state()]))
+        return moment_of(self.motion, step=self.steps)
+
+    def begin(self) -> None:
+        self.steps = 0
+        now = self._now()
+        for sensor in self.sensors:
+            sensor.begin(ALL, now)
+
+    def step(self, speed: float, heading: float) -> None:
+        self.drive.step(speed, heading)
+        self.steps += 1
+        now = self._now()
+        for sensor in self.sensors:
+            sensor.measure(now)
+
+
+def sensors_of_all_kinds(track_m: float = TRACK_M) -> list[Sensor]:
+    """One of each, at the defaults, with some drift."""
+    drifting = PositionConf(drift_horizontal_m=1.0, drift_vertical_m=2.0)
+    return [
+        Encoders(EncodersConf(), 1, WHEELS, STEP_S),
+        Odometry(OdometryConf(), EncodersConf(), geometry(track_m), 1, WHEELS, STEP_S),
+        Currents(CurrentsConf(), 1, WHEELS),
+        Position(drifting, (-20.0, 20.0, -20.0, 20.0), (-1.0, 2.0), 1, STEP_S),
+    ]
+
+
+def digests(commands: Iterable[tuple[float, float]] | None = None) -> list[str]:
+    """What each sensor tells of a winding drive, every byte of it; a fresh process prints the same."""
+    if commands is None:
+        commands = [(0.8 - 0.02 * number, np.sin(0.3 * number)) for number in range(60)]
+    measured = Measured(Drive(BulletScene), *sensors_of_all_kinds())
+    found = [hashlib.sha256() for _ in measured.sensors]
+    for speed, heading in commands:
+        measured.step(speed, heading)
+        for digest, sensor in zip(found, measured.sensors, strict=True):
+            assert within_bounds(sensor)
+            digest.update(reading(sensor).tobytes())
+    return [digest.hexdigest() for digest in found]

@@ -1,0 +1,386 @@
+"""The view command: the sheets, films and pictures that it makes, and what it refuses."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import yaml
+from batches import idle, real_batch
+from PIL import Image
+
+import dune_rl
+from dune_rl import view
+from dune_rl.config.compose import compose, compose_view
+from dune_rl.errors import ConfigError
+from dune_rl.files import replaced
+from dune_rl.learning.checkpoint import write
+from dune_rl.learning.layout import Layout
+from dune_rl.learning.networks import Architecture, make_policy
+from dune_rl.learning.policies import policy_content
+from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.suite import SensorsConf
+from dune_rl.visualization.contact_sheet import contact_sheet
+from dune_rl.visualization.film import film
+from dune_rl.visualization.overlay import with_overlays
+
+TINY = ["+world=flat", "width=128", "height=96", "samples=1", "longest_s=1", "after_s=0.2", "actors=none"]
+# Few sensors, for films that are not about them.
+BLIND = "sensors=[lidar,goal]"
+Call = Callable[..., int]
+
+
+@pytest.fixture(name="call")
+def _call(call: Call) -> Call:
+    return partial(call, view.main)
+
+
+def frames_of(path: Path) -> tuple[np.ndarray, float]:
+    """All frames (T, height, width, 3) of a film, and its length [s]."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        return np.array(frames), float(stream.duration * stream.time_base)
+
+
+# -- the command --------------------------------------------------------------------------------------
+
+
+def test_a_sheet_and_a_film_are_made(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(*TINY, "out=new/views") == 0
+    made = folder / "new" / "views"
+    assert sorted(path.name for path in made.iterdir()) == ["flat_seed0.mp4", "flat_sheet.png"]
+    assert capsys.readouterr().out.splitlines() == [
+        "Written: new/views/flat_sheet.png",
+        "Written: new/views/flat_seed0.mp4",
+    ]
+    with Image.open(made / "flat_sheet.png") as sheet:
+        assert sheet.format == "PNG"
+        assert sheet.width == 1760 and sheet.height > 1000
+        assert len(sheet.convert("RGB").getcolors(2**22)) > 1000
+    frames, length_s = frames_of(made / "flat_seed0.mp4")
+    # A second at ten frames a second, both ends included, and the last picture for another 1.5 s.
+    assert frames.shape == (26, 96, 128, 3)
+    assert length_s == pytest.approx(2.6)
+    assert np.abs(frames[0].astype(int) - frames[10]).max() > 30
+    assert np.abs(frames[11:].astype(int) - frames[10]).mean() < 3.0
+
+
+def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(call: Call, folder: Path) -> None:
+    assert call(*TINY, "robot=hyperdog", "view=sheet") == 0
+    assert (folder / "views" / "flat_sheet.png").is_file()
+    assert call(*TINY, "robot=hyperdog", "view=sheet", "sensors=[odometry]") != 0
+
+
+def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
+    words = ["view=video", BLIND, "longest_s=9", "seed=4", "frames_per_s=4", "task.termination.max_steps=12"]
+    assert call(*TINY, *words) == 0
+    frames, length_s = frames_of(folder / "views" / "flat_seed4.mp4")
+    # At steps 0, 5, 10 and 12, and 1.5 s of the last.
+    assert len(frames) == 4 + 6
+    assert length_s == pytest.approx(10 / 4)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (130, 70)])
+def test_a_film_has_the_size_asked_for(size: tuple[int, int], call: Call, folder: Path) -> None:
+    words = ["view=video", BLIND, f"width={size[0]}", f"height={size[1]}", "longest_s=0.1"]
+    assert call(*TINY, *words) == 0
+    assert frames_of(folder / "views" / "flat_seed0.mp4")[0].shape[1:] == (size[1], size[0], 3)
+
+
+def test_the_place_is_pictured_from_above(call: Call, folder: Path) -> None:
+    assert call(*TINY, "view=orbit", BLIND) == 0
+    assert [path.name for path in (folder / "views").iterdir()] == ["flat_orbit.png"]
+    with Image.open(folder / "views" / "flat_orbit.png") as picture:
+        assert picture.size == (128, 96)
+        assert len(picture.getcolors(2**20)) > 100
+
+
+def film_of(call: Call, *words: str) -> np.ndarray:
+    assert call(*TINY, BLIND, "longest_s=0.5", *words) == 0
+    return frames_of(Path("views") / "flat_seed0.mp4")[0]
+
+
+def test_films_of_one_seed_are_the_same_and_drivers_differ(call: Call, folder: Path) -> None:
+    driven = film_of(call, "view=video")
+    np.testing.assert_array_equal(film_of(call, "view=video", "policy=go_to_goal"), driven)
+    assert (film_of(call, "view=video", "policy=random") != driven).any()
+
+
+def test_a_sheet_before_it_does_not_change_a_film(call: Call, folder: Path) -> None:
+    alone = film_of(call, "view=video", "policy=random")
+    np.testing.assert_array_equal(film_of(call, "view=both", "policy=random"), alone)
+
+
+@pytest.mark.parametrize("robot", ["rover_zero", "hyperdog"])
+def test_a_checkpoint_drives(
+    robot: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env = dune_rl.make("flat", 1, sensors=["goal", "velocity"], actors="none", robot=robot)
+    layout = Layout.of(env)
+    env.close()
+    config = compose(["+world=flat", "sensors=[goal,velocity]", "actors=none", "seed=7", f"robot={robot}"])
+    module = make_policy(layout, Architecture((8,)))
+    content = policy_content(module, layout, Architecture((8,)), config.model_dump(mode="json"))
+    write(folder / "policy.pt", "policy", content)
+    words = [word for word in TINY if "=none" not in word and not word.startswith("+world")]
+    assert call(*words, "checkpoint=policy.pt", "view=video", "longest_s=0.2", "seed=2") == 0
+    assert len(frames_of(folder / "views" / "flat_seed2.mp4")[0]) == 3 + 15
+    capsys.readouterr()
+    assert call(*words, "checkpoint=policy.pt", "policy=random") == 2
+    assert capsys.readouterr().err == "choose one driver: checkpoint=PATH or policy=NAME\n"
+
+
+def test_the_episode_s_seed_is_not_the_training_s() -> None:
+    saved = compose(["+world=flat", "seed=7"]).model_dump(mode="json")
+    assert compose_view(["checkpoint=policy.pt"], (), saved).seed == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["width=127"], "width must be a multiple of 2 (got 127)"),
+        (["height=32"], "height must be at least 64 (got 32)"),
+        (["view=film"], "view must be one of sheet, video, both, orbit, map (got 'film')"),
+        (["frames_per_s=0"], "frames_per_s must be above 0.0 (got 0)"),
+        (["actors=external_walkers"],
+         "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"),
+        (["-m", "seed=1,2"], "this command runs once; leave -m out"),
+        (["out=file"], "cannot write file: a file of that name is in the way; choose another place"),
+        (["out=file/views"], "cannot write file/views: a part of the path is a file; choose another place"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_refused_in_one_line(
+    words: list[str], message: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "file").write_text("kept")
+    assert call("+world=flat", *words) == 2
+    assert capsys.readouterr().err == f"{message}\n"
+    assert [path.name for path in folder.iterdir()] == ["file"]
+    assert (folder / "file").read_text() == "kept"
+
+
+def test_a_checkpoint_that_is_not_there_is_named(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("checkpoint=nowhere") == 2
+    assert "nowhere" in capsys.readouterr().err
+    assert not list(folder.iterdir())
+
+
+def test_two_drivers_are_refused() -> None:
+    with pytest.raises(ConfigError, match="choose one driver: checkpoint=PATH or policy=NAME"):
+        compose_view(["+world=flat", "checkpoint=runs/a", "policy=random"])
+
+
+def test_help_and_settings_are_shown(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("--help") == 0
+    text = capsys.readouterr().out
+    for words in ("python -m dune_rl.view", "view=NAME", "checkpoint=PATH", "out=FOLDER"):
+        assert words in text
+    assert call("+world=flat", "seed=4", "--cfg", "job") == 0
+    shown = yaml.safe_load(capsys.readouterr().out)
+    assert (shown["seed"], shown["world"]["name"], shown["view"]) == (4, "flat", "both")
+    assert not list(folder.iterdir())
+
+
+# -- contact sheets -----------------------------------------------------------------------------------
+
+PICTURE = np.zeros((6, 8, 3), np.uint8)
+# The first words of each panel's title.
+TITLES = {
+    "camera_rgb": "camera, RGB",
+    "camera_depth": "camera, depth",
+    "camera_segmentation": "camera, segments",
+    "camera_normals": "camera, normals",
+    "camera_grey": "camera, grey",
+    "lidar_3d_range": "3D LiDAR, 16 rings",
+    "lidar_3d_intensity": "3D LiDAR, intensity",
+    "lidar_3d_segmentation": "3D LiDAR, segments",
+    "height_scan": "height scan",
+    "depth_strip": "depth strip",
+    "lidar": "LiDAR, ahead is up",
+}
+
+
+def panels(readings: dict[str, np.ndarray], conf: SensorsConf) -> list[str]:
+    """Titles of a sheet's panels, the sheet being drawn."""
+    figure = contact_sheet(readings, conf, PICTURE, "a title")
+    figure.canvas.draw()
+    assert figure.get_suptitle() == "a title"
+    return [title for axes in figure.axes if (title := axes.get_title(loc="left"))]
+
+
+@pytest.fixture(scope="module")
+def everything() -> Iterator[tuple[dict[str, np.ndarray], SensorsConf]]:
+    batch = real_batch("flat", sensors="all")
+    batch.step(idle(batch))
+    yield {name: value[0] for name, value in batch.observe().items()}, batch.sensors
+    batch.close()
+
+
+def test_a_sheet_has_a_panel_for_each_reading(everything) -> None:
+    readings, conf = everything
+    found = panels(readings, conf)
+    assert found[0] == "scene"
+    for name, title in TITLES.items():
+        assert name in readings
+        assert sum(each.startswith(title) for each in found) == 1
+    assert "numbers" in found
+    assert len(found) == len(TITLES) + 2
+    figure = contact_sheet(readings, conf, PICTURE, "")
+    text = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+    for name in set(readings) - set(TITLES) - {"lidar_past"}:
+        assert name in text
+
+
+@pytest.mark.parametrize("name", [*TITLES, "lidar_past", "imu"])
+def test_any_reading_alone_makes_a_sheet(name: str, everything) -> None:
+    readings, conf = everything
+    found = panels({name: readings[name]}, conf)
+    assert len(found) == 2
+    assert found[0] == "scene"
+    assert found[1].startswith(TITLES.get(name, "numbers" if name == "imu" else "LiDAR"))
+
+
+def test_what_meets_nothing_makes_a_sheet_too() -> None:
+    conf = SensorsConf()
+    nothing = {
+        "lidar": np.full(32, 12.0, np.float32),
+        "lidar_3d_range": np.full((16, 32, 1), 30.0, np.float32),
+        "lidar_3d_intensity": np.zeros((16, 32, 1), np.float32),
+        "depth_strip": np.full(32, 5.0, np.float32),
+        "camera_segmentation": np.zeros((8, 8, 1), np.uint8),
+    }
+    assert len(panels(nothing, conf)) == 6
+
+
+def test_a_camera_that_sees_only_sky_makes_a_sheet_too() -> None:
+    assert len(panels({"camera_depth": np.full((8, 8, 1), 100.0, np.float32)}, SensorsConf())) == 2
+
+
+def test_a_strip_of_one_column_makes_a_sheet_too() -> None:
+    conf = SensorsConf.model_validate({"depth_strip": {"columns": 1}})
+    assert len(panels({"depth_strip": np.full(1, 2.0, np.float32)}, conf)) == 2
+
+
+# -- what is laid over films --------------------------------------------------------------------------
+
+LIDAR = LidarConf()
+FRAME = np.full((120, 160, 3), 90, np.uint8)
+SIDE = 120 // 3
+
+
+def changed(observation: dict[str, np.ndarray], lines=(), headline: str = "") -> np.ndarray:
+    """Which pixels (120, 160) of an even frame are drawn on."""
+    before = FRAME.copy()
+    picture = with_overlays(before, observation, LIDAR, list(lines), headline)
+    assert picture.shape == FRAME.shape and picture.dtype == np.uint8
+    np.testing.assert_array_equal(before, FRAME)
+    return (picture != FRAME).any(axis=-1)
+
+
+def test_nothing_is_laid_over_where_there_is_nothing_to_say() -> None:
+    assert not changed({}).any()
+    assert not changed({"imu": np.zeros(9, np.float32), "lidar_past": np.zeros(32, np.float32)}).any()
+
+
+def test_text_is_laid_over_at_the_top() -> None:
+    rows, columns = np.nonzero(changed({}, ["speed 1.00 m/s"]))
+    assert rows.max() < 60 and columns.min() < 30
+    rows, columns = np.nonzero(changed({}, headline="stuck"))
+    assert abs(columns.mean() - 80) < 4 and rows.max() < 60
+
+
+def test_the_camera_s_picture_is_laid_over_at_the_top_right() -> None:
+    red = np.zeros((8, 16, 3), np.uint8)
+    red[..., 0] = 255
+    picture = with_overlays(FRAME, {"camera_rgb": red}, LIDAR, [])
+    rows, columns = np.nonzero((picture == [255, 0, 0]).all(axis=-1))
+    assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (SIDE, SIDE // 2)
+    assert columns.max() < 160 and columns.min() > 80 and rows.max() < 60
+
+
+@pytest.mark.parametrize(("segment", "right", "down"), [(0, 0, 1), (8, 1, 0), (16, 0, -1), (24, -1, 0)])
+def test_returns_lie_where_they_come_from(segment: int, right: int, down: int) -> None:
+    # The first segment is behind, and they run counter-clockwise: ahead is up, and left is left.
+    nothing = np.full(32, 12.0, np.float32)
+    ranges = nothing.copy()
+    ranges[segment] = 8.0
+    empty, seen = (with_overlays(FRAME, {"lidar": scan}, LIDAR, []) for scan in (nothing, ranges))
+    rows, columns = np.nonzero((empty != seen).any(axis=-1))
+    centre = np.array([160 - 14 - SIDE / 2, 120 - 14 - SIDE / 2])
+    offset = np.array([columns.mean(), rows.mean()]) - centre
+    reach = 8.0 / 12.0 * SIDE / 2
+    # Half a segment aside, since two of them meet straight ahead.
+    assert np.linalg.norm(offset) == pytest.approx(reach, abs=2.0)
+    assert offset @ [right, down] > 0.9 * np.linalg.norm(offset)
+
+
+def test_the_goal_lies_where_it_is() -> None:
+    scan = {"lidar": np.full(32, 12.0, np.float32)}
+    places = []
+    for bearing in (0.0, np.pi / 2):
+        goal = {"goal": np.array([6.0, bearing], np.float32)}
+        drawn = with_overlays(FRAME, scan | goal, LIDAR, []) != with_overlays(FRAME, scan, LIDAR, [])
+        rows, columns = np.nonzero(drawn.any(axis=-1))
+        places.append((columns.mean() - (160 - 14 - SIDE / 2), rows.mean() - (120 - 14 - SIDE / 2)))
+    np.testing.assert_allclose(places, [(0.0, -SIDE / 4), (-SIDE / 4, 0.0)], atol=1.5)
+
+
+# -- films and files ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0 / 3.0, 25.0])
+def test_a_film_holds_the_frames_added(rate: float, tmp_path: Path) -> None:
+    path = tmp_path / "film.mp4"
+    shades = [20, 90, 160, 230]
+    with film(path, rate, 64, 48) as add:
+        for shade in shades:
+            add(np.full((48, 64, 3), shade, np.uint8))
+        assert not path.exists()
+    frames, length_s = frames_of(path)
+    assert frames.shape == (4, 48, 64, 3)
+    np.testing.assert_allclose(frames.mean(axis=(1, 2, 3)), shades, atol=4.0)
+    assert length_s == pytest.approx(4 / rate, rel=0.01)
+    assert [each.name for each in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize("size", [(63, 48), (64, 47)])
+def test_a_film_of_an_odd_size_is_refused(size: tuple[int, int], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"must be even \\(got {size[0]} by {size[1]}\\)"):
+        film(tmp_path / "film.mp4", 10.0, *size).__enter__()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_a_film_that_fails_leaves_the_old_one_alone(error: type[BaseException], tmp_path: Path) -> None:
+    path = tmp_path / "film.mp4"
+    path.write_bytes(b"an older film")
+    with pytest.raises(error), film(path, 10.0, 64, 48) as add:
+        add(np.zeros((48, 64, 3), np.uint8))
+        raise error
+    assert path.read_bytes() == b"an older film"
+    assert [each.name for each in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    with replaced(path) as temporary:
+        temporary.write_text("first")
+        assert not path.exists()
+        assert temporary.parent == tmp_path
+    assert path.read_text() == "first"
+    with pytest.raises(RuntimeError), replaced(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "first"
+    with replaced(path) as temporary:
+        temporary.write_text("second")
+        assert path.read_text() == "first"
+    assert path.read_text() == "second"
+    assert [each.name for each in tmp_path.iterdir()] == ["file.txt"]
+    with pytest.raises(FileNotFoundError), replaced(tmp_path / "nowhere" / "file.txt"):
+        pass
