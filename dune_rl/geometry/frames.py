@@ -37,6 +37,16 @@ def rotation_matrices(quaternion: Array) -> Array:
     return out
 
 
+def rotation_from_yaw(yaw: Array) -> Array:
+    """Body-to-world rotation, shape (..., 3, 3), by `yaw` (...) [rad] about the world's z."""
+    out = np.zeros((*yaw.shape, 3, 3))
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    out[..., 0, 0] = out[..., 1, 1] = cos
+    out[..., 0, 1], out[..., 1, 0] = -sin, sin
+    out[..., 2, 2] = 1.0
+    return out
+
+
 def roll_pitch_yaw(rotation: Array) -> Array:
     """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3): first roll, last yaw.
 

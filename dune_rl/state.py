@@ -1,0 +1,196 @@
+"""The state of one control step: what sensors, behaviours, rewards, terminations and metrics read.
+
+The simulation writes a `State` once a step and nothing else changes it. Arrays of a group have the leading axis
+N = M * G, of M scenes with G agents each, scene after scene: row m * G + g is agent g of scene m. Units are SI;
+frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.frames import rotation_from_yaw, to_body
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Counts = NDArray[np.int64]
+
+
+class GroundQueries(Protocol):
+    """What a term may ask about the worlds of the M scenes; points have the leading axis M."""
+
+    @property
+    def extents(self) -> Array:
+        """Rectangles (xmin, xmax, ymin, ymax) [m] of the terrains, (M, 4)."""
+        ...
+
+    def height(self, xy: Array) -> Array:
+        """Height of the ground [m], (M, ...), at points (M, ..., 2)."""
+        ...
+
+    def clearance(self, xy: Array) -> Array:
+        """Distance [m], (M, ...), from points (M, ..., 2) to the nearest static obstacle."""
+        ...
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Angle [rad], speed [rad/s] and torque [N m] of the motors' joints, each (N, J).
+
+    Positive rolls a wheel forward. Wheel angles count whole turns; torques are the motors' own, of the last
+    physics step.
+    """
+
+    angle: Array
+    speed: Array
+    torque: Array
+
+
+class Motion:
+    """True poses, velocities and accelerations of N bodies.
+
+    `position_w` (N, 3) is the origin's [m]; `roll_pitch_yaw` (N, 3) [rad]; `rotation` (N, 3, 3) turns body to
+    world; `velocity_w`, `angular_w` (N, 3) [m/s, rad/s] and the same in the body frame as `velocity_b`,
+    `angular_b`; `acceleration_b` (N, 3) [m/s²] is the mean acceleration of the origin over the last control step
+    without gravity; `joints` are the motors' joints where something reads them; `diverged` (N,) marks bodies
+    whose physics gave an impossible state: they keep their last good one.
+
+    What is not given is derived when it is first read: of bodies that only turn about the world's z.
+    """
+
+    def __init__(
+        self,
+        position_w: Array,
+        roll_pitch_yaw: Array,
+        velocity_w: Array,
+        angular_w: Array,
+        diverged: Flags,
+        joints: JointState | None = None,
+        **derived: Array,
+    ) -> None:
+        """`derived` may have `rotation`, `velocity_b`, `angular_b` and `acceleration_b`."""
+        self.position_w, self.roll_pitch_yaw = position_w, roll_pitch_yaw
+        self.velocity_w, self.angular_w = velocity_w, angular_w
+        self.diverged, self.joints = diverged, joints
+        self.__dict__.update(derived)
+
+    @cached_property
+    def rotation(self) -> Array:
+        return rotation_from_yaw(self.roll_pitch_yaw[:, 2])
+
+    @cached_property
+    def velocity_b(self) -> Array:
+        return to_body(self.rotation, self.velocity_w)
+
+    @cached_property
+    def angular_b(self) -> Array:
+        return to_body(self.rotation, self.angular_w)
+
+    @cached_property
+    def acceleration_b(self) -> Array:
+        return np.zeros_like(self.velocity_w)
+
+    @property
+    def yaw(self) -> Array:
+        """Heading [rad], (N,)."""
+        return self.roll_pitch_yaw[:, 2]
+
+    @cached_property
+    def tilt(self) -> Array:
+        """Angle between the body's z and the world's [rad], (N,)."""
+        return np.arccos(np.minimum(np.maximum(self.rotation[:, 2, 2], -1.0), 1.0))
+
+
+@dataclass(frozen=True)
+class GoalState:
+    """Each agent's goal: `position_w` (N, 2) [m], its horizontal `distance` [m] now and one control step before,
+    and its `bearing` (N,) [rad] from the agent's heading, in [-pi, pi).
+    """
+
+    position_w: Array
+    distance: Array
+    previous_distance: Array
+    bearing: Array
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Contacts with anything but the ground in any physics step of this control step, each (N,).
+
+    `touching` tells whether there is one, `new` how many collisions began (one for each body, however long it is
+    touched), `total` how many there have been in the episode.
+    """
+
+    touching: Flags
+    new: Counts
+    total: Counts
+
+
+@dataclass(frozen=True)
+class EpisodeState:
+    """Which episode each agent is in, and since how many control steps.
+
+    `ids` (N,) number the episodes and `steps` (N,) the control steps of `step_s` seconds that they have had.
+    Random draws of an agent depend on (`seed`, name, `streams` (N,), `steps`) alone: `streams` differ between the
+    agents of a scene, and equal the ids for its first agent.
+    """
+
+    seed: int
+    ids: Counts
+    steps: Counts
+    streams: Counts
+    step_s: float
+
+
+@dataclass(frozen=True)
+class GroupState:
+    """One agent group after a control step; every array has the leading axis N = M * G.
+
+    `neighbours` (N, K, 4) are the poses (x, y, z, yaw) [m, rad] of the other moving bodies of the scene.
+    `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `work_j` (N,) is
+    the motors' work in this step [J] where it is measured. `endings` has the flags (N,) of each termination term
+    by name once these are evaluated, for rewards and metrics.
+    """
+
+    name: str
+    count: int
+    episode: EpisodeState
+    motion: Motion
+    contacts: ContactState
+    neighbours: Array
+    done: Flags
+    measure_clearance: Callable[[], Array]
+    goal: GoalState
+    work_j: Array | None = None
+    endings: dict[str, Flags] = field(default_factory=dict)
+
+    @cached_property
+    def clearance(self) -> Array:
+        """Distance [m], (N,), from each outline to the nearest obstacle or other agent; 0 on contact, inf
+        without any.
+        """
+        apart = np.maximum(self.measure_clearance(), 0.0)
+        apart[self.contacts.touching] = 0.0
+        return apart
+
+    def by_scene(self, values: Array) -> Array:
+        """`values` (N, ...) with an axis for scenes and one for agents: (M, G, ...)."""
+        return values.reshape(-1, self.count, *values.shape[1:])
+
+
+@dataclass(frozen=True)
+class State:
+    """The groups of M scenes by name, and the ground that they are on."""
+
+    groups: Mapping[str, GroupState]
+    ground: GroundQueries
+    num_scenes: int
+
+    def extents(self, group: GroupState) -> Array:
+        """Rectangle (xmin, xmax, ymin, ymax) [m] of the terrain that each agent of `group` is on, (N, 4)."""
+        extents = self.ground.extents
+        return extents if group.count == 1 else np.repeat(extents, group.count, axis=0)
