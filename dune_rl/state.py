@@ -1,8 +1,8 @@
 """The state of one control step: what sensors, behaviours, rewards, terminations and metrics read.
 
-The simulation writes a `State` once a step and nothing else changes it. Arrays of a group have the leading axis
-N = M * G, of M scenes with G agents each, scene after scene: row m * G + g is agent g of scene m. Units are SI;
-frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
+The simulation writes a `State` once a step and nothing else changes it. Arrays of a group have the leading
+axis N = M * G, of M scenes with G agents each, scene after scene: row m * G + g is agent g of scene m.
+Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
 """
 
 from collections.abc import Callable, Mapping
@@ -53,11 +53,11 @@ class JointState:
 class Motion:
     """True poses, velocities and accelerations of N bodies.
 
-    `position_w` (N, 3) is the origin's [m]; `roll_pitch_yaw` (N, 3) [rad]; `rotation` (N, 3, 3) turns body to
-    world; `velocity_w`, `angular_w` (N, 3) [m/s, rad/s] and the same in the body frame as `velocity_b`,
-    `angular_b`; `acceleration_b` (N, 3) [m/s²] is the mean acceleration of the origin over the last control step
-    without gravity; `joints` are the motors' joints where something reads them; `diverged` (N,) marks bodies
-    whose physics gave an impossible state: they keep their last good one.
+    `position_w` (N, 3) is the origin's [m]; `roll_pitch_yaw` (N, 3) [rad]; `rotation` (N, 3, 3) turns body
+    to world; `velocity_w`, `angular_w` (N, 3) [m/s, rad/s] and the same in the body frame as `velocity_b`,
+    `angular_b`; `acceleration_b` (N, 3) [m/s²] is the mean acceleration of the origin over the last control
+    step without gravity; `joints` are the motors' joints where something reads them; `diverged` (N,) marks
+    bodies whose physics gave an impossible state: they keep their last good one.
 
     What is not given is derived when it is first read: of bodies that only turn about the world's z.
     """
@@ -107,8 +107,8 @@ class Motion:
 
 @dataclass(frozen=True)
 class GoalState:
-    """Each agent's goal: `position_w` (N, 2) [m], its horizontal `distance` [m] now and one control step before,
-    and its `bearing` (N,) [rad] from the agent's heading, in [-pi, pi).
+    """Each agent's goal: `position_w` (N, 2) [m], its horizontal `distance` [m] now and one control step
+    before, and its `bearing` (N,) [rad] from the agent's heading, in [-pi, pi).
     """
 
     position_w: Array
@@ -121,8 +121,8 @@ class GoalState:
 class ContactState:
     """Contacts with anything but the ground in any physics step of this control step, each (N,).
 
-    `touching` tells whether there is one, `new` how many collisions began (one for each body, however long it is
-    touched), `total` how many there have been in the episode.
+    `touching` tells whether there is one, `new` how many collisions began (one for each body, however long
+    it is touched), `total` how many there have been in the episode.
     """
 
     touching: Flags
@@ -134,9 +134,9 @@ class ContactState:
 class EpisodeState:
     """Which episode each agent is in, and since how many control steps.
 
-    `ids` (N,) number the episodes and `steps` (N,) the control steps of `step_s` seconds that they have had.
-    Random draws of an agent depend on (`seed`, name, `streams` (N,), `steps`) alone: `streams` differ between the
-    agents of a scene, and equal the ids for its first agent.
+    `ids` (N,) number the episodes and `steps` (N,) the control steps of `step_s` seconds that they have
+    had. Random draws of an agent depend on (`seed`, name, `streams` (N,), `steps`) alone: `streams` differ
+    between the agents of a scene, and equal the ids for its first agent.
     """
 
     seed: int
@@ -151,9 +151,9 @@ class GroupState:
     """One agent group after a control step; every array has the leading axis N = M * G.
 
     `neighbours` (N, K, 4) are the poses (x, y, z, yaw) [m, rad] of the other moving bodies of the scene.
-    `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `work_j` (N,) is
-    the motors' work in this step [J] where it is measured. `endings` has the flags (N,) of each termination term
-    by name once these are evaluated, for rewards and metrics.
+    `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `work_j`
+    (N,) is the motors' work in this step [J] where it is measured. `endings` has the flags (N,) of each
+    termination term by name once these are evaluated, for rewards and metrics.
     """
 
     name: str
