@@ -99,6 +99,13 @@ class Made(Generic[T, U]):
             self._known = {key: value for key, value in self._known.items() if key in used}
 
 
+def agent_rows(scenes: Rows, count: int) -> Rows:
+    """The rows of the agents of `scenes`, where each scene has `count` of them, scene after scene."""
+    if count == 1 or isinstance(scenes, slice):
+        return scenes
+    return (scenes[:, None] * count + np.arange(count)).ravel()
+
+
 def asked(groups: Groups[T], ask: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
     """`ask(thing, *parts)` of each group with its rows of the `arrays` (M, ...), put together: (M, ...)."""
     if len(groups) == 1:

@@ -1,10 +1,10 @@
-"""From a world, a robot and actors to what the physics engine builds."""
+"""From a world, robots and kinematic bodies to what the physics engine builds."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
-from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, SceneSpec, StaticBody
+from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, RobotBody, SceneSpec, StaticBody
 from dune_rl.robots.robot import Robot
 from dune_rl.worlds.props import merge
 from dune_rl.worlds.world import World
@@ -17,13 +17,12 @@ _DROP_M = 0.005
 
 def scene_spec(
     world: World,
-    robot: Robot,
-    actors: tuple[KinematicCapsule, ...],
+    robots: tuple[RobotBody, ...],
+    kinematics: tuple[KinematicCapsule, ...],
     physics: PhysicsConf,
     measures_work: bool = False,
-    others: tuple[Robot, ...] = (),
 ) -> SceneSpec:
-    """The bodies of one scene: terrain, solid props, actors, the robot and the others beside it."""
+    """The bodies of one scene: terrain, solid props, kinematic bodies and robots."""
     vertices, faces = world.terrain.mesh()
     # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
     neutral = world.surfaces is not None
@@ -41,13 +40,12 @@ def scene_spec(
     ]
     return SceneSpec(
         statics=tuple(statics),
-        kinematics=actors,
-        robot=robot.body,
+        kinematics=kinematics,
+        robots=robots,
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
         friction=physics.friction,
         measures_work=measures_work,
-        others=tuple(other.body for other in others),
     )
 
 

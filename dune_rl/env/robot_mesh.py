@@ -11,7 +11,7 @@ from dune_rl.robots.visual import RobotVisual
 
 
 @lru_cache(maxsize=8)
-def robot_figure(body: RobotBody) -> Figure:
+def robot_mesh(body: RobotBody) -> Figure:
     """What the robot looks like with its joints at zero, in the base link's frame; robots of a kind share it.
 
     As every `Figure` it stands upright: other robots do not see it roll and pitch.

@@ -1,4 +1,4 @@
-"""What each episode is in: world, weather, physics and body, drawn from (seed, episode) alone."""
+"""Domain randomisation: the world, weather, contacts and body of each episode, by (seed, episode) alone."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from dune_rl.worlds.world import World
 Values = tuple[float, ...]
 
 
-class Variety:
+class DomainRandomizer:
     """Draws the properties that `randomisation` names, and says what they make of an episode.
 
     `world_of` builds a world of settings like `world_conf`; equal settings
@@ -36,12 +36,12 @@ class Variety:
         self.names = tuple(self._distributions)
 
     @classmethod
-    def none(cls, world: World, weather: WeatherConf) -> "Variety":
+    def none(cls, world: World, weather: WeatherConf) -> "DomainRandomizer":
         """Every episode in the same world and weather."""
         return cls(None, weather, RandomisationConf(), lambda _: world)
 
     @property
-    def of_worlds(self) -> bool:
+    def randomizes_worlds(self) -> bool:
         """Whether worlds differ."""
         return any(PROPERTIES[name].world is not None for name in self.names)
 
@@ -74,20 +74,20 @@ class Variety:
             weather = weather if change is None else change(weather, value)
         return weather
 
-    def tell(self, traction: Traction, scene: int, values: Sequence[float]) -> None:
-        """Give a scene's wheels what was drawn for them, before its robot is put down."""
+    def apply_to_contacts(self, traction: Traction, row: int, values: Sequence[float]) -> None:
+        """Set the contact factors of a robot's wheels, before it is put down."""
         for name, value in zip(self.names, values, strict=True):
             change = PROPERTIES[name].traction
             if change is not None:
-                change(traction, scene, float(value))
+                change(traction, row, float(value))
 
     @property
-    def of_bodies(self) -> bool:
+    def randomizes_bodies(self) -> bool:
         """Whether bodies differ in more than their wheels' contacts."""
         return any(PROPERTIES[name].body is not None for name in self.names)
 
     @property
-    def of_latency(self) -> bool:
+    def randomizes_latency(self) -> bool:
         """Whether commands come late."""
         return any(PROPERTIES[name].latency for name in self.names)
 
@@ -106,5 +106,5 @@ class Variety:
 
     def prepare(self, seed: int, episodes: Sequence[int]) -> None:
         """Say that these episodes are to come."""
-        if self.of_worlds and self._prepare is not None:
+        if self.randomizes_worlds and self._prepare is not None:
             self._prepare([self.world_conf(self.draw(seed, episode)) for episode in episodes])
