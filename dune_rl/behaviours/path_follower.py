@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.behaviours.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
 from dune_rl.errors import WorldError
-from dune_rl.geometry.per_scene import PerScene, asked
+from dune_rl.geometry.per_scene import SharedPerScene, query_grouped
 from dune_rl.settings import Settings
 from dune_rl.worlds.world import World
 
@@ -62,7 +62,7 @@ class PathFollower:
     """
 
     def __init__(
-        self, conf: PathConf, count: int, radius_m: float, worlds: PerScene[World], kind: str = "walker"
+        self, conf: PathConf, count: int, radius_m: float, worlds: SharedPerScene[World], kind: str = "walker"
     ) -> None:
         self.conf, self.count = conf, count
         self._radius_m, self._kind, self._worlds = radius_m, kind, worlds
@@ -141,15 +141,15 @@ class PathFollower:
     def advance(self, distance_m: float) -> Array:
         """Poses (N, 4) after another `distance_m` along each agent's loop."""
         self._travelled += distance_m
-        poses = asked(self._worlds.groups, self._pose, self._loop, self._travelled)
+        poses = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
         return poses.reshape(-1, 4)
 
     def renew(self, mask: Flags) -> None:
         """Send the agents in `mask` (N,) to the other end of their path."""
         outbound = self._outbound ^ mask
         groups = self._worlds.groups
-        far = asked(groups, self._far_end, self._loop)[..., :2].reshape(-1, 2)
-        near = asked(groups, self._near_end, self._loop)[..., :2].reshape(-1, 2)
+        far = query_grouped(groups, self._far_end, self._loop)[..., :2].reshape(-1, 2)
+        near = query_grouped(groups, self._near_end, self._loop)[..., :2].reshape(-1, 2)
         ends = np.where(outbound[:, None], far, near)
         self.goals_w = np.where(mask[:, None], ends, self.goals_w)
         self._outbound = outbound

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.physics.interface import KinematicCapsule
-from dune_rl.rendering.light import linear
-from dune_rl.rendering.moving import Figure
-from dune_rl.rendering.scenery import Segment, Shape
+from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.moving import MovingMesh
+from dune_rl.rendering.scenery import Segment, ColouredMesh
 from dune_rl.settings import Settings
 
 _SIDES = 24
@@ -47,12 +47,12 @@ class PersonConf(Settings):
         """The capsule that physics moves, called `name`."""
         return KinematicCapsule(name, self.radius_m, self.height_m)
 
-    def mesh(self) -> Figure:
+    def mesh(self) -> MovingMesh:
         """The shape that sensors see, its origin on the ground."""
-        return Figure(_capsule_in_clothes(self.radius_m, self.height_m))
+        return MovingMesh(_capsule_in_clothes(self.radius_m, self.height_m))
 
 
-def _capsule_in_clothes(radius_m: float, height_m: float) -> Shape:
+def _capsule_in_clothes(radius_m: float, height_m: float) -> ColouredMesh:
     bends = np.linspace(0.0, np.pi / 2, 7)
     round_end = np.column_stack([np.sin(bends), 1.0 - np.cos(bends)]) * radius_m
     seams = height_m * np.array([top for top, _ in _CLOTHES[:-1]])
@@ -61,7 +61,7 @@ def _capsule_in_clothes(radius_m: float, height_m: float) -> Shape:
     upper = np.column_stack([round_end[::-1, 0], height_m - round_end[::-1, 1]])
     mesh = trimesh.creation.revolve(np.concatenate([round_end, sides, upper]), sections=_SIDES)
     middle = mesh.triangles_center[:, 2] / height_m
-    return Shape(
+    return ColouredMesh(
         mesh.vertices,
         mesh.faces.astype(np.int32),
         _clothes_colour(middle),
@@ -72,5 +72,5 @@ def _capsule_in_clothes(radius_m: float, height_m: float) -> Shape:
 def _clothes_colour(share: NDArray[np.float64]) -> NDArray[np.float32]:
     """Linear RGB (F, 3) at shares (F,) of the height."""
     tops = np.array([top for top, _ in _CLOTHES])
-    colours = linear(np.array([colour for _, colour in _CLOTHES]))
+    colours = srgb_to_linear(np.array([colour for _, colour in _CLOTHES]))
     return colours[np.minimum(np.searchsorted(tops, share), len(tops) - 1)]

@@ -12,7 +12,7 @@ from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
 from dune_rl.env.sensing import build_suite
 from dune_rl.env.state_builder import StateBuilder
-from dune_rl.rendering.moving import Figure
+from dune_rl.rendering.moving import MovingMesh
 from dune_rl.tasks.spawn import SpawnConf
 
 # A new touch of the same body counts as a new collision after this long without one.
@@ -74,7 +74,7 @@ def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: Sce
             group.equip(build_suite(group, neighbours, scenes))
 
 
-def mesh_of(group: AgentGroup) -> Figure:
+def mesh_of(group: AgentGroup) -> MovingMesh:
     """What one agent of a group looks like to others' sensors."""
     body = group.body
     return robot_mesh(body.robot.body) if isinstance(body, ArticulatedBody) else body.conf.mesh()

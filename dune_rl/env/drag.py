@@ -7,14 +7,14 @@ from dune_rl.geometry.per_scene import Rows, agent_rows
 from dune_rl.robots.robot import Robot
 from dune_rl.state import Motion
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.sites import BatchedWorlds
 
 Array = NDArray[np.float64]
 
 _ALL = slice(None)
 
 
-def drag_forces(sites: Sites, motion: Motion, robot: Robot, count: int = 1) -> Array | None:
+def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot, count: int = 1) -> Array | None:
     """Force [N] of the grass on each robot, (M * `count`, 3), world frame; None where no grass grows."""
     groups = sites.worlds.groups
     if all(world.grass is None for world, _ in groups):

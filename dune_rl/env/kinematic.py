@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.state import Motion
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.sites import BatchedWorlds
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -32,7 +32,7 @@ class KinematicBody:
     the last step because an obstacle or the world's edge was in their way.
     """
 
-    def __init__(self, conf: PersonConf, worlds: Sites, count: int, step_s: float) -> None:
+    def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
         self.conf, self.count = conf, count
         self._worlds, self._step_s = worlds, step_s
         rows = len(worlds) * count

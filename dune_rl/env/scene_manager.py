@@ -20,7 +20,7 @@ from dune_rl.physics.interface import (
     SceneSpec,
 )
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.sites import BatchedWorlds
 from dune_rl.worlds.world import World
 
 # A world without room for the agents is passed over for another draw, at most so many times.
@@ -65,7 +65,7 @@ class SceneManager:
         measures_work: bool = False,
     ) -> None:
         self.randomizer, self.conf = randomizer, physics
-        self.worlds = Sites([(world, weather)] * num_scenes)
+        self.worlds = BatchedWorlds([(world, weather)] * num_scenes)
         self.values = np.zeros((num_scenes, len(randomizer.names)))
         self.most_bodies = 0
         self._world = world

@@ -20,7 +20,7 @@ from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state import State
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.sites import BatchedWorlds
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ class VectorSimulation:
         return next(group for group in self.groups if group.name == name)
 
     @property
-    def worlds(self) -> Sites:
+    def worlds(self) -> BatchedWorlds:
         """The worlds of all scenes."""
         return self.scenes.worlds
 

@@ -12,7 +12,7 @@ from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import Proximity
 from dune_rl.env.scene_manager import scene_rows
 from dune_rl.state import ContactState, EpisodeState, GoalState, GroupState, State
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.sites import BatchedWorlds
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -30,7 +30,7 @@ class StateBuilder:
     the groups. `neighbours` are in the order of kinematic bodies, then robots.
     """
 
-    def __init__(self, groups: Sequence[AgentGroup], worlds: Sites, step_s: float) -> None:
+    def __init__(self, groups: Sequence[AgentGroup], worlds: BatchedWorlds, step_s: float) -> None:
         self._groups, self._worlds, self._step_s = groups, worlds, step_s
         self._outlines = [group.outline for group in groups]
         self._counts = [group.count for group in groups]
