@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
 from dune_rl.env.action_log import ActionLog
-from dune_rl.env.figures import robot_figure
+from dune_rl.env.figures import robot_moving_mesh
 from dune_rl.env.motion import Motion
 from dune_rl.env.places import Places
 from dune_rl.env.rovers import RoverOutcome, Rovers
@@ -116,7 +116,7 @@ class Batch:
         )
         self.actors = self._new_actors(seed)
         self.sites = self._places.sites
-        shapes = [robot_figure(robot.body) for robot in robots] if make_others else []
+        shapes = [robot_moving_mesh(robot.body) for robot in robots] if make_others else []
         self.rovers = tuple(
             Rovers(
                 robot,

@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.actors.actor import Actors
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.errors import ConfigError
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.geometry.several import HeightFields, RayScenes
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.rendering.air import BeamAir
-from dune_rl.rendering.foliage import Foliage, Foliages
-from dune_rl.rendering.moving import Figure
-from dune_rl.rendering.surface import Surfaces
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
@@ -24,9 +24,9 @@ from dune_rl.sensors.imu import Imu
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
 from dune_rl.sensors.suite import SensorsConf, Surroundings, make_sensors
-from dune_rl.worlds.appearance import in_weather, under_own_sun
-from dune_rl.worlds.sites import Look, Sites
-from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
+from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -48,24 +48,24 @@ class Senses:
     def __init__(
         self,
         conf: SensorsConf,
-        sites: Sites,
+        sites: BatchedWorlds,
         robot: Robot,
         actors: Actors,
         physics: PhysicsConf,
         *,
         worlds_differ: bool = False,
-        others: Sequence[Figure] = (),
+        others: Sequence[MovingMesh] = (),
     ) -> None:
         self.conf = conf = carried_by(robot, conf)
         num_scenes = len(sites)
         # The first world stands for all: they have the same extent.
-        world, weather = sites.looks[0].world, sites.looks[0].weather
-        shapes = [*figures(actors.confs), *others]
+        world, weather = sites.appearances[0].world, sites.appearances[0].weather
+        shapes = [*actor_moving_meshes(actors.confs), *others]
         around = Surroundings(
-            solid=RayScenes(sites.worlds.map(_rays)),
-            surfaces=Surfaces(sites.worlds.map(solid_look)),
+            solid=BatchedRayScenes(sites.worlds.map(_rays)),
+            surfaces=BatchedBeamSurfaces(sites.worlds.map(beam_surface)),
             figures=shapes,
-            terrain=HeightFields(sites.worlds.map(_terrain)),
+            terrain=BatchedHeightFields(sites.worlds.map(_terrain)),
             extent=world.extent,
             heights=_any_heights(world) if worlds_differ else _heights(world),
             num_wheels=len(robot.body.drive_joints),
@@ -116,18 +116,18 @@ class Senses:
         return {name: readings[name] for name in self._order}
 
 
-def _cameras(sites: Sites, shapes: Sequence[Figure], conf: CameraConf) -> Cameras:
-    def camera(look: Look) -> Camera:
-        return Camera(conf, in_weather(look.world, look.weather), shapes, look.air)
+def _cameras(sites: BatchedWorlds, shapes: Sequence[MovingMesh], conf: CameraConf) -> Cameras:
+    def camera(look: WorldAppearance) -> Camera:
+        return Camera(conf, bake_in_weather(look.world, look.weather), shapes, look.air)
 
-    return Cameras(conf, sites.looks.map(camera))
+    return Cameras(conf, sites.appearances.map(camera))
 
 
-def _beam_air(sites: Sites, weather: WeatherConf, worlds_differ: bool) -> BeamAir:
+def _beam_air(sites: BatchedWorlds, weather: WeatherConf, worlds_differ: bool) -> BeamMedia:
     grassy = worlds_differ or any(world.grass is not None for world, _ in sites.worlds.groups)
-    return BeamAir(
-        Haze.of(under_own_sun(sites.worlds[0], weather)),
-        Foliages(sites.worlds.map(_foliage)) if grassy else None,
+    return BeamMedia(
+        Haze.of(with_own_sun(sites.worlds[0], weather)),
+        BatchedFoliage(sites.worlds.map(_foliage)) if grassy else None,
     )
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.per_scene import Made, PerScene
-from dune_rl.rendering.air import Air
-from dune_rl.rendering.baked import Baked
-from dune_rl.rendering.moving import Figure
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
+from dune_rl.rendering.baked_scenery import BakedScenery
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_b
@@ -18,7 +18,7 @@ from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-_CLEAR = Air()
+_CLEAR = ParticipatingMedia()
 
 Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
 
@@ -57,7 +57,13 @@ class Camera:
     is the range of that and the segment VEGETATION. Normals are of what is solid.
     """
 
-    def __init__(self, conf: CameraConf, baked: Baked, figures: Sequence[Figure], air: Air = _CLEAR) -> None:
+    def __init__(
+        self,
+        conf: CameraConf,
+        baked: BakedScenery,
+        figures: Sequence[MovingMesh],
+        air: ParticipatingMedia = _CLEAR,
+    ) -> None:
         self.conf = conf
         self._air = air
         self._baked = baked
@@ -76,7 +82,7 @@ class Camera:
         self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
         self._tables()
 
-    def among(self, scenes: NDArray[np.int64]) -> "Camera":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "Camera":
         """Itself: it is the same for all scenes; see `Cameras`."""
         return self
 
@@ -91,10 +97,10 @@ class Camera:
         self._ground = _packed(baked.ground.reshape(-1, 3))
         self._faces = _packed(baked.faces)
         self._sky = _packed(baked.sky)
-        if baked.skin is not None:
+        if baked.texture is not None:
             # Index -1, a miss, finds the last entry.
             ground = np.zeros(baked.ground_faces, bool)
-            self._pictured = np.concatenate([ground, baked.skin.textured, [False]])
+            self._pictured = np.concatenate([ground, baked.texture.textured, [False]])
             steps = np.einsum("ij,ij->i", self._directions[1:], self._directions[:-1])
             self._pixel_rad = np.float32(np.median(np.arccos(np.clip(steps, -1.0, 1.0))))
 
@@ -161,7 +167,7 @@ class Camera:
         colour: NDArray[np.uint32] = np.where(
             on_ground, self._ground.take(index.ravel()), self._faces.take(face, mode="wrap")
         )
-        if self._baked.skin is not None:
+        if self._baked.texture is not None:
             self._put_pictures(colour, origin, directions, ranges, face)
         missed = face < 0
         if missed.any():
@@ -185,7 +191,7 @@ class Camera:
         along = ranges[ray]
         points = origin[scene].astype(np.float32) + directions.reshape(-1, 3)[ray] * along[:, None]
         own = face[ray] - self._baked.ground_faces
-        colour[ray] = _packed(self._baked.pictured(own, points, along * self._pixel_rad))
+        colour[ray] = _packed(self._baked.textured_colours(own, points, along * self._pixel_rad))
 
     def _draw_figures(
         self,
@@ -226,7 +232,9 @@ class Camera:
     ) -> None:
         """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
         foliage = self._air.foliage
-        veil = None if foliage is None else foliage.veil(origin.astype(np.float32), directions, ranges)
+        veil = (
+            None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
+        )
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])
@@ -238,7 +246,7 @@ class Camera:
                 segments[hidden] = Segment.VEGETATION
 
     def _pixels_near(
-        self, figure: Figure, origin: Array, rotation: Array, poses: Array
+        self, figure: MovingMesh, origin: Array, rotation: Array, poses: Array
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
         offset = poses[..., :3] + figure.centre - origin[:, None]
@@ -263,7 +271,7 @@ class Camera:
         return seen
 
 
-def groups(figures: Sequence[Figure]) -> list[tuple[Figure, NDArray[np.int64]]]:
+def groups(figures: Sequence[MovingMesh]) -> list[tuple[MovingMesh, NDArray[np.int64]]]:
     """Each different figure, with the columns of the actors that have it."""
     return [
         (figure, np.flatnonzero([figure is other for other in figures])) for figure in dict.fromkeys(figures)
@@ -273,13 +281,13 @@ def groups(figures: Sequence[Figure]) -> list[tuple[Figure, NDArray[np.int64]]]:
 class Cameras:
     """A `Camera` for each of M scenes, all of the same settings, in worlds and lights of their own."""
 
-    def __init__(self, conf: CameraConf, cameras: PerScene[Camera] | Made[Any, Camera]) -> None:
+    def __init__(self, conf: CameraConf, cameras: SharedPerScene[Camera] | DerivedCache[Any, Camera]) -> None:
         self.conf = conf
         self._cameras = cameras
 
-    def among(self, scenes: NDArray[np.int64]) -> "Cameras":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "Cameras":
         """Those of some scenes (m,), counted from 0 in their order."""
-        return Cameras(self.conf, PerScene([self._cameras[scene] for scene in scenes.tolist()]))
+        return Cameras(self.conf, SharedPerScene([self._cameras[scene] for scene in scenes.tolist()]))
 
     def frames(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, NDArray[Any]]:
         """As `Camera.frames`."""
@@ -327,7 +335,7 @@ class CameraSensor:
         rows = np.flatnonzero(mask)
         if not len(rows):
             return
-        camera = self._camera.among(rows)
+        camera = self._camera.select_scenes(rows)
         frames = camera.frames(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
         for name, frame in frames.items():
             self._frames[f"camera_{name}"][rows] = frame

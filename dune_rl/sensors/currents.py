@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, wheels_of
 from dune_rl.settings import Settings
 
@@ -59,7 +59,7 @@ class Currents:
         wheels = wheels_of(now)
         driving = wheels.torque * wheels.speed > 0.0
         current = wheels.torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
-        self._reading = within(current, -self._limit_a, self._limit_a).astype(np.float32)
+        self._reading = clip(current, -self._limit_a, self._limit_a).astype(np.float32)
 
     def read(self) -> dict[str, Reading]:
         """The present currents."""

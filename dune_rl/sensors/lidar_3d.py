@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.several import AnyRays
-from dune_rl.rendering.air import Air, BeamAir
-from dune_rl.rendering.moving import Figure
+from dune_rl.geometry.batched import AnyRays
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import Surface, Surfaces, luminance
 from dune_rl.sensors.camera import groups
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-_CLEAR = Air()
+_CLEAR = ParticipatingMedia()
 
 
 class RangeFaults(Protocol):
@@ -84,10 +84,10 @@ class Lidar3d:
         self,
         conf: Lidar3dConf,
         solid: AnyRays,
-        surface: Surface | Surfaces,
-        figures: Sequence[Figure],
+        surface: BeamSurface | BatchedBeamSurfaces,
+        figures: Sequence[MovingMesh],
         num_scenes: int,
-        air: Air | BeamAir = _CLEAR,
+        air: ParticipatingMedia | BeamMedia = _CLEAR,
         faults: RangeFaults | None = None,
     ) -> None:
         self.conf = conf
@@ -179,7 +179,10 @@ class Lidar3d:
         solid, surface = self._solid, self._surface
         if rows is not None:
             # Which face is how bright takes a moment to work out, and is not always asked.
-            solid, surface = solid.among(rows), surface if self._range_only else surface.among(rows)
+            solid, surface = (
+                solid.select_scenes(rows),
+                surface if self._range_only else surface.select_scenes(rows),
+            )
         scenes, count = len(position_w), len(self._directions_b)
         origin = position_w + rotation @ place_b(conf.mount_b)
         origins32 = origin.astype(np.float32)
@@ -188,10 +191,10 @@ class Lidar3d:
         brightness = np.zeros(0 if self._range_only else len(ranges), np.float32)
         segments = np.zeros(len(brightness), np.uint8)
         if self._range_only:
-            solid.shorten(origins32, directions, ranges)
+            solid.shorten_ranges(origins32, directions, ranges)
         else:
             face, ranges, normal = solid.hits(origins32, directions, ranges)
-            segments, albedo = surface.met(face)
+            segments, albedo = surface.look_up(face)
             brightness = albedo * _incidence(normal, directions)
         for (figure, columns), albedo in zip(self._groups, self._brightness, strict=True):
             poses = actor_poses[:, columns]
@@ -222,7 +225,7 @@ class Lidar3d:
         return found
 
     def _rays_near(
-        self, figure: Figure, origin: Array, rotation: Array, poses: Array
+        self, figure: MovingMesh, origin: Array, rotation: Array, poses: Array
     ) -> tuple[Indices, Indices]:
         """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
         offset = poses[..., :3] + figure.centre - origin[:, None]

@@ -6,11 +6,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.air import Air, BeamAir
-from dune_rl.rendering.foliage import Foliage, Foliages
+from dune_rl.rendering.beam_surface import luminance
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.grass_colour import grass_albedo
+from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import luminance
 from dune_rl.sensors.draws import uniform
 from dune_rl.sensors.sensor import Moment, Mount, place_b
 
@@ -110,7 +110,7 @@ class InGrass:
 
     def __init__(
         self,
-        foliage: Foliage | Foliages,
+        foliage: Foliage | BatchedFoliage,
         name: str,
         directions_b: NDArray[np.floating],
         mount_b: Mount,
@@ -122,7 +122,7 @@ class InGrass:
 
     def applied(self, ranges: Floats, now: Moment) -> Floats:
         """`ranges` (M, N) [m], shortened where a blade is met."""
-        if isinstance(self._foliage, Foliages) and self._foliage.none:
+        if isinstance(self._foliage, BatchedFoliage) and self._foliage.none:
             return ranges
         origins = (now.position_w + now.rotation @ self._mount_b).astype(np.float32)
         directions = self._directions_b @ now.rotation.transpose(0, 2, 1).astype(np.float32)
@@ -133,7 +133,7 @@ class InGrass:
 
 
 def effects_of(
-    air: Air | BeamAir,
+    air: ParticipatingMedia | BeamMedia,
     name: str,
     directions_b: NDArray[np.floating],
     mount_b: Mount,

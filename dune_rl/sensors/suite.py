@@ -7,10 +7,10 @@ from typing import Literal
 from pydantic import Field
 
 from dune_rl.errors import ConfigError
-from dune_rl.geometry.several import HeightFields, RayScenes
-from dune_rl.rendering.air import BeamAir
-from dune_rl.rendering.moving import Figure
-from dune_rl.rendering.surface import Surfaces
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.sensors.camera import CameraConf, Cameras, CameraSensor
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
@@ -159,16 +159,16 @@ class Surroundings:
     where a camera is enabled.
     """
 
-    solid: RayScenes
-    surfaces: Surfaces
-    figures: Sequence[Figure]
-    terrain: HeightFields
+    solid: BatchedRayScenes
+    surfaces: BatchedBeamSurfaces
+    figures: Sequence[MovingMesh]
+    terrain: BatchedHeightFields
     extent: tuple[float, float, float, float]
     heights: tuple[float, float]
     num_wheels: int
     wheels: DriveGeometry | None
     cameras: Callable[[CameraConf], Cameras]
-    air: BeamAir
+    air: BeamMedia
 
 
 def make_sensors(
