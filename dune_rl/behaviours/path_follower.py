@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.behaviours.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
 from dune_rl.errors import WorldError
-from dune_rl.geometry.per_scene import SharedPerScene, query_grouped
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.settings import Settings
 from dune_rl.worlds.world import World
 

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.moving import MovingMesh
+from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import Segment, ColouredMesh
 from dune_rl.settings import Settings
 

@@ -12,7 +12,7 @@ from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import BodyMotion, Robot
 from dune_rl.state import JointState, Motion
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
 from dune_rl.env.sensing import build_suite
 from dune_rl.env.state_builder import StateBuilder
-from dune_rl.rendering.moving import MovingMesh
+from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.tasks.spawn import SpawnConf
 
 # A new touch of the same body counts as a new collision after this long without one.

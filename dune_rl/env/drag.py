@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.per_scene import Rows, agent_rows
+from dune_rl.geometry.shared_per_scene import Rows, agent_rows
 from dune_rl.robots.robot import Robot
 from dune_rl.state import Motion
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 

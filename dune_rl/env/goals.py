@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.path_follower import PathFollower
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.geometry.per_scene import SharedPerScene as SharedPerScene
+from dune_rl.geometry.shared_per_scene import SharedPerScene as SharedPerScene
 from dune_rl.seeding import stream
 from dune_rl.state import GoalState, Motion
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner

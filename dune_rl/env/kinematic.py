@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.state import Motion
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

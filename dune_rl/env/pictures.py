@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.env.batch import Batch
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.geometry.per_scene import DerivedCache
-from dune_rl.rendering.body import PosedMesh, RayMesh
+from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.picture import Renderer, Viewpoint
-from dune_rl.rendering.scenery import Segment, ColouredMesh, join_meshes
+from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.visual import RobotVisual
 from dune_rl.worlds.appearance import bake_in_weather
-from dune_rl.worlds.sites import WorldAppearance
+from dune_rl.worlds.batched_worlds import WorldAppearance
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -20,7 +20,7 @@ from dune_rl.physics.interface import (
     SceneSpec,
 )
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 # A world without room for the agents is passed over for another draw, at most so many times.

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from dune_rl.actors.actor import Actors
 from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.errors import ConfigError
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.geometry.several import BatchedHeightFields, BatchedRayScenes
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.rendering.air import BeamMedia
-from dune_rl.rendering.foliage import Foliage, BatchedFoliage
-from dune_rl.rendering.moving import MovingMesh
-from dune_rl.rendering.surface import BatchedBeamSurfaces
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
@@ -25,8 +25,8 @@ from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.sensor import PI32, Bounds, Moment, Reading
 from dune_rl.sensors.suite import SensorsConf, Surroundings, make_sensors
 from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
-from dune_rl.worlds.sites import WorldAppearance, BatchedWorlds
-from dune_rl.worlds.solid_look import beam_surface
+from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ class Senses:
         around = Surroundings(
             solid=BatchedRayScenes(sites.worlds.map(_rays)),
             surfaces=BatchedBeamSurfaces(sites.worlds.map(beam_surface)),
-            actor_moving_meshes=shapes,
+            figures=shapes,
             terrain=BatchedHeightFields(sites.worlds.map(_terrain)),
             extent=world.extent,
             heights=_any_heights(world) if worlds_differ else _heights(world),

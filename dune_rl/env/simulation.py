@@ -20,7 +20,7 @@ from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state import State
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import Proximity
 from dune_rl.env.scene_manager import scene_rows
 from dune_rl.state import ContactState, EpisodeState, GoalState, GroupState, State
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import DerivedCache, SharedPerScene
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -96,7 +96,9 @@ class Foliage:
         depths = np.full(len(directions), _MEDIAN, np.float32)
         return self._marched(origins, directions, ranges, depths, self.extinction, _BEAM_STEP, 0)[0]
 
-    def transmission(self, origins: Floats, directions: Floats, ranges: Floats, *, tufts: bool = False) -> FoliageTransmission:
+    def transmission(
+        self, origins: Floats, directions: Floats, ranges: Floats, *, tufts: bool = False
+    ) -> FoliageTransmission:
         """What lies before rays of `ranges` (N,) [m]; `tufts` tells single ones near by apart."""
         depths = np.full(len(directions), _MEDIAN, np.float32)
         step, detail = (_TUFT_STEP, 2) if tufts else (_PIXEL_STEP, 1)

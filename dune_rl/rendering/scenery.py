@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.texture import MeshTexture, join_textures
+from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
 
 Floats = NDArray[np.float32]
 
@@ -37,7 +37,7 @@ class ColouredMesh:
     faces: NDArray[np.int32]
     albedo: Floats
     segments: NDArray[np.uint8]
-    skin: MeshTexture | None = None
+    texture: MeshTexture | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ import trimesh
 from defusedxml.ElementTree import parse
 from numpy.typing import NDArray
 
-from dune_rl.rendering.body import PosedMesh, RayMesh
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.scenery import Segment, ColouredMesh, join_meshes
+from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.urdf.meshes import UrdfMeshes
 
 Array = NDArray[np.float64]
@@ -118,7 +118,9 @@ def _rgb(material: Element | None) -> tuple[float, float, float]:
     return float(red), float(green), float(blue)
 
 
-def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]], meshes: UrdfMeshes) -> ColouredMesh:
+def _visual(
+    element: Element, colours: Mapping[str, tuple[float, float, float]], meshes: UrdfMeshes
+) -> ColouredMesh:
     geometry = element.find("geometry")
     assert geometry is not None and len(geometry), "a visual element has a geometry"
     own: Array | None = None

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.per_scene import DerivedCache, SharedPerScene
-from dune_rl.rendering.air import ParticipatingMedia
-from dune_rl.rendering.baked import BakedScenery
-from dune_rl.rendering.moving import MovingMesh
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
+from dune_rl.rendering.baked_scenery import BakedScenery
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_b
@@ -57,7 +57,13 @@ class Camera:
     is the range of that and the segment VEGETATION. Normals are of what is solid.
     """
 
-    def __init__(self, conf: CameraConf, baked: BakedScenery, figures: Sequence[MovingMesh], air: ParticipatingMedia = _CLEAR) -> None:
+    def __init__(
+        self,
+        conf: CameraConf,
+        baked: BakedScenery,
+        figures: Sequence[MovingMesh],
+        air: ParticipatingMedia = _CLEAR,
+    ) -> None:
         self.conf = conf
         self._air = air
         self._baked = baked
@@ -226,7 +232,9 @@ class Camera:
     ) -> None:
         """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
         foliage = self._air.foliage
-        veil = None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
+        veil = (
+            None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
+        )
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])

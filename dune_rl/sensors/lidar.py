@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.geometry.batched import AnyRays
 from dune_rl.geometry.rays import RayScene
-from dune_rl.geometry.several import AnyRays
 from dune_rl.sensors.sensor import Mount, place_b
 from dune_rl.settings import Settings
 

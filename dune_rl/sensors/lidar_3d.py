@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.several import AnyRays
-from dune_rl.rendering.air import ParticipatingMedia, BeamMedia
-from dune_rl.rendering.moving import MovingMesh
+from dune_rl.geometry.batched import AnyRays
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import BeamSurface, BatchedBeamSurfaces, luminance
 from dune_rl.sensors.camera import groups
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
@@ -179,7 +179,10 @@ class Lidar3d:
         solid, surface = self._solid, self._surface
         if rows is not None:
             # Which face is how bright takes a moment to work out, and is not always asked.
-            solid, surface = solid.select_scenes(rows), surface if self._range_only else surface.select_scenes(rows)
+            solid, surface = (
+                solid.select_scenes(rows),
+                surface if self._range_only else surface.select_scenes(rows),
+            )
         scenes, count = len(position_w), len(self._directions_b)
         origin = position_w + rotation @ place_b(conf.mount_b)
         origins32 = origin.astype(np.float32)

@@ -7,10 +7,10 @@ from typing import Literal
 from pydantic import Field
 
 from dune_rl.errors import ConfigError
-from dune_rl.geometry.several import BatchedHeightFields, BatchedRayScenes
-from dune_rl.rendering.air import BeamMedia
-from dune_rl.rendering.moving import MovingMesh
-from dune_rl.rendering.surface import BatchedBeamSurfaces
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.sensors.camera import CameraConf, Cameras, CameraSensor
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf

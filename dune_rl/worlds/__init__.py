@@ -9,7 +9,7 @@ from dune_rl.worlds.ground import GRAVEL, MEADOW, Ground
 from dune_rl.worlds.props import beam, merge_meshes, slab, tube, upright_box
 from dune_rl.worlds.rocks import rock
 from dune_rl.worlds.roughness import rough_field
-from dune_rl.worlds.soundness import check_world
+from dune_rl.worlds.validation import check_world
 from dune_rl.worlds.world import Prop, World
 
 __all__ = [
@@ -24,8 +24,8 @@ __all__ = [
     "World",
     "beam",
     "check_world",
-    "grow",
-    "merge",
+    "grow_grass",
+    "merge_meshes",
     "rock",
     "rough_field",
     "slab",

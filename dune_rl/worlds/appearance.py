@@ -6,13 +6,13 @@ from collections.abc import Callable, Hashable
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.baked import LAST_KEPT, BakedScenery
+from dune_rl.rendering.baked_scenery import LAST_KEPT, BakedScenery
 from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
-from dune_rl.rendering.scenery import GroundTexture, Scenery, ColouredMesh, join_meshes
+from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, join_meshes
 from dune_rl.rendering.weather import Haze, WeatherConf, weather_light
 from dune_rl.worlds.cache_folder import DiskCache
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import ground_texture, apply_ground_picture
+from dune_rl.worlds.ground import apply_ground_picture, ground_texture
 from dune_rl.worlds.world import Prop, World
 
 _LIGHTS_KEPT = 4
@@ -45,7 +45,11 @@ def _lit(world: World, key: Hashable, light: Callable[[], Light]) -> BakedScener
         return looks[key]
     # What does not hang on the light takes most of the time.
     known = next(iter(looks.values()), None)
-    looks[key] = BakedScenery(build_scenery(world), light(), world.disk_cached) if known is None else known.relight(light())
+    looks[key] = (
+        BakedScenery(build_scenery(world), light(), world.disk_cached)
+        if known is None
+        else known.relight(light())
+    )
     if len(looks) > _LIGHTS_KEPT:
         looks.popitem(last=False)
     return looks[key]
@@ -90,4 +94,6 @@ def _shape(prop: Prop) -> ColouredMesh:
     count = len(prop.faces)
     colours = np.array(prop.colour) if prop.face_colours is None else prop.face_colours
     albedo = np.broadcast_to(srgb_to_linear(colours), (count, 3))
-    return ColouredMesh(prop.vertices, prop.faces, albedo, np.full(count, prop.segment_class, np.uint8), prop.texture)
+    return ColouredMesh(
+        prop.vertices, prop.faces, albedo, np.full(count, prop.segment_class, np.uint8), prop.texture
+    )

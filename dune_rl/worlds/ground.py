@@ -76,7 +76,9 @@ def texels(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
     return rows, columns
 
 
-def apply_ground_picture(terrain: HeightField, ground: Ground, seed: int, picture: GroundPicture) -> GroundTexture:
+def apply_ground_picture(
+    terrain: HeightField, ground: Ground, seed: int, picture: GroundPicture
+) -> GroundTexture:
     """The look of a `picture` on `terrain`, grained like `ground` where it has no detail of its own."""
     albedo = srgb_to_linear(picture.colours)
     if picture.detailed.all():

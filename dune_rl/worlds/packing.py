@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.texture import MeshTexture
 from dune_rl.settings import Settings
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
@@ -47,7 +47,7 @@ _ENUMS: tuple[type[Enum], ...] = (Segment,)
 # Worked out on first use, and yet worth keeping.
 _KEPT = ("clearance_field",)
 # Held by a world, and none of what it is.
-_LEFT_OUT = ("shelf",)
+_LEFT_OUT = ("disk_cache",)
 _TYPES = ("float64", "float32", "int64", "int32", "uint8", "bool")
 
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, unit_vector, merge_meshes
+from dune_rl.worlds.props import Mesh, merge_meshes, unit_vector
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, beam, unit_vector, merge_meshes, slab, tube, upright_box
+from dune_rl.worlds.props import Mesh, beam, merge_meshes, slab, tube, unit_vector, upright_box
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]

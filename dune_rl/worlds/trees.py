@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
-from dune_rl.worlds.props import Mesh, unit_vector, level_axes, merge_meshes
+from dune_rl.worlds.props import Mesh, level_axes, merge_meshes, unit_vector
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.texture import MeshTexture
 from dune_rl.worlds.cache_folder import DiskCache
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
@@ -55,7 +55,7 @@ class Prop:
     segment: Segment | None = None
     surface: SurfaceName | None = None
     face_colours: NDArray[np.float32] | None = None
-    skin: MeshTexture | None = None
+    texture: MeshTexture | None = None
 
     @property
     def segment_class(self) -> Segment:
@@ -89,7 +89,7 @@ class World:
     from it.
     """
 
-    shelf: DiskCache | None = None
+    disk_cache: DiskCache | None = None
 
     def __init__(
         self,
@@ -134,7 +134,7 @@ class World:
         return found
 
     def disk_cached(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """What `make` gives, read back from `disk_cache` if there is one: what follows from the world alone."""
+        """What `make` gives, read back from the `disk_cache` if there is one."""
         return make() if self.disk_cache is None else self.disk_cache.keep(name, make)
 
     @property

@@ -19,9 +19,9 @@ from dune_rl.env.motion import Motion
 from dune_rl.env.pictures import Pictures
 from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf
-from dune_rl.rendering.picture import Viewpoint
+from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.sites import BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 

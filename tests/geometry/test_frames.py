@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dune_rl.geometry.frames import (
+    clip,
     cross,
     multiply_quaternions,
     quaternion_on_slope,
@@ -14,7 +15,6 @@ from dune_rl.geometry.frames import (
     rotation_matrices,
     to_body,
     to_world,
-    clip,
     wrap_angle,
 )
 

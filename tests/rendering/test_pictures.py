@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from painting import SIZE, box, plain
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.rendering.body import PosedMesh, RayMesh
 from dune_rl.rendering.light import LightConf, srgb_to_linear
-from dune_rl.rendering.picture import Renderer, Viewpoint
-from dune_rl.rendering.scenery import Segment, ColouredMesh
+from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.props import slab
 from dune_rl.worlds.world import Prop
@@ -83,7 +83,7 @@ def test_a_picture_of_the_same_scene_is_the_same():
 def test_a_picture_painted_in_parts_is_the_same(monkeypatch):
     one, bodies = painter(box(0.0, 0.0, 1.0, 1.0, 1.0)), [body(-1.0, 1.0, 0.5)]
     whole = one.paint(ASLANT, *SIZE, bodies)
-    monkeypatch.setattr("dune_rl.rendering.picture._RAYS_AT_ONCE", 1000)
+    monkeypatch.setattr("dune_rl.rendering.renderer._RAYS_AT_ONCE", 1000)
     assert one.paint(ASLANT, *SIZE, bodies).tobytes() == whole.tobytes()
 
 

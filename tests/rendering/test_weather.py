@@ -11,15 +11,15 @@ from scipy import integrate
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.air import ParticipatingMedia
 from dune_rl.rendering.light import Light, LightConf, tone_map_to_srgb
 from dune_rl.rendering.light import srgb_to_linear as decoded
-from dune_rl.rendering.picture import Renderer, Viewpoint
-from dune_rl.rendering.weather import Haze, WeatherConf, weather_light, sun_position
+from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.weather import Haze, WeatherConf, sun_position, weather_light
 from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.medium import InHaze, effects_of
 from dune_rl.sensors.scanner import Scanner
-from dune_rl.worlds.appearance import bake_world, bake_in_weather
+from dune_rl.worlds.appearance import bake_in_weather, bake_world
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
@@ -60,7 +60,9 @@ def test_fog_and_dust_add_up():
 
 
 def test_haze_takes_the_sun_and_covers_the_sky():
-    clear, thin, fog = (weather_light(weather) for weather in (CLEAR, WeatherConf(fog_visibility_m=5_000.0), FOG))
+    clear, thin, fog = (
+        weather_light(weather) for weather in (CLEAR, WeatherConf(fog_visibility_m=5_000.0), FOG)
+    )
     plain = Light.of(LightConf())
     for name in ("to_sun", "sun", "zenith", "horizon"):
         np.testing.assert_array_equal(getattr(clear, name), getattr(plain, name))
@@ -130,7 +132,10 @@ def test_a_camera_sees_through_haze_by_beer_and_lambert(world):
     # Up to a half in linear light, the screen's bytes tell it without compression.
     dark = (decoded(colours) < 0.5).all(axis=-1) & (clear["depth"][0, ..., 0] < 60.0)
     assert dark.sum() > 150
-    expected = tone_map_to_srgb((decoded(colours) * passed + haze.colour * (1.0 - passed)).astype(np.float32)) * 255.0
+    expected = (
+        tone_map_to_srgb((decoded(colours) * passed + haze.colour * (1.0 - passed)).astype(np.float32))
+        * 255.0
+    )
     np.testing.assert_allclose(seen["rgb"][0][dark], expected[dark], atol=2.0)
     assert np.abs(seen["rgb"][0][dark].astype(int) - clear["rgb"][0][dark]).mean() > 10.0
     sky = clear["depth"][0, ..., 0] == 60.0
@@ -139,7 +144,9 @@ def test_a_camera_sees_through_haze_by_beer_and_lambert(world):
 
 def test_the_sky_of_a_weather_has_its_haze(world):
     fog, clear = (
-        pictures(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather)))["rgb"][0, 0, 0].astype(int)
+        pictures(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather)))["rgb"][
+            0, 0, 0
+        ].astype(int)
         for weather in (FOG, CLEAR)
     )
     assert np.ptp(fog) < 0.5 * np.ptp(clear)
@@ -152,7 +159,9 @@ def test_clear_air_keeps_the_bytes(world):
     for name, picture in plain.frames(STANDING, LEVEL, NOBODY).items():
         np.testing.assert_array_equal(picture, pictures(look, ParticipatingMedia())[name])
     view = Viewpoint((0.0, 0.0, 1.0), (10.0, 0.0, 0.8))
-    np.testing.assert_array_equal(Renderer(look).paint(view, 48, 32), Renderer(look, ParticipatingMedia()).paint(view, 48, 32))
+    np.testing.assert_array_equal(
+        Renderer(look).paint(view, 48, 32), Renderer(look, ParticipatingMedia()).paint(view, 48, 32)
+    )
     assert effects_of(ParticipatingMedia(), "lidar", np.eye(3), (0.0, 0.0, 0.0), (0.1, 12.0)) == []
 
 
@@ -161,7 +170,9 @@ def test_large_pictures_fade(world):
     contrast = []
     for visibility in (None, 200.0, 15.0):
         weather = WeatherConf(fog_visibility_m=visibility)
-        picture = Renderer(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather))).paint(view, 48, 32)
+        picture = Renderer(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather))).paint(
+            view, 48, 32
+        )
         contrast.append(float(picture.std()))
     assert contrast[0] > contrast[1] > contrast[2] > 0.0
     assert contrast[2] < 0.5 * contrast[0]

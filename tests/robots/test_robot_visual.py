@@ -8,8 +8,8 @@ import pytest
 from scenes import about
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.rendering.body import PosedMesh
 from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.posed_mesh import PosedMesh
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.visual import RobotVisual
 

@@ -14,14 +14,14 @@ from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import luminance
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.props import upright_box
-from dune_rl.worlds.solid_look import beam_surface
 from dune_rl.worlds.world import Prop, World
 
 EVERYTHING = ("range", "intensity", "segmentation")
@@ -37,7 +37,11 @@ def lidar_3d_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 
     solid = world.solid_mesh()
     settings = lidar_3d_conf(**{"outputs": EVERYTHING, **conf})
     return Lidar3d(
-        settings, RayScene(solid.vertices, solid.faces), beam_surface(world), actor_moving_meshes(actors), scenes
+        settings,
+        RayScene(solid.vertices, solid.faces),
+        beam_surface(world),
+        actor_moving_meshes(actors),
+        scenes,
     )
 
 
@@ -160,7 +164,9 @@ def test_a_world_s_look_follows_its_solid_faces():
     for index in np.unique(owner[owner >= 0]):
         prop, of = world.props[index], np.flatnonzero(owner == index)
         assert (look.segments[of] == (Segment.DECK if prop.drivable else Segment.OBSTACLE)).all()
-        np.testing.assert_allclose(look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5)
+        np.testing.assert_allclose(
+            look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5
+        )
     ground = look.luminance[:-1][owner < 0]
     # Grass and earth differ, and neither is black or white.
     assert 0.05 < ground.min() < 0.9 * ground.max() < 0.5

@@ -21,7 +21,7 @@ from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.view import drivers, maps
 from dune_rl.view.drivers import ending
-from dune_rl.visualization import site_colours as colours
+from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.figure import site_map
 from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,

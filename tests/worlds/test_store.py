@@ -129,7 +129,7 @@ def test_looks_are_kept_beside_worlds(
     assert not store.is_kept(conf, seen=True)
     precompute_appearance(store.get(conf))
     assert store.is_kept(conf, seen=True)
-    monkeypatch.setattr("dune_rl.rendering.baked.sky_share", None)
+    monkeypatch.setattr("dune_rl.rendering.baked_scenery.sky_share", None)
     monkeypatch.setattr("dune_rl.worlds.appearance.ground_texture", None)
     kept = bake_world(store.get(conf), light)
     for name in ("sky_share", "things_sky_share", "ground", "faces", "segments"):

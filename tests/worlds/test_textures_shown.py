@@ -13,11 +13,11 @@ from world_files import ground_height
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf, srgb_to_linear
-from dune_rl.rendering.picture import Renderer, Viewpoint
-from dune_rl.rendering.texture import MeshTexture, TextureSampler
+from dune_rl.rendering.mesh_texture import MeshTexture, TextureSampler
+from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.camera import Camera
-from dune_rl.worlds.appearance import bake_world, bake_in_weather, build_scenery, with_own_sun
+from dune_rl.worlds.appearance import bake_in_weather, bake_world, build_scenery, with_own_sun
 from dune_rl.worlds.importing import import_files
 from dune_rl.worlds.importing.import_files import ImportReport, WorldWarning
 from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
@@ -89,9 +89,9 @@ def test_the_ground_shows_its_picture_where_it_lies(yard):
 
 def test_pictures_and_plain_faces_stand_side_by_side():
     triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    skin = MeshTexture.of(np.asarray(quadrants()), triangle[None], triangle[None, :, :2])
+    texture = MeshTexture.of(np.asarray(quadrants()), triangle[None], triangle[None, :, :2])
     settings = {"vertices": triangle, "faces": np.array([[0, 1, 2]], np.int32)}
-    shown = Prop("a", "sign", **settings, skin=skin)
+    shown = Prop("a", "sign", **settings, texture=texture)
     coloured = Prop("b", "box", **settings, face_colours=np.array([[0.0, 1.0, 0.0]], np.float32))
     flat = HeightField(np.zeros((3, 3)), 1.0, (-1.0, -1.0))
     look = build_scenery(World("w", flat, [coloured, shown, coloured], region=(0, 1, 0, 1))).things
@@ -135,7 +135,8 @@ def test_pictures_together_are_held_to_a_size():
     look = square([[0, 0], [1, 0], [1, 1]], np.full((600, 900, 3), 90, np.uint8))
     assert look.textured.all()
     small = TextureSampler(
-        MeshTexture.of(np.full((600, 900, 3), 90, np.uint8), np.eye(3)[None], np.zeros((1, 3, 2))), most_texels=1000
+        MeshTexture.of(np.full((600, 900, 3), 90, np.uint8), np.eye(3)[None], np.zeros((1, 3, 2))),
+        most_texels=1000,
     )
     assert len(small._texels) <= 2000
     np.testing.assert_allclose(

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dune_rl.errors import RobotError, WorldError
-from dune_rl.worlds.importing.import_files import WorldFiles, ImportReport, printable
+from dune_rl.worlds.importing.import_files import ImportReport, WorldFiles, printable
 from dune_rl.worlds.importing.mesh_files import FORMATS, mesh_parts
 from dune_rl.worlds.importing.parts import MeshPart
 
@@ -35,9 +35,9 @@ class UrdfMeshes:
             folders = list(self._packages(package))
             if not folders:
                 raise RobotError(
-                    f"{shown(name)}: there is no package {shown(package)!r} above {self._urdf.name} nor in "
-                    f"{PACKAGE_VARIABLE}; put the folder {shown(package)} beside the file, or set "
-                    f"{PACKAGE_VARIABLE}."
+                    f"{printable(name)}: there is no package {printable(package)!r} above "
+                    f"{self._urdf.name} nor in {PACKAGE_VARIABLE}; put the folder {printable(package)} "
+                    f"beside the file, or set {PACKAGE_VARIABLE}."
                 )
             searched = [WorldFiles(folder) for folder in folders]
         else:
@@ -51,14 +51,14 @@ class UrdfMeshes:
             except WorldError as error:
                 raise RobotError(_for_robots(error)) from None
         where = ", ".join(str(folder.base) for folder in searched)
-        raise RobotError(f"the mesh {shown(name)} is not in {where}; copy it there, or mend the name.")
+        raise RobotError(f"the mesh {printable(name)} is not in {where}; copy it there, or mend the name.")
 
     def parts(self, name: str) -> list[MeshPart]:
         """The mesh as coloured parts in metres, in the axes of the file."""
         path = self.find(name)
         if path.suffix.lower() not in FORMATS:
             raise RobotError(
-                f"the mesh {shown(name)} has the ending {path.suffix or '(none)'}; "
+                f"the mesh {printable(name)} has the ending {path.suffix or '(none)'}; "
                 f"meshes are read from {', '.join(FORMATS)}."
             )
         try:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import euler_matrix
 
 from dune_rl.errors import RobotError, WorldError
-from dune_rl.worlds.importing.import_files import read_bytes, read_xml, printable
+from dune_rl.worlds.importing.import_files import printable, read_bytes, read_xml
 
 Array = NDArray[np.float64]
 JointKind = Literal["fixed", "continuous", "revolute", "prismatic"]
@@ -114,7 +114,7 @@ def read_urdf(path: str | Path) -> UrdfModel:
     if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
         raise RobotError(_expand(file))
     if root.tag != "robot":
-        raise RobotError(f"{file.name} begins with <{shown(str(root.tag))}>, and a URDF with <robot>.")
+        raise RobotError(f"{file.name} begins with <{printable(str(root.tag))}>, and a URDF with <robot>.")
     try:
         return _Reader(file).model(root)
     except _FaultError as fault:
@@ -138,7 +138,7 @@ class _Reader:
         for element in root.findall("link"):
             link = self._link(element)
             if link.name in links:
-                raise _FaultError(f"there are two links {shown(link.name)!r}; rename one.")
+                raise _FaultError(f"there are two links {printable(link.name)!r}; rename one.")
             links[link.name] = link
         if not links:
             raise _FaultError("it has no links; a robot has one at least.")
@@ -148,7 +148,7 @@ class _Reader:
         for element in root.findall("joint"):
             joint = self._joint(element, links)
             if joint.name in joints:
-                raise _FaultError(f"there are two joints {shown(joint.name)!r}; rename one.")
+                raise _FaultError(f"there are two joints {printable(joint.name)!r}; rename one.")
             joints[joint.name] = joint
         base = _base_of(links, list(joints.values()))
         materials = tuple(root.findall("material"))
@@ -156,7 +156,7 @@ class _Reader:
 
     def _link(self, element: Element) -> Link:
         name = _name(element)
-        where = f"link {shown(name)!r}"
+        where = f"link {printable(name)!r}"
         inertial = element.find("inertial")
         return Link(
             name,
@@ -167,15 +167,17 @@ class _Reader:
 
     def _joint(self, element: Element, links: dict[str, Link]) -> Joint:
         name, kind = _name(element), element.get("type", "")
-        where = f"joint {shown(name)!r}"
+        where = f"joint {printable(name)!r}"
         if kind not in _KINDS:
-            raise _FaultError(f"{where} has the type {shown(kind)!r}; types are {', '.join(_KINDS)}.")
+            raise _FaultError(f"{where} has the type {printable(kind)!r}; types are {', '.join(_KINDS)}.")
         ends = []
         for end in ("parent", "child"):
             found = element.find(end)
             link = None if found is None else found.get("link")
             if link is None or link not in links:
-                raise _FaultError(f"{where}: its {end} is {shown(str(link))!r}, and no link is called so.")
+                raise _FaultError(
+                    f"{where}: its {end} is {printable(str(link))!r}, and no link is called so."
+                )
             ends.append(link)
         axis = _numbers(element.find("axis"), "xyz", 3, (1.0, 0.0, 0.0), where)
         length = float(np.linalg.norm(axis))
@@ -210,7 +212,8 @@ def _base_of(links: dict[str, Link], joints: Sequence[Joint]) -> str:
     for joint in joints:
         if joint.child in parents:
             raise _FaultError(
-                f"link {shown(joint.child)!r} is the child of two joints; a URDF is a tree, so remove one."
+                f"link {printable(joint.child)!r} is the child of two joints; "
+                "a URDF is a tree, so remove one."
             )
         parents[joint.child] = joint.parent
     bases = [name for name in links if name not in parents]
@@ -224,7 +227,7 @@ def _base_of(links: dict[str, Link], joints: Sequence[Joint]) -> str:
         while name in parents:
             name = parents[name]
             if name in seen:
-                raise _FaultError(f"its joints run in a loop by way of link {shown(name)!r}; remove one.")
+                raise _FaultError(f"its joints run in a loop by way of link {printable(name)!r}; remove one.")
             seen.add(name)
     return bases[0]
 
@@ -279,7 +282,8 @@ def _geometry(element: Element, where: str) -> Geometry:
         return Geometry("mesh", size, pose, shape.get("filename"), element)
     else:
         raise _FaultError(
-            f"{where}: a <{shown(str(shape.tag))}> is no shape of a URDF; use box, cylinder, sphere or mesh."
+            f"{where}: a <{printable(str(shape.tag))}> is no shape of a URDF; "
+            "use box, cylinder, sphere or mesh."
         )
     if min(size) <= 0.0:
         raise _FaultError(f"{where}: a <{shape.tag}> has a size of {min(size):g} m; sizes are above 0.")
@@ -309,7 +313,7 @@ def _numbers(
     # Beyond this, nothing is a robot's, and squares of it overflow.
     if len(found) != count or not all(abs(value) < 1e9 for value in found):
         tag = "" if element is None else f"<{element.tag}> "
-        raise _FaultError(f"{where}: {tag}{key}={shown(text)!r} must be {count} finite numbers.")
+        raise _FaultError(f"{where}: {tag}{key}={printable(text)!r} must be {count} finite numbers.")
     return found
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dune_rl.visualization import site_colours as colours
+from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.legend import (
     LINE_IN,
     ROWS,

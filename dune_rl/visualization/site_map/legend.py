@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle as Box
 
-from dune_rl.visualization import site_colours as colours
+from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import Figures, figures, greenery, slope_edges, water
 from dune_rl.visualization.site_map.page import Place, page_axes, write
 from dune_rl.visualization.site_map.panel import Site

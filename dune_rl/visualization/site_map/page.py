@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle as Box
 
-from dune_rl.visualization import site_colours as colours
+from dune_rl.visualization.site_map import colours
 
 WIDTH_IN, HEIGHT_IN = 13.0, 8.0
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from dune_rl.tasks.spawn import Placement, Spawner
-from dune_rl.visualization import site_colours as colours
+from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,
     Ground,

@@ -29,7 +29,11 @@ _CONCRETE = Ground(
     low=(0.52, 0.51, 0.49), high=(0.60, 0.59, 0.56), bare=(0.47, 0.40, 0.32), bare_from_rad=0.16, contrast=0.5
 )
 
-_SURFACES = (SurfaceShare("concrete", 0.7), SurfaceShare("sand", 0.15, high=1.0), SurfaceShare("gravel", 0.15))
+_SURFACES = (
+    SurfaceShare("concrete", 0.7),
+    SurfaceShare("sand", 0.15, high=1.0),
+    SurfaceShare("gravel", 0.15),
+)
 
 
 class ConstructionConf(SeededConf):

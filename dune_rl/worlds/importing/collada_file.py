@@ -14,16 +14,16 @@ from collada.triangleset import TriangleSet
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
-from dune_rl.rendering.texture import MeshTexture
+from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
-    WorldFiles,
     ImportReport,
+    WorldFiles,
     first_line,
-    read_image,
-    read_xml,
     printable,
     raise_unreadable,
+    read_image,
+    read_xml,
 )
 from dune_rl.worlds.importing.parts import MeshPart, texture_colours
 
@@ -113,14 +113,14 @@ class _Reader:
                 continue
             material = materials.get(primitive.material)
             about = printable(str(getattr(material, "name", None) or primitive.material or ""))
-            colours, skin = self._colours(primitive, material)
+            colours, texture = self._colours(primitive, material)
             yield MeshPart.of(
                 printable(name or str(node.geometry.name)),
                 primitive.vertex,
                 primitive.vertex_index,
                 colours,
                 about,
-                skin=skin,
+                texture=texture,
             ).moved(matrix)
 
     def _count(self, faces: int) -> None:
@@ -155,11 +155,11 @@ class _Reader:
                 found = self._pictures[picture] = self._report.kept(read_image(self._folder.read(picture)))
                 return found
             except FileNotFoundError:
-                self._report.warn(f"{shown(picture)} is missing: what it colours has a plain colour")
+                self._report.warn(f"{printable(picture)} is missing: what it colours has a plain colour")
             except WorldError as error:
                 self._report.warn(str(error).splitlines()[0])
             except ValueError as error:
-                self._report.warn(f"{shown(picture)} is left out: {error}")
+                self._report.warn(f"{printable(picture)} is left out: {error}")
             return None
         if diffuse is None:
             return None

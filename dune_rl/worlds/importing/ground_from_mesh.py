@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.texture import join_textures
+from dune_rl.rendering.mesh_texture import join_textures
 from dune_rl.worlds.ground import GroundPicture
 from dune_rl.worlds.importing.ground_pictures import ground_picture
 from dune_rl.worlds.importing.height_grid import (
@@ -232,7 +232,9 @@ def _over(soup: Triangles, ground: Mask, surface: NDArray[np.int64], count: int)
     return over
 
 
-def _warn_of_holes(soup: Triangles, ground: Mask, known: Mask, x: Array, y: Array, report: ImportReport) -> None:
+def _warn_of_holes(
+    soup: Triangles, ground: Mask, known: Mask, x: Array, y: Array, report: ImportReport
+) -> None:
     if known.all():
         return
     rows, columns = np.nonzero(~known)

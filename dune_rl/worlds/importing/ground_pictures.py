@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import linear_to_srgb
-from dune_rl.rendering.texture import TextureSampler
+from dune_rl.rendering.mesh_texture import TextureSampler
 from dune_rl.worlds.ground import GroundPicture, texels
 from dune_rl.worlds.importing.height_grid import Triangles, cast_down
 
@@ -41,7 +41,9 @@ def ground_picture(
     places = np.concatenate([at, heights[..., None]], axis=-1).reshape(-1, 3)[shown]
     picture = on_texels(colours, (rows, columns))
     texel_m = (xmax - xmin) / columns
-    picture.reshape(-1, 3)[shown] = linear_to_srgb(look.albedo(face[shown], places.astype(np.float32), texel_m))
+    picture.reshape(-1, 3)[shown] = linear_to_srgb(
+        look.albedo(face[shown], places.astype(np.float32), texel_m)
+    )
     detailed = np.zeros(rows * columns, bool)
     detailed[shown] = True
     return GroundPicture(picture, detailed.reshape(rows, columns))

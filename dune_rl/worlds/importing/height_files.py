@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import ImportReport, first_line, open_image, read_bytes, raise_unreadable
+from dune_rl.worlds.importing.import_files import (
+    ImportReport,
+    first_line,
+    open_image,
+    raise_unreadable,
+    read_bytes,
+)
 
 Array = NDArray[np.float64]
 

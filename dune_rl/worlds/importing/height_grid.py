@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from dune_rl.errors import WorldError
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.texture import MeshTexture
+from dune_rl.rendering.mesh_texture import MeshTexture
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,7 +34,7 @@ class Triangles(NamedTuple):
     claim: NDArray[np.int8]
     normals: Array
     areas: Array
-    skin: MeshTexture | None = None
+    texture: MeshTexture | None = None
 
 
 def extent_of(soup: Triangles, ground: Mask) -> tuple[Array, Array]:

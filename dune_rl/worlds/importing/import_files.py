@@ -83,7 +83,7 @@ class WorldFiles:
         self.root = root.resolve()
         self.base = root if base is None else base
 
-    def at(self, base: Path) -> "Folder":
+    def at(self, base: Path) -> "WorldFiles":
         """The same files, named from another folder."""
         return WorldFiles(self.root, base)
 
@@ -97,7 +97,7 @@ class WorldFiles:
             real = path.resolve()
             if not real.is_relative_to(self.root):
                 raise OutsideFolderError(
-                    f"{shown(name)} leads out of the folder {self.root}: it is not read. "
+                    f"{printable(name)} leads out of the folder {self.root}: it is not read. "
                     "Copy what the world needs into that folder."
                 )
             if not real.is_file():

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import WorldFiles, ImportReport, resolve_world_path
+from dune_rl.worlds.importing.import_files import ImportReport, WorldFiles, resolve_world_path
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region
 from dune_rl.worlds.importing.mesh_files import UpAxis, mesh_parts
 from dune_rl.worlds.importing.parts import MeshPart

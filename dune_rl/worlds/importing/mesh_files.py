@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from trimesh.resolvers import Resolver
 
 from dune_rl.errors import WorldError
-from dune_rl.rendering.texture import MeshTexture
+from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.worlds.importing.collada_file import collada_parts
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
     Bytes,
-    WorldFiles,
     ImportReport,
+    WorldFiles,
+    downscale_image,
     first_line,
     open_image,
-    read_bytes,
     printable,
-    downscale_image,
     raise_unreadable,
+    read_bytes,
 )
 from dune_rl.worlds.importing.parts import MeshPart, texture_colours, without_faults
 
@@ -46,7 +46,12 @@ _ITEM_NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3"
 
 
 def mesh_parts(
-    path: Path, folder: WorldFiles, report: ImportReport, *, unit_m: float | None = None, up: UpAxis | None = None
+    path: Path,
+    folder: WorldFiles,
+    report: ImportReport,
+    *,
+    unit_m: float | None = None,
+    up: UpAxis | None = None,
 ) -> list[MeshPart]:
     """The parts of the mesh file at `path`, in metres and z up, without faulty triangles.
 
@@ -92,7 +97,7 @@ class _Files(Resolver):
         try:
             data = self._folder.read(key)
         except FileNotFoundError:
-            self._report.warn(f"{shown(key)} is missing: what it colours has a plain colour")
+            self._report.warn(f"{printable(key)} is missing: what it colours has a plain colour")
             raise
         except WorldError as error:
             self._report.warn(str(error).splitlines()[0])
@@ -101,7 +106,7 @@ class _Files(Resolver):
             try:
                 open_image(data)
             except ValueError as error:
-                self._report.warn(f"{shown(key)} is left out: {error}")
+                self._report.warn(f"{printable(key)} is left out: {error}")
                 raise FileNotFoundError(key) from None
         return data
 
@@ -147,8 +152,10 @@ def _parts(scene: Any, kind: str, report: ImportReport) -> Iterator[MeshPart]:
             raise WorldError(f"it has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece.")
         own_name = str(mesh.metadata.get("name") or geometry)
         name = str(node) if kind == ".glb" else own_name
-        colours, about, skin = _colours(mesh, pictures, report)
-        part = MeshPart.of(printable(name), mesh.vertices, faces, colours, f"{own_name} {shown(about)}", skin=skin)
+        colours, about, texture = _colours(mesh, pictures, report)
+        part = MeshPart.of(
+            printable(name), mesh.vertices, faces, colours, f"{own_name} {printable(about)}", texture=texture
+        )
         yield part.moved(np.asarray(matrix, np.float64))
 
 
@@ -169,7 +176,7 @@ def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, 
             try:
                 found = _picture(image, shades, pictures, report)
             except ValueError as error:
-                report.warn(f"the texture of {shown(name)!r} is left out: {error}")
+                report.warn(f"the texture of {printable(name)!r} is left out: {error}")
             else:
                 uv = np.asarray(visual.uv, np.float64)[mesh.faces]
                 corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
@@ -234,7 +241,7 @@ def _check_glb(data: bytes, name: str) -> None:
         header = json.loads(data[20 : 20 + length])
         if header.get("extensionsRequired"):
             names = ", ".join(map(str, header["extensionsRequired"]))
-            raise ValueError(f"it needs {shown(names)}, which is not supported; export it without")
+            raise ValueError(f"it needs {printable(names)}, which is not supported; export it without")
         views = header.get("bufferViews", [])
         for accessor in header.get("accessors", []):
             numbers = int(accessor["count"]) * _ITEM_NUMBERS[accessor["type"]]

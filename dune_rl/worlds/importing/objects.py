@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.texture import MeshTexture, join_textures
+from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
 from dune_rl.worlds.importing.import_files import ImportReport
 from dune_rl.worlds.importing.parts import MeshPart
 from dune_rl.worlds.importing.topology import closed, joined_faces, weld_vertices
@@ -78,7 +78,7 @@ class _Piece:
     vertices: Array
     faces: NDArray[np.int32]
     colours: Floats
-    skin: MeshTexture | None
+    texture: MeshTexture | None
 
 
 def _pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
@@ -98,8 +98,8 @@ def _pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Ite
         if part.solid and (over[faces] < _FLUSH_M).all():
             continue
         vertices, corners, source = closed(part.vertices, faces, height)
-        skin = None if part.texture is None else part.texture.select_faces(piece[source])
-        yield _Piece(vertices, corners, part.colours[piece][source], skin)
+        texture = None if part.texture is None else part.texture.select_faces(piece[source])
+        yield _Piece(vertices, corners, part.colours[piece][source], texture)
 
 
 def _within_ground(
@@ -168,7 +168,7 @@ def _named(found: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
     props: list[ImportedProp] = []
     taken: dict[str, int] = {}
     for part, pieces in found:
-        for vertices, faces, colours, skin in _in_bounds(pieces):
+        for vertices, faces, colours, texture in _in_bounds(pieces):
             number = taken[part.name] = taken.get(part.name, 0) + 1
             corners = vertices[faces]
             area = np.linalg.norm(
@@ -184,7 +184,7 @@ def _named(found: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
                     solid=part.solid and not part.is_named_water,
                     colour=(float(red), float(green), float(blue)),
                     face_colours=colours.astype(np.float32),
-                    skin=skin,
+                    texture=texture,
                 )
             )
     return props
@@ -196,13 +196,13 @@ def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32],
     vertices = np.concatenate([piece.vertices for piece in pieces])
     faces = np.concatenate([piece.faces + s for piece, s in zip(pieces, starts, strict=True)])
     colours = np.concatenate([piece.colours for piece in pieces])
-    skin = join_textures([piece.texture for piece in pieces], [len(piece.faces) for piece in pieces])
+    texture = join_textures([piece.texture for piece in pieces], [len(piece.faces) for piece in pieces])
     if len(faces) <= _MOST_FACES:
-        yield vertices, faces, colours, skin
+        yield vertices, faces, colours, texture
         return
     along = int(np.ptp(vertices[:, :2], axis=0).argmax())
     order = np.argsort(vertices[faces, along].mean(axis=1), kind="stable")
     for chosen in np.array_split(order, int(np.ceil(len(faces) / _MOST_FACES))):
         used, index = np.unique(faces[chosen], return_inverse=True)
-        own = None if skin is None else skin.select_faces(chosen)
+        own = None if texture is None else texture.select_faces(chosen)
         yield vertices[used], index.reshape(-1, 3).astype(np.int32), colours[chosen], own

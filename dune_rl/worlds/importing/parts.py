@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dune_rl.rendering.texture import MeshTexture
+from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.worlds.importing.import_files import ImportReport
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class MeshPart:
     about: str = ""
     ground: bool | None = None
     solid: bool = True
-    skin: MeshTexture | None = None
+    texture: MeshTexture | None = None
 
     @classmethod
     def of(
@@ -72,23 +72,23 @@ class MeshPart:
         *,
         ground: bool | None = None,
         solid: bool = True,
-        skin: MeshTexture | None = None,
-    ) -> "Part":
+        texture: MeshTexture | None = None,
+    ) -> "MeshPart":
         """A part; `colours` is one (3,) for all, one a face (F, 3), or None for a guess by name."""
         corners = np.asarray(faces, np.int32).reshape(-1, 3)
         rgb = likely_colour(f"{name} {about}") if colours is None else colours
         each = np.broadcast_to(np.clip(np.asarray(rgb, np.float32), 0.0, 1.0), (len(corners), 3))
         points = np.asarray(vertices, np.float64).reshape(-1, 3)
-        return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid, skin)
+        return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid, texture)
 
-    def moved(self, matrix: Array) -> "Part":
+    def moved(self, matrix: Array) -> "MeshPart":
         """The same part under a transform (4, 4); a mirrored one keeps its outside outside."""
         if np.array_equal(matrix, np.eye(4)):
             return self
         vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         faces = self.faces[:, ::-1].copy() if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
-        skin = None if self.texture is None else self.texture.moved(matrix)
-        return replace(self, vertices=vertices, faces=faces, skin=skin)
+        texture = None if self.texture is None else self.texture.moved(matrix)
+        return replace(self, vertices=vertices, faces=faces, texture=texture)
 
     @property
     def words(self) -> set[str]:
@@ -149,7 +149,7 @@ def _used(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
         vertices=part.vertices[used],
         faces=index.reshape(-1, 3).astype(np.int32),
         colours=part.colours[faces],
-        skin=None if part.texture is None else part.texture.select_faces(faces),
+        texture=None if part.texture is None else part.texture.select_faces(faces),
     )
 
 

@@ -12,7 +12,11 @@ from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
-_SURFACES = (SurfaceShare("grass", 0.6), SurfaceShare("gravel", 0.25, steep=0.5), SurfaceShare("mud", 0.15, steep=-0.5, high=-1.0))
+_SURFACES = (
+    SurfaceShare("grass", 0.6),
+    SurfaceShare("gravel", 0.25, steep=0.5),
+    SurfaceShare("mud", 0.15, steep=-0.5, high=-1.0),
+)
 
 
 class InspectionConf(SeededConf):

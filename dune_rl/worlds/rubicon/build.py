@@ -35,7 +35,11 @@ FOREST_FLOOR = Ground(
     low=(0.30, 0.33, 0.17), high=(0.44, 0.41, 0.25), bare=(0.44, 0.36, 0.28), bare_from_rad=0.42
 )
 
-_SURFACES = (SurfaceShare("grass", 0.6, steep=-0.5), SurfaceShare("gravel", 0.2), SurfaceShare("rock", 0.2, steep=1.0))
+_SURFACES = (
+    SurfaceShare("grass", 0.6, steep=-0.5),
+    SurfaceShare("gravel", 0.2),
+    SurfaceShare("rock", 0.2, steep=1.0),
+)
 
 
 class RubiconConf(SeededConf):

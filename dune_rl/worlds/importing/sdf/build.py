@@ -10,7 +10,7 @@ from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.ground_pictures import tiled_ground
 from dune_rl.worlds.importing.height_files import read_heights
 from dune_rl.worlds.importing.heightmap import grid_of
-from dune_rl.worlds.importing.import_files import WorldFiles, ImportReport, resolve_world_path
+from dune_rl.worlds.importing.import_files import ImportReport, WorldFiles, resolve_world_path
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region, with_region
 from dune_rl.worlds.importing.objects import is_single_sheet, things_on
 from dune_rl.worlds.importing.parts import MeshPart, without_faults
@@ -103,7 +103,12 @@ def _in_metres(height_map: HeightMap, report: ImportReport) -> Array:
 
 
 def _on_height_map(
-    height_map: HeightMap, parts: list[MeshPart], conf: SdfConf, friction: float, found: Found, report: ImportReport
+    height_map: HeightMap,
+    parts: list[MeshPart],
+    conf: SdfConf,
+    friction: float,
+    found: Found,
+    report: ImportReport,
 ) -> ImportedWorld:
     # Its own grid, exactly: nothing is sampled anew.
     size = (float(height_map.size[0]), float(height_map.size[1]))

@@ -7,12 +7,12 @@ from xml.etree.ElementTree import Element
 
 from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.import_files import (
-    WorldFiles,
-    OutsideFolderError,
     ImportReport,
+    OutsideFolderError,
+    WorldFiles,
+    printable,
     read_bytes,
     read_xml,
-    printable,
 )
 from dune_rl.worlds.importing.sources import note_absent, note_untraced
 
@@ -47,13 +47,13 @@ class Library:
         if separator and scheme in ("model", "package"):
             found = self._model(rest)
         elif separator and scheme != "file":
-            self._report.warn(f"{scheme}:// addresses are not supported: {shown(uri)} is left out")
+            self._report.warn(f"{scheme}:// addresses are not supported: {printable(uri)} is left out")
             return None
         else:
             found = _inside(beside, rest if separator else uri.strip())
         if found is None:
             self._report.warn(
-                f"{shown(uri)} is missing and left out; "
+                f"{printable(uri)} is missing and left out; "
                 f"put its folder beside the file, or into {RESOURCE_VARIABLE}"
             )
         return found
@@ -61,7 +61,7 @@ class Library:
     def _model(self, rest: str) -> tuple[Path, WorldFiles] | None:
         name, _, inner = rest.replace("\\", "/").partition("/")
         if name in ("", ".", "..") or "\0" in rest:
-            raise OutsideFolderError(f"model://{shown(rest)} names no model: write model://NAME/FILE.")
+            raise OutsideFolderError(f"model://{printable(rest)} names no model: write model://NAME/FILE.")
         own = [self.folder.root] if self.folder.root.name == name else []
         for root in (*own, self.folder.root / name, self.folder.root / "models" / name):
             if _is_folder(root):
@@ -86,7 +86,9 @@ class Library:
         if real not in self._xml:
             root = read_xml(read_bytes(path, _MODEL_FILE_BYTES), path.name)
             if root.tag != "sdf":
-                raise WorldError(f"{path} is no SDF file: its root is <{shown(root.tag, 40)}>, not <sdf>.")
+                raise WorldError(
+                    f"{path} is no SDF file: its root is <{printable(root.tag, 40)}>, not <sdf>."
+                )
             self._xml[real] = root
         return self._xml[real]
 
@@ -123,7 +125,7 @@ def _inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | None:
         real = base.resolve()
         if not real.is_relative_to(folder.root):
             raise OutsideFolderError(
-                f"{shown(inner)} leads out of the folder {folder.root}: it is not read. "
+                f"{printable(inner)} leads out of the folder {folder.root}: it is not read. "
                 "Copy what the world needs into that folder."
             )
         if real.is_dir():

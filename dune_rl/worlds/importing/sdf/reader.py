@@ -13,12 +13,12 @@ from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
     Bytes,
-    WorldFiles,
     ImportReport,
+    WorldFiles,
     first_line,
+    printable,
     read_bytes,
     read_image,
-    printable,
 )
 from dune_rl.worlds.importing.mesh_files import mesh_parts
 from dune_rl.worlds.importing.parts import GREY, MeshPart, likely_colour
@@ -80,7 +80,9 @@ class SdfReader:
         self._file(path, folder, np.eye(4), "", ())
         return self.found
 
-    def _file(self, path: Path, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]) -> None:
+    def _file(
+        self, path: Path, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
+    ) -> None:
         real = path.resolve()
         if real in chain:
             loop = " > ".join(p.parent.name + "/" + p.name for p in (*chain[chain.index(real) :], real))
@@ -111,13 +113,15 @@ class SdfReader:
                 full = name if element.tag == "sdf" and name else _path(name, own)
                 self._children(child, folder, matrix @ self._pose(child), full, chain)
             elif child.tag == "link":
-                self._link(child, folder, matrix @ self._pose(child), name or printable(child.get("name") or ""))
+                self._link(
+                    child, folder, matrix @ self._pose(child), name or printable(child.get("name") or "")
+                )
             elif child.tag == "include":
                 self._include(child, folder, matrix, name, chain)
             elif child.tag == "light":
                 self._light(child, matrix)
             elif child.tag not in _SILENT:
-                self._report.warn(f"<{shown(child.tag, 40)}> is not supported and left out")
+                self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
 
     def _say_what_is_fixed(self, element: Element) -> None:
         # Without <static> a model would fall and be pushed about.
@@ -155,7 +159,7 @@ class SdfReader:
             if child.tag == "light":
                 self._light(child, matrix)
             elif child.tag not in ("collision", "visual") and child.tag not in _SILENT:
-                self._report.warn(f"<{shown(child.tag, 40)}> is not supported and left out")
+                self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
         visuals, collisions = link.findall("visual"), link.findall("collision")
         looks = [self._look(visual, folder) for visual in visuals]
         look = next((colour for colour in looks if colour is not None), None)
@@ -225,12 +229,12 @@ class SdfReader:
             for part in self._meshes[real]:
                 about = f"{part.name} {path.stem} {part.about}"
                 colours = part.colours if look is None else look
-                skin = part.texture if look is None else None
+                texture = part.texture if look is None else None
                 yield MeshPart.of(
-                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid, skin=skin
+                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid, texture=texture
                 ).moved(matrix @ scale)
         else:
-            self._report.warn(f"<{shown(shape.tag, 40)}> as a shape is not supported and left out")
+            self._report.warn(f"<{printable(shape.tag, 40)}> as a shape is not supported and left out")
 
     def _height_map(
         self, shape: Element, folder: WorldFiles, matrix: Array, look: Colour | None, visuals: list[Element]
@@ -270,7 +274,7 @@ class SdfReader:
                 red, green, blue = (min(max(float(word), 0.0), 1.0) for word in words[:3])
                 found = (red, green, blue)
             except ValueError:
-                self._report.warn(f"<diffuse> {shown(' '.join(words), 40)!r} is no colour")
+                self._report.warn(f"<diffuse> {printable(' '.join(words), 40)!r} is no colour")
         script = material.findtext("script/name")
         if found is None and script:
             self._report.warn("material scripts are not supported; their colours are guessed by name")
@@ -288,13 +292,14 @@ class SdfReader:
                 self._pictures[real] = self._report.kept(read_image(read_bytes(real)))
             return self._pictures[real]
         except ValueError as error:
-            self._report.warn(f"{shown(uri)} is left out: {first_line(error)}")
+            self._report.warn(f"{printable(uri)} is left out: {first_line(error)}")
             return None
 
     def _light(self, element: Element, matrix: Array) -> None:
         if element.get("type") != "directional":
             self._report.warn(
-                f"lights of type {shown(element.get('type') or 'none', 20)!r} are left out; the sun is kept"
+                f"lights of type {printable(element.get('type') or 'none', 20)!r} are left out; "
+                "the sun is kept"
             )
             return
         if self.found.light is not None:

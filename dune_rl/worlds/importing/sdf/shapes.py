@@ -26,7 +26,7 @@ def numbers(element: Element | None, count: int, default: tuple[float, ...]) -> 
     except ValueError:
         found = np.zeros(0)
     if len(found) != count or not np.isfinite(found).all():
-        raise WorldError(f"<{element.tag}> must hold {count} numbers (got {shown(text, 60)!r}).")
+        raise WorldError(f"<{element.tag}> must hold {count} numbers (got {printable(text, 60)!r}).")
     return found
 
 

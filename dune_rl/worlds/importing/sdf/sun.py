@@ -35,5 +35,5 @@ def _colour(element: Element, report: ImportReport) -> Colour:
             return red, green, blue
     except ValueError:
         pass
-    report.warn(f"<diffuse> of its sun, {shown(' '.join(words), 40)!r}, is no colour of a light")
+    report.warn(f"<diffuse> of its sun, {printable(' '.join(words), 40)!r}, is no colour of a light")
     return 1.0, 1.0, 1.0

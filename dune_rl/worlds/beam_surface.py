@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.beam_surface import BeamSurface
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import BeamSurface
 from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.world import World
 

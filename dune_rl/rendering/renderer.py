@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dune_rl.rendering.air import ParticipatingMedia
-from dune_rl.rendering.baked import BakedScenery, smooth_normals
-from dune_rl.rendering.body import PosedMesh
+from dune_rl.rendering.baked_scenery import BakedScenery, smooth_normals
 from dune_rl.rendering.foliage import Foliage, FoliageTransmission
 from dune_rl.rendering.grass_colour import grass_colours
 from dune_rl.rendering.light import tone_map_to_srgb
+from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.posed_mesh import PosedMesh
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.sky import Sky
 
@@ -99,7 +99,9 @@ class Renderer:
         index = (colours * ((_TONES - 1) / _BRIGHTEST)).astype(np.int32)
         return self._tones.take(index, mode="clip").reshape(height, width, 3)
 
-    def _colours(self, eye: Floats, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float) -> Floats:
+    def _colours(
+        self, eye: Floats, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float
+    ) -> Floats:
         """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3), `pixel_rad` apart."""
         baked = self.baked
         ranges = np.full(len(directions), _FAR_M, np.float32)

@@ -11,8 +11,8 @@ from scipy import ndimage
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import Light, tone_map_to_srgb
-from dune_rl.rendering.scenery import Scenery, Segment, ColouredMesh, join_meshes, subdivide_mesh
-from dune_rl.rendering.texture import TextureSampler
+from dune_rl.rendering.mesh_texture import TextureSampler
+from dune_rl.rendering.scenery import ColouredMesh, Scenery, Segment, join_meshes, subdivide_mesh
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class BakedScenery:
         self.things_sky_share = keep(LAST_KEPT, self._find_things_sky_share)
         self._shine(light)
 
-    def relight(self, light: Light) -> "Baked":
+    def relight(self, light: Light) -> "BakedScenery":
         """The same in another light, at a fraction of the cost: the sky's share of each place is known."""
         other = copy(self)
         other._shine(light)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.foliage import Foliage, BatchedFoliage, FoliageTransmission
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage, FoliageTransmission
 from dune_rl.rendering.grass_colour import grass_colours
 from dune_rl.rendering.light import Light, tone_map_to_srgb
 from dune_rl.rendering.weather import Haze
@@ -41,9 +41,14 @@ class ParticipatingMedia:
         return self.haze is None and self.foliage is None
 
     def through(
-        self, colours: Bytes, ranges: Floats, nothing: NDArray[np.bool_], veil: FoliageTransmission | None, light: Light
+        self,
+        colours: Bytes,
+        ranges: Floats,
+        nothing: NDArray[np.bool_],
+        veil: FoliageTransmission | None,
+        light: Light,
     ) -> Bytes:
-        """Bytes (N, 3) for a screen of things of `colours` (N, 3) at `ranges` (N,) [m], behind a `transmission`.
+        """Bytes (N, 3), sRGB, of surfaces with `colours` (N, 3) at `ranges` (N,) [m], through haze and grass.
 
         `nothing` (N,) tells where only the sky is, whose colour has the haze in
         it already. Light is mixed as light: in linear RGB.

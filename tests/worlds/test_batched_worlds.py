@@ -8,16 +8,16 @@ import pytest
 
 from dune_rl.config.build import build_world
 from dune_rl.env.encounters import Encounters
-from dune_rl.geometry.per_scene import SharedPerScene, query_grouped
-from dune_rl.geometry.several import BatchedHeightFields, BatchedRayScenes
-from dune_rl.rendering.foliage import Foliage, BatchedFoliage
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.light import Light, LightConf
-from dune_rl.rendering.surface import BatchedBeamSurfaces
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.appearance import bake_world
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.island import IslandConf, build_island
-from dune_rl.worlds.sites import BatchedWorlds
-from dune_rl.worlds.solid_look import beam_surface
 from dune_rl.worlds.world import World
 
 CLEAR, LOW_SUN = WeatherConf(), WeatherConf(light=LightConf(sun_elevation_rad=0.2))

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.rays import Hits
-from dune_rl.rendering.baked import to_srgb_bytes
-from dune_rl.rendering.body import RayMesh
+from dune_rl.rendering.baked_scenery import to_srgb_bytes
 from dune_rl.rendering.light import Light
-from dune_rl.rendering.scenery import Segment, ColouredMesh
+from dune_rl.rendering.posed_mesh import RayMesh
+from dune_rl.rendering.scenery import ColouredMesh, Segment
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import DerivedCache, SharedPerScene, query_grouped
 from dune_rl.geometry.rays import Hits, RayScene
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene, query_grouped
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -23,7 +23,7 @@ class BatchedRayScenes:
     def __init__(self, scenes: SharedPerScene[RayScene] | DerivedCache[Any, RayScene]) -> None:
         self._scenes = scenes
 
-    def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScenes":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "BatchedRayScenes":
         """Those of some scenes (m,), counted from 0 in their order."""
         return BatchedRayScenes(SharedPerScene([self._scenes[scene] for scene in scenes.tolist()]))
 

@@ -17,7 +17,7 @@ Bytes = NDArray[np.uint8]
 # Sides of pictures: powers of two, so that they halve evenly down to one texel.
 _LARGEST = 1024
 _LEVELS = _LARGEST.bit_length()
-# Of all pictures of a skin together: 16 million are 64 MB with their smaller copies.
+# Of all pictures of a texture together: 16 million are 64 MB with their smaller copies.
 _MOST_TEXELS = 2**24
 # A picture squeezed into less than this shows nothing but noise, and its map is lost in rounding.
 _SMALLEST_TILE_M = 1e-3
@@ -52,11 +52,11 @@ class MeshTexture:
         maps[~fit] = 0.0
         return cls((picture,), np.where(fit, 0, -1).astype(np.int32), maps)
 
-    def select_faces(self, faces: NDArray[Any]) -> "Skin":
+    def select_faces(self, faces: NDArray[Any]) -> "MeshTexture":
         """That of some faces: their indices, or a mask."""
         return MeshTexture(self.pictures, self.picture[faces], self.maps[faces])
 
-    def moved(self, matrix: Array) -> "Skin | None":
+    def moved(self, matrix: Array) -> "MeshTexture | None":
         """The same on a mesh moved by a transform (4, 4), None where that is flat."""
         try:
             return MeshTexture(self.pictures, self.picture, self.maps @ np.linalg.inv(matrix))
@@ -64,26 +64,26 @@ class MeshTexture:
             return None
 
 
-def join_textures(skins: Sequence[MeshTexture | None], counts: Sequence[int]) -> MeshTexture | None:
+def join_textures(textures: Sequence[MeshTexture | None], counts: Sequence[int]) -> MeshTexture | None:
     """Those of several meshes of `counts` faces as one; None where none has any picture."""
-    if not any(skin is not None and (skin.picture >= 0).any() for skin in skins):
+    if not any(texture is not None and (texture.picture >= 0).any() for texture in textures):
         return None
     number: dict[int, int] = {}
     pictures: list[Bytes] = []
     index = [np.zeros(0, np.int32)]
-    for skin, count in zip(skins, counts, strict=True):
-        if skin is None:
+    for texture, count in zip(textures, counts, strict=True):
+        if texture is None:
             index.append(np.full(count, -1, np.int32))
             continue
-        for used in np.unique(skin.picture[skin.picture >= 0]):
-            if id(skin.pictures[used]) not in number:
-                number[id(skin.pictures[used])] = len(pictures)
-                pictures.append(skin.pictures[used])
-        new = np.array([*(number.get(id(picture), -1) for picture in skin.pictures), -1], np.int32)
-        index.append(new[skin.picture])
+        for used in np.unique(texture.picture[texture.picture >= 0]):
+            if id(texture.pictures[used]) not in number:
+                number[id(texture.pictures[used])] = len(pictures)
+                pictures.append(texture.pictures[used])
+        new = np.array([*(number.get(id(picture), -1) for picture in texture.pictures), -1], np.int32)
+        index.append(new[texture.picture])
     maps = [
-        np.zeros((count, 2, 4)) if skin is None else skin.maps
-        for skin, count in zip(skins, counts, strict=True)
+        np.zeros((count, 2, 4)) if texture is None else texture.maps
+        for texture, count in zip(textures, counts, strict=True)
     ]
     return MeshTexture(tuple(pictures), np.concatenate(index), np.concatenate(maps))
 
@@ -94,8 +94,8 @@ class TextureSampler:
     `textured` (F,) tells of which faces there are colours.
     """
 
-    def __init__(self, skin: MeshTexture, most_texels: int = _MOST_TEXELS) -> None:
-        pictures = [_halving(picture) for picture in skin.pictures]
+    def __init__(self, texture: MeshTexture, most_texels: int = _MOST_TEXELS) -> None:
+        pictures = [_halving(picture) for picture in texture.pictures]
         while sum(picture.shape[0] * picture.shape[1] for picture in pictures) > most_texels:
             pictures = [_halved(picture) for picture in pictures]
         # The first texel and the sides of each picture in each size.
@@ -113,13 +113,13 @@ class TextureSampler:
                 picture = _halved(picture)
         self._texels = np.concatenate(texels)
         self._linear = srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(255.0))
-        self._picture = skin.picture
-        self._maps = skin.maps.astype(np.float32)
-        sides = self._sides[np.maximum(skin.picture, 0), 0]
+        self._picture = texture.picture
+        self._maps = texture.maps.astype(np.float32)
+        sides = self._sides[np.maximum(texture.picture, 0), 0]
         # Texels a metre, the most of both ways across the picture.
         density = np.linalg.norm(self._maps[..., :3], axis=2)
         fine = (density > 1.0 / _SMALLEST_TILE_M).any(axis=1)
-        self.textured: NDArray[np.bool_] = (skin.picture >= 0) & ~fine
+        self.textured: NDArray[np.bool_] = (texture.picture >= 0) & ~fine
         self._sharpness = np.log2(np.maximum((density * sides).max(axis=1), 1e-9)).astype(np.float32)
 
     def albedo(

@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.per_scene import DerivedCache, SharedPerScene
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 from dune_rl.rendering.scenery import Segment
 
 Floats = NDArray[np.float32]
@@ -59,7 +59,7 @@ class BatchedBeamSurfaces:
             segments[rows], brightness[rows] = surface.look_up(by_scene[rows])
         return segments.ravel(), brightness.ravel()
 
-    def select_scenes(self, scenes: NDArray[np.int64]) -> "Surfaces":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "BatchedBeamSurfaces":
         """Those of some scenes (m,), counted from 0 in their order."""
         return BatchedBeamSurfaces(SharedPerScene([self._surfaces[scene] for scene in scenes.tolist()]))
 

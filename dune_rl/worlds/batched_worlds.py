@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import SharedPerScene, query_grouped
-from dune_rl.rendering.air import ParticipatingMedia
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.worlds.appearance import with_own_sun
 from dune_rl.worlds.world import World
@@ -27,7 +27,9 @@ class WorldAppearance:
     def air(self) -> ParticipatingMedia:
         """What lies between an eye and what it sees."""
         grass = self.world.grass
-        return ParticipatingMedia(Haze.of(with_own_sun(self.world, self.weather)), None if grass is None else grass.foliage)
+        return ParticipatingMedia(
+            Haze.of(with_own_sun(self.world, self.weather)), None if grass is None else grass.foliage
+        )
 
 
 class BatchedWorlds:
@@ -58,7 +60,9 @@ class BatchedWorlds:
         if self.appearances[scene].world is world and self.appearances[scene].weather == weather:
             return
         # Scenes that look alike share one look, so that they are drawn together.
-        alike = (look for look, _ in self.appearances.groups if look.world is world and look.weather == weather)
+        alike = (
+            look for look, _ in self.appearances.groups if look.world is world and look.weather == weather
+        )
         self.appearances.put(scene, next(alike, None) or WorldAppearance(world, weather))
 
     @property

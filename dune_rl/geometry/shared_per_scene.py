@@ -50,7 +50,7 @@ class SharedPerScene(Generic[T]):
         """As `groups`, of the scenes in `scenes` (m,) alone, which are counted from 0 in its order."""
         return _grouped([self._things[scene] for scene in scenes.tolist()])
 
-    def map(self, make: Callable[[T], U]) -> "Made[T, U]":
+    def map(self, make: Callable[[T], U]) -> "DerivedCache[T, U]":
         """What `make` makes of each thing, once for as long as a scene has it, when it is first asked for."""
         return DerivedCache(self, make)
 
