@@ -14,9 +14,9 @@ from dune_rl.env.collision_counter import CollisionCounter
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import Outline
-from dune_rl.metrics.episode import EpisodeMetrics
-from dune_rl.metrics.settings import MetricsConf
+from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsRobot
+from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
@@ -113,8 +113,7 @@ class AgentGroup:
         self.task = None if setup.task is None else Task(setup.task, num_rows)
         self._metrics = None
         if setup.metrics is not None and self.task is not None:
-            battery = body.robot.battery if isinstance(body, ArticulatedBody) else None
-            self._metrics = EpisodeMetrics(setup.metrics, num_rows, battery)
+            self._metrics = MetricSet(setup.metrics, num_rows)
         self.done = np.zeros(num_rows, bool)
         self.terminated = np.zeros(num_rows, bool)
         self.truncated = np.zeros(num_rows, bool)
@@ -186,7 +185,7 @@ class AgentGroup:
         if self.task is not None:
             self.task.reset(mask, now)
         if self._metrics is not None:
-            self._metrics.reset(mask, now.episode.ids)
+            self._metrics.reset(mask, now)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
         if self.setup.controller is not None:
@@ -221,6 +220,11 @@ class AgentGroup:
     def work_j(self) -> Array | None:
         """The motors' work in the last control step [J], (N,), where it is measured."""
         return self.body.work_j if isinstance(self.body, ArticulatedBody) else None
+
+    @property
+    def battery(self) -> BatteryConf | None:
+        """The battery of each of the group's robots."""
+        return self.body.robot.battery if isinstance(self.body, ArticulatedBody) else None
 
     def evaluate(self, state: State) -> Evaluation:
         """Evaluate the task's terms and the metrics of the step that `state` describes."""

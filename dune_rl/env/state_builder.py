@@ -134,6 +134,7 @@ class StateBuilder:
                 goal=goals[index],
                 radius_m=group.radius_m,
                 work_j=group.work_j,
+                battery=group.battery,
             )
         return State(states, self._worlds, len(steps))
 

@@ -1,23 +1,18 @@
-"""The task of an actor that is an agent: walk to and fro between its way points, clear of the rover."""
+"""What walkers that are agents observe."""
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
+<<<<<<< HEAD
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.settings import Settings
+=======
+from dune_rl.geometry.frames import within, wrap_angle
+>>>>>>> b8f1634e0d418808fd75bb779b134f76e1801352
 
 Array = NDArray[np.float64]
 
 OBSERVATION_KEYS = ("goal", "rover", "velocity")
-
-
-class WalkingConf(Settings):
-    """Weights of a walker's reward."""
-
-    progress_scale: float = 1.0
-    near_miss: float = -0.1
-    comfort_m: float = Field(1.2, gt=0.0)
 
 
 def walker_observation(
@@ -55,13 +50,3 @@ def walker_observation(
         "rover": np.concatenate([rover, closing], axis=-1).astype(np.float32),
         "velocity": to_own_frame(velocity_w).astype(np.float32),
     }
-
-
-def walker_reward(progress: Array, rover_distance: Array, conf: WalkingConf) -> Array:
-    """Reward (M, E) for `progress` [m] toward the way point and for keeping `comfort_m` from the rover.
-
-    `rover_distance` (M, E) is from surface to surface [m]; the near-miss part
-    grows from 0 at `comfort_m` to all of it on contact.
-    """
-    closeness = np.clip(1.0 - rover_distance / conf.comfort_m, 0.0, 1.0)
-    return conf.progress_scale * progress + conf.near_miss * closeness
