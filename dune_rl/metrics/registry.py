@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
-from dune_rl.registry import Registry
-from dune_rl.terms import TermConf, TermProduct
+from dune_rl.terms import TermConf, TermRegistry
 
 Reduction = Literal["mean", "sum", "min", "max", "last", "first"]
 
@@ -34,15 +33,11 @@ class MetricTermConf(TermConf):
     initial: float | None = Field(None, description="before the first value")
 
 
-METRICS: Registry[TermProduct] = Registry(
+METRICS = TermRegistry(
     "metric",
     f"{__name__}:METRICS",
     own={name: f"dune_rl.metrics.terms:{target}" for name, target in _OWN.items()},
     base=MetricTermConf,
-    product=TermProduct,
-    function_leading=("state", "group"),
-    class_leading=("num_rows",),
-    tag="term",
 )
 
 MetricTerms = Annotated[

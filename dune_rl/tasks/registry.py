@@ -4,8 +4,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
-from dune_rl.registry import Registry
-from dune_rl.terms import TermConf, TermProduct
+from dune_rl.terms import TermConf, TermRegistry
 
 _OWN_REWARDS = (
     "collision",
@@ -40,25 +39,17 @@ class TerminationTermConf(TermConf):
     renew: bool = Field(False, description="whether to draw a new goal and go on instead of ending")
 
 
-REWARDS: Registry[TermProduct] = Registry(
+REWARDS = TermRegistry(
     "reward",
     f"{__name__}:REWARDS",
     own={name: f"dune_rl.tasks.rewards:{name}" for name in _OWN_REWARDS},
     base=RewardTermConf,
-    product=TermProduct,
-    function_leading=("state", "group"),
-    class_leading=("num_rows",),
-    tag="term",
 )
-TERMINATIONS: Registry[TermProduct] = Registry(
+TERMINATIONS = TermRegistry(
     "termination",
     f"{__name__}:TERMINATIONS",
     own={name: f"dune_rl.tasks.terminations:{target}" for name, target in _OWN_TERMINATIONS.items()},
     base=TerminationTermConf,
-    product=TermProduct,
-    function_leading=("state", "group"),
-    class_leading=("num_rows",),
-    tag="term",
 )
 
 RewardTerms = Annotated[
