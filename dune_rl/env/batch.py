@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,7 @@ from dune_rl.env.senses import Senses
 from dune_rl.env.traction import Traction
 from dune_rl.env.variety import Variety
 from dune_rl.metrics.episode import MetricsConf
-from dune_rl.physics.interface import (
-    OtherRobot,
-    PhysicsConf,
-    PhysicsRobot,
-    PhysicsScene,
-    SceneSpec,
-)
+from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
@@ -151,9 +145,8 @@ class Batch:
     def _enlist(self) -> None:
         """Let the robots know what physics has of them, where that may have changed."""
         self._scenes = self._places.physics
-        self.rovers[0].engines = self._scenes
-        for index, rovers in enumerate(self.rovers[1:]):
-            rovers.engines = [scene.others[index] for scene in self._scenes]
+        for index, rovers in enumerate(self.rovers):
+            rovers.engines = [scene.robots[index] for scene in self._scenes]
 
     @property
     def robot(self) -> Robot:
@@ -235,11 +228,10 @@ class Batch:
         ]
         starts = np.array([position[:2] for position, _ in poses])
         self.actors.reset(scene, stream(self.seed, "actors", episode), starts)
-        for other, (position, quaternion) in zip(physics.others, poses[1:], strict=True):
-            other.stand(position.tolist(), quaternion.tolist())
-        position, quaternion = poses[0]
-        physics.place(position.tolist(), quaternion.tolist(), self.actors.poses[scene])
-        engines: tuple[PhysicsRobot, ...] = (physics, *physics.others)
+        engines = physics.robots
+        for engine, (position, quaternion) in zip(engines, poses, strict=True):
+            engine.set_start_pose(position.tolist(), quaternion.tolist())
+        physics.reset(self.actors.poses[scene])
         for rovers, engine, pose in zip(self.rovers, engines, poses, strict=True):
             values = self._places.values[scene]
             self.variety.tell(rovers.traction, scene, values)
@@ -247,8 +239,7 @@ class Batch:
                 rovers.latency.begin(scene, self.variety.latency_s(values))
             rovers.traction.begin(scene, world, engine, *pose)
         settle = round(_SETTLE_S * self.physics.physics_hz)
-        # The others stand by the commands that they were put down with.
-        physics.step(settle, self.robot.body.rest_commands(), self.actors.poses[scene])
+        physics.step(settle, self.actors.poses[scene])
         for rovers, engine in zip(self.rovers, engines, strict=True):
             rovers.set_row(scene, engine)
 
@@ -318,21 +309,20 @@ class Batch:
 
     def _advance_physics(self, commands: list[list[list[float]]]) -> None:
         substeps, poses = self.physics.substeps, self.actors.poses
-        for rovers, wanted in zip(self.rovers[1:], commands[1:], strict=True):
+        for rovers, wanted in zip(self.rovers, commands, strict=True):
             for engine, command in zip(rovers.engines, wanted, strict=True):
-                # All but the first robots of scenes take them by themselves.
-                cast(OtherRobot, engine).drive(command)
+                engine.set_command(command)
         for rovers in self.rovers:
             rovers.push()
-        for scene, command, pose in zip(self._scenes, commands[0], poses, strict=True):
-            scene.step(substeps, command, pose)
+        for scene, pose in zip(self._scenes, poses, strict=True):
+            scene.step(substeps, pose)
         for rovers in self.rovers:
             rovers.follow()
 
     def coast(self) -> None:
         """Advance physics alone by one control step, with wheels and actors as they are; for benchmarks."""
         for scene in self._scenes:
-            scene.coast(self.physics.substeps)
+            scene.step_passive(self.physics.substeps)
 
     def joint_angles(self, scene: int) -> dict[str, float]:
         """Angles [rad] of the first robot's joints by name: its motors' and those that turn freely."""

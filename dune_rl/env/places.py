@@ -90,7 +90,7 @@ class Places:
         self.values[scene] = values
         if self.variety.of_bodies:
             physics = self._physics[scene]
-            for robot in (physics, *physics.others):
+            for robot in physics.robots:
                 robot.set_body(self.variety.body(values))
         return self._physics[scene]
 
@@ -136,13 +136,13 @@ class Places:
         # Scenes of one world share their bodies, which DART reads once then.
         if world not in self._specs:
             self._specs[world] = scene_spec(
-                world, self._robots[0], self._capsules, self._conf, self._measures_work, self._robots[1:]
+                world, self._robots, self._capsules, self._conf, self._measures_work
             )
         spec = self._specs[world]
         if scene in self._physics:
             self._physics[scene].close()
         self._physics[scene] = self._make_scene(spec)
-        self.most_bodies = max(self.most_bodies, spec.first_robot + len(spec.robots))
+        self.most_bodies = max(self.most_bodies, spec.num_bodies)
 
     def close(self) -> None:
         """Free the physics engine's memory."""

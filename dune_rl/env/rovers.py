@@ -139,7 +139,7 @@ class Rovers:
         force = self._forces()
         if force is not None:
             for engine, pushed in zip(self.engines, force.tolist(), strict=True):
-                engine.push(pushed)
+                engine.apply_force(pushed)
 
     def follow(self) -> None:
         """Take the states and touches of the step that physics has made."""
@@ -150,7 +150,7 @@ class Rovers:
             states.append(engine.body_state())
             if needs_wheels:
                 drives.append(engine.drive_state())
-            self.touches += [(scene, body) for body in engine.touched()]
+            self.touches += [(scene, body) for body in engine.contacts()]
         self.motion.update(np.array(states), np.array(drives) if needs_wheels else None)
 
     @property

@@ -1,5 +1,7 @@
 """From a world, a robot and actors to what the physics engine builds."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,13 +19,12 @@ _DROP_M = 0.005
 
 def scene_spec(
     world: World,
-    robot: Robot,
+    robots: Sequence[Robot],
     actors: tuple[KinematicCapsule, ...],
     physics: PhysicsConf,
     measures_work: bool = False,
-    others: tuple[Robot, ...] = (),
 ) -> SceneSpec:
-    """The bodies of one scene: terrain, solid props, actors, the robot and the others beside it."""
+    """The bodies of one scene: terrain, solid props, actors and robots."""
     vertices, faces = world.terrain.mesh()
     # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
     neutral = world.surfaces is not None
@@ -42,12 +43,11 @@ def scene_spec(
     return SceneSpec(
         statics=tuple(statics),
         kinematics=actors,
-        robot=robot.body,
+        robots=tuple(robot.body for robot in robots),
         timestep_s=1.0 / physics.physics_hz,
         solver_iterations=physics.solver_iterations,
         friction=physics.friction,
         measures_work=measures_work,
-        others=tuple(other.body for other in others),
     )
 
 
