@@ -63,7 +63,7 @@ class Measured:
 
     def _now(self) -> Moment:
         stage = self.drive.stage
-        self.motion.update(stage.state[None], np.array([stage.scene.drive_state()]))
+        self.motion.update(stage.state[None], np.array([stage.engine.drive_state()]))
         return moment_of(self.motion, step=self.steps)
 
     def begin(self) -> None:

@@ -234,7 +234,8 @@ class Meeting:
             num_scenes=1,
         )
         self.batch.reset()
-        scenes[0].place([x, 0.0, WHEEL_RADIUS_M], [0.0, 0.0, 0.0, 1.0], self.batch.actors.poses[0])
+        scenes[0].robots[0].set_start_pose([x, 0.0, WHEEL_RADIUS_M], [0.0, 0.0, 0.0, 1.0])
+        scenes[0].reset(self.batch.actors.poses[0])
 
     def drive(self, speed: float, seconds: float, walker_speed: float = 0.0) -> None:
         for _ in range(round(seconds / 0.05)):
