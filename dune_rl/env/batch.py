@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
+from dune_rl.actors.shapes import figures
 from dune_rl.env.action_log import ActionLog
 from dune_rl.env.figures import robot_figure
 from dune_rl.env.motion import Motion
 from dune_rl.env.places import Places
 from dune_rl.env.rovers import RoverOutcome, Rovers
 from dune_rl.env.scene import standing_pose
-from dune_rl.env.senses import Senses
+from dune_rl.env.sensing import robot_carrier, sensor_context
 from dune_rl.env.traction import Traction
 from dune_rl.env.variety import Variety
 from dune_rl.metrics.episode import MetricsConf
@@ -29,9 +30,10 @@ from dune_rl.physics.interface import (
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
-from dune_rl.sensors.sensor import Moment, Reading
-from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.sensor import Reading
+from dune_rl.sensors.suite import SensorSuite
+from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.snapshot import Snapshot
 from dune_rl.tasks.spawn import Placement
@@ -120,14 +122,16 @@ class Batch:
         self.rovers = tuple(
             Rovers(
                 robot,
-                Senses(
+                SensorSuite(
                     sensors,
-                    self.sites,
-                    robot,
-                    self.actors,
-                    physics,
-                    worlds_differ=self.variety.of_worlds,
-                    others=[*shapes[:index], *shapes[index + 1 :]],
+                    sensor_context(
+                        self.sites,
+                        robot_carrier(robot),
+                        [*figures(actors), *shapes[:index], *shapes[index + 1 :]],
+                        num_rows=num_scenes,
+                        step_s=physics.control_step_s,
+                        worlds_differ=self.variety.of_worlds,
+                    ),
                 ),
                 self.sites,
                 physics,
@@ -161,7 +165,7 @@ class Batch:
         return self.rovers[0].robot
 
     @property
-    def senses(self) -> Senses:
+    def senses(self) -> SensorSuite:
         """What the first robots sense."""
         return self.rovers[0].senses
 
@@ -223,7 +227,7 @@ class Batch:
         for rovers in self.rovers:
             rovers.begin(mask, self._places.most_bodies)
         for index, rovers in enumerate(self.rovers):
-            rovers.begin_senses(mask, self._moment(index))
+            rovers.begin_senses(mask, self._seen_by(index), self.seed, self.episodes, self.steps)
 
     def _start_scene(self, scene: int) -> None:
         episode = int(self.episodes[scene])
@@ -263,12 +267,13 @@ class Batch:
             rovers.set_goal(scene, found[-1], draws)
         return found
 
-    def _moment(self, rover: int = 0) -> Moment:
+    def _seen_by(self, rover: int) -> Array:
+        """Poses (M, K, 4) of the other moving bodies of each scene."""
         seen = self.actors.poses
         if len(self.rovers) > 1:
             others = [rovers.poses() for index, rovers in enumerate(self.rovers) if index != rover]
             seen = np.concatenate([seen, np.stack(others, axis=1)], axis=1)
-        return self.rovers[rover].motion.moment(seen, self.seed, self.episodes, self.steps)
+        return seen
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -294,9 +299,9 @@ class Batch:
         self.actors.move(np.asarray(walker_actions, np.float64), step_s)
         self._advance_physics(commands)
         self.steps += 1
-        for index, rovers in enumerate(self.rovers):
-            rovers.senses.measure(self._moment(index))
         judged = [rovers.judge(self.steps, self.clearance(index)) for index, rovers in enumerate(self.rovers)]
+        for index, rovers in enumerate(self.rovers):
+            rovers.measure_senses(self._seen_by(index), self.seed, self.episodes, self.steps)
         walked = self._walker_reward(walker_distance - self._walker_distance(walker_goals))
         if len(judged) == 1:
             _, end, rewards = judged[0]
@@ -367,9 +372,15 @@ class Batch:
             actors.goals_w[:, columns],
             position,
             velocity,
-            self.senses.farthest_goal_m,
+            self.farthest_goal_m,
             self.max_closing_speed_mps,
         )
+
+    @property
+    def farthest_goal_m(self) -> float:
+        """Largest horizontal distance in a world [m]."""
+        xmin, xmax, ymin, ymax = self._first_world.extent
+        return float(np.hypot(xmax - xmin, ymax - ymin))
 
     @property
     def max_closing_speed_mps(self) -> float:

@@ -24,7 +24,7 @@ def rover_action_bounds(batch: Batch, rover: int = 0) -> Bounds:
 
 def walker_observation_bounds(batch: Batch) -> dict[str, Bounds]:
     """(low, high), each (n,), of what an actor that is an agent observes."""
-    far = batch.senses.farthest_goal_m
+    far = batch.farthest_goal_m
     top = float(batch.actors.top_speed[batch.actors.external].max())
     closing = batch.max_closing_speed_mps
     return {

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, within, wrap_angle
 from dune_rl.robots.robot import Robot
-from dune_rl.sensors.sensor import Moment, Wheels
+from dune_rl.state import JointState
+from dune_rl.state import Motion as TrueMotion
 
 Array = NDArray[np.float64]
 
@@ -119,21 +120,17 @@ class Motion:
         self._since[moved] = 0
         return self._since.copy()
 
-    def moment(
-        self, actor_poses: Array, seed: int, episodes: NDArray[np.int64], steps: NDArray[np.int64]
-    ) -> Moment:
-        """What there is to be sensed now; see `Moment`."""
-        return Moment(
+    def true_motion(self, acceleration_b: Array) -> TrueMotion:
+        """The same as a state has it, with accelerations (M, 3)."""
+        return TrueMotion(
             self.position_w,
-            self.rotation,
+            self.roll_pitch_yaw,
             self.velocity_w,
             self.angular_w,
-            self.velocity_b,
-            self.angular_b,
-            self.roll_pitch_yaw,
-            actor_poses,
-            seed,
-            episodes,
-            steps,
-            None if self._drives is None else Wheels(*np.split(self._drives, 3, axis=1)),
+            self.diverged,
+            None if self._drives is None else JointState(*np.split(self._drives, 3, axis=1)),
+            rotation=self.rotation,
+            velocity_b=self.velocity_b,
+            angular_b=self.angular_b,
+            acceleration_b=acceleration_b,
         )

@@ -10,12 +10,14 @@ from dune_rl.env.drag import drag_forces
 from dune_rl.env.encounters import Encounters
 from dune_rl.env.latency import Latency
 from dune_rl.env.motion import Motion
-from dune_rl.env.senses import Senses
 from dune_rl.env.traction import Traction
 from dune_rl.metrics.episode import EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import Robot
-from dune_rl.sensors.sensor import Moment, Reading
+from dune_rl.sensors.imu import Imu
+from dune_rl.sensors.sensor import Reading
+from dune_rl.sensors.suite import SensorSuite
+from dune_rl.state import ContactState, EpisodeState, GoalState, GroupState, State
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
 from dune_rl.tasks.snapshot import Snapshot
@@ -56,7 +58,7 @@ class Rovers:
     def __init__(
         self,
         robot: Robot,
-        senses: Senses,
+        senses: SensorSuite,
         sites: Sites,
         physics: PhysicsConf,
         task: PointGoalConf,
@@ -70,6 +72,7 @@ class Rovers:
         num_scenes = len(sites)
         self.robot, self.senses = robot, senses
         self.motion = Motion(num_scenes, robot)
+        self._accelerometer = Imu(senses.conf.imu, num_scenes)
         self.traction = Traction(robot, physics, num_scenes)
         self.latency = Latency(num_scenes, robot.body.rest_commands(), physics.control_hz)
         self._is_late = is_late
@@ -116,11 +119,38 @@ class Rovers:
         self._encounters.make_room(bodies)
         self.motion.begin(mask)
 
-    def begin_senses(self, mask: Flags, now: Moment) -> None:
-        """Read the instruments at the start of the episodes in `mask` (M,)."""
-        self.senses.begin(mask, now)
+    def begin_senses(
+        self, mask: Flags, neighbours: Array, seed: int, episodes: Counts, steps: Counts
+    ) -> None:
+        """Read the sensors at the start of the episodes in `mask` (M,)."""
+        motion = self.motion
+        self._accelerometer.begin(mask, motion.rotation, motion.velocity_w, motion.angular_w)
         distance = self._distance_to_goal()
         self._goal_distance = np.where(mask, distance, self._goal_distance)
+        now, state = self._state(neighbours, seed, episodes, steps)
+        self.senses.begin(mask, now, state)
+
+    def measure_senses(self, neighbours: Array, seed: int, episodes: Counts, steps: Counts) -> None:
+        """Read the sensors at the end of a control step."""
+        now, state = self._state(neighbours, seed, episodes, steps)
+        self.senses.measure(now, state)
+
+    def _state(
+        self, neighbours: Array, seed: int, episodes: Counts, steps: Counts
+    ) -> tuple[GroupState, State]:
+        distance, zero = self._goal_distance, np.zeros(len(steps), np.int64)
+        now = GroupState(
+            "rover",
+            1,
+            EpisodeState(seed, episodes, steps, episodes, self._physics.control_step_s),
+            self.motion.true_motion(self._accelerometer.acceleration_b),
+            ContactState(zero > 0, zero, zero),
+            neighbours,
+            self.done,
+            lambda: np.full(len(steps), np.inf),
+            GoalState(self.goals_w, distance, distance, self.motion.bearing(self.goals_w)),
+        )
+        return now, State({"rover": now}, self._sites, len(steps))
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -156,7 +186,7 @@ class Rovers:
     @property
     def needs_wheels(self) -> bool:
         """Whether the wheels' states are to be asked for."""
-        return self.senses.needs_wheels or self.traction.needs_wheels
+        return self.senses.needs_joints or self.traction.needs_wheels
 
     def _forces(self) -> Array | None:
         """What grass and soft ground hold the rovers back with [N], (M, 3), world frame; None: nothing."""
@@ -172,6 +202,10 @@ class Rovers:
         `steps` (M,) have been made in each episode; `clearance` (M,) is that of
         `Batch.clearance`, and becomes 0 where something is touched.
         """
+        motion = self.motion
+        self._accelerometer.measure(
+            motion.rotation, motion.velocity_w, motion.angular_w, self._physics.control_step_s
+        )
         now = self._snapshot(steps, clearance)
         end = endings(now, self._task.termination)
         terms = reward_terms(now, self._task.reward, end.reached, end.stuck, end.flipped)
@@ -216,7 +250,7 @@ class Rovers:
             tilt=motion.tilt(),
             speed=motion.velocity_b[:, 0],
             angular_b=motion.angular_b,
-            acceleration_b=self.senses.acceleration_b,
+            acceleration_b=self._accelerometer.acceleration_b,
             goal_distance=self._goal_distance,
             previous_goal_distance=previous,
             goal_heading=motion.bearing(self.goals_w),
@@ -278,7 +312,7 @@ class Rovers:
 
     def observe(self) -> dict[str, Reading]:
         """The observation, each part (M, ...); asking twice gives the same."""
-        return self.senses.observe(self._goal_distance, self.motion.bearing(self.goals_w))
+        return self.senses.observe()
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -298,7 +332,7 @@ class Rovers:
     # -- several in a scene -----------------------------------------------------------------------
 
     def poses(self) -> Array:
-        """Place [m] and yaw [rad] of the origins, (M, 4), as `Moment.actor_poses` has them."""
+        """Place [m] and yaw [rad] of the origins, (M, 4), as `GroupState.neighbours` has them."""
         return np.column_stack([self.motion.position_w, self.motion.roll_pitch_yaw[:, 2]])
 
     def apart_from(self, other: "Rovers") -> Array:

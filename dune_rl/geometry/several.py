@@ -23,6 +23,9 @@ class RayScenes:
     def __init__(self, scenes: PerScene[RayScene] | Made[Any, RayScene]) -> None:
         self._scenes = scenes
 
+    def __len__(self) -> int:
+        return len(self._scenes)
+
     def among(self, scenes: NDArray[np.int64]) -> "RayScenes":
         """Those of some scenes (m,), counted from 0 in their order."""
         return RayScenes(PerScene([self._scenes[scene] for scene in scenes.tolist()]))
@@ -73,14 +76,21 @@ class RayScenes:
 
 
 class HeightFields:
-    """A `HeightField` for each of M scenes; points have the leading axis M."""
+    """A `HeightField` for each of M scenes.
+
+    Points have the leading axis N = M * G, scene after scene.
+    """
 
     def __init__(self, fields: PerScene[HeightField] | Made[Any, HeightField]) -> None:
         self._fields = fields
 
     def height(self, xy: Array) -> Array:
-        """Height [m], (M, ...), at points (M, ..., 2)."""
-        return asked(self._fields.groups, HeightField.height, xy)
+        """Height [m], (N, ...), at points (N, ..., 2)."""
+        groups = self._fields.groups
+        if len(groups) == 1:
+            return groups[0][0].height(xy)
+        by_scene = xy.reshape(len(self._fields), -1, 2)
+        return asked(groups, HeightField.height, by_scene).reshape(xy.shape[:-1])
 
 
 AnyRays: TypeAlias = RayScene | RayScenes

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from instruments import moment
 from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from mounted import camera_conf, depth_strip_conf, lidar_3d_conf
+from states import begin, episode_state
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import figures
@@ -30,8 +30,8 @@ LEVEL = np.eye(3)[None]
 
 
 def standing(episodes, steps, seed: int = 5):
-    now = moment(episodes, steps, seed)
-    now.position_w[:] = STANDING
+    now = episode_state(episodes, steps, seed)
+    now.motion.position_w[:] = STANDING
     return now
 
 
@@ -73,7 +73,7 @@ def test_rings_tell_grass_from_ground():
         1,
         Air(foliage=world.grass.foliage),
     )
-    lidar.begin(np.array([True]), standing([0], 0))
+    begin(lidar, np.array([True]), standing([0], 0))
     found = {name.removeprefix("lidar_3d_"): value[0, ..., 0] for name, value in lidar.read().items()}
     green = found["segmentation"] == Segment.VEGETATION
     bare = lidar.scan(STANDING, LEVEL, NOBODY)["lidar_3d_range"][0, ..., 0]
