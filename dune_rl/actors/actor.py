@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from dune_rl.actors.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
 from dune_rl.errors import WorldError
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.geometry.per_scene import PerScene, asked
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.settings import Settings
 from dune_rl.worlds.world import World
@@ -75,7 +75,7 @@ class Actors:
         num_scenes: int,
     ) -> None:
         self.confs = confs
-        self._worlds = PerScene([world] * num_scenes)
+        self._worlds = SharedPerScene([world] * num_scenes)
         self._extents = np.tile(np.array(world.extent), (num_scenes, 1))
         # By world, for as long as that is there.
         self._paths: WeakKeyDictionary[World, _Paths] = WeakKeyDictionary()
@@ -177,7 +177,7 @@ class Actors:
         if len(self.scripted):
             columns = self.scripted
             self._travelled[:, columns] += self.top_speed[columns] * step_s
-            self.poses[:, columns] = asked(
+            self.poses[:, columns] = query_grouped(
                 self._worlds.groups, self._pose, self._loop[:, columns], self._travelled[:, columns]
             )
         if len(self.external):
@@ -199,9 +199,9 @@ class Actors:
             & (target[..., 1] < ymax - 1.0)
         )
         groups = self._worlds.groups
-        free = inside & (asked(groups, World.clearance, target) >= self.radius[columns])
+        free = inside & (query_grouped(groups, World.clearance, target) >= self.radius[columns])
         poses[..., :2] = np.where(free[..., None], target, poses[..., :2])
-        poses[..., 2] = asked(groups, _ground, poses[..., :2])
+        poses[..., 2] = query_grouped(groups, _ground, poses[..., :2])
         poses[..., 3] = yaw
         self.poses[:, columns] = poses
         self.blocked[:, columns] = ~free
@@ -212,8 +212,8 @@ class Actors:
             outbound = self._outbound[:, columns] ^ arrived
             ends = np.where(
                 outbound[..., None],
-                asked(groups, self._far_end, loop)[..., :2],
-                asked(groups, self._near_end, loop)[..., :2],
+                query_grouped(groups, self._far_end, loop)[..., :2],
+                query_grouped(groups, self._near_end, loop)[..., :2],
             )
             self.goals_w[:, columns] = np.where(arrived[..., None], ends, goals)
             self._outbound[:, columns] = outbound

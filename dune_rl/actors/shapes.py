@@ -5,9 +5,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.rendering.light import linear
-from dune_rl.rendering.moving import Figure
-from dune_rl.rendering.scenery import Segment, Shape
+from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.scenery import Segment, ColouredMesh
 
 _SIDES = 24
 # Upper ends of a walker's clothes as shares of its height, and their colours (sRGB).
@@ -24,17 +24,17 @@ _CLOTHES = (
 )
 
 
-def figures(confs: tuple[ActorConf, ...]) -> list[Figure]:
+def actor_moving_meshes(confs: tuple[ActorConf, ...]) -> list[MovingMesh]:
     """The figure of each actor; actors of equal size share theirs."""
-    made: dict[tuple[float, float], Figure] = {}
+    made: dict[tuple[float, float], MovingMesh] = {}
     for conf in confs:
         size = (conf.radius_m, conf.height_m)
         if size not in made:
-            made[size] = Figure(_walker(*size))
+            made[size] = MovingMesh(_walker(*size))
     return [made[(conf.radius_m, conf.height_m)] for conf in confs]
 
 
-def _walker(radius_m: float, height_m: float) -> Shape:
+def _walker(radius_m: float, height_m: float) -> ColouredMesh:
     """An upright capsule, as physics has it, in working clothes."""
     bends = np.linspace(0.0, np.pi / 2, 7)
     round_end = np.column_stack([np.sin(bends), 1.0 - np.cos(bends)]) * radius_m
@@ -44,7 +44,7 @@ def _walker(radius_m: float, height_m: float) -> Shape:
     upper = np.column_stack([round_end[::-1, 0], height_m - round_end[::-1, 1]])
     mesh = trimesh.creation.revolve(np.concatenate([round_end, sides, upper]), sections=_SIDES)
     middle = mesh.triangles_center[:, 2] / height_m
-    return Shape(
+    return ColouredMesh(
         mesh.vertices,
         mesh.faces.astype(np.int32),
         _clothes_at(middle),
@@ -55,5 +55,5 @@ def _walker(radius_m: float, height_m: float) -> Shape:
 def _clothes_at(share: NDArray[np.float64]) -> NDArray[np.float32]:
     """Linear RGB (F, 3) at shares (F,) of a walker's height."""
     tops = np.array([top for top, _ in _CLOTHES])
-    colours = linear(np.array([colour for _, colour in _CLOTHES]))
+    colours = srgb_to_linear(np.array([colour for _, colour in _CLOTHES]))
     return colours[np.minimum(np.searchsorted(tops, share), len(tops) - 1)]

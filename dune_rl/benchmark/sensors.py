@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.benchmark.environment import median_ratio, seconds
 from dune_rl.config.build import make_batch
 from dune_rl.config.schema import BenchmarkConf
@@ -19,7 +19,7 @@ from dune_rl.physics.interface import StaticBody
 from dune_rl.rendering.light import LightConf
 from dune_rl.sensors.camera import Camera, CameraConf
 from dune_rl.sensors.lidar import Lidar, beam_angles
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def _lidar(conf: BenchmarkConf, batch: Batch, reference: BulletReference) -> dic
 
 
 def _camera(conf: BenchmarkConf, world: World, batch: Batch, reference: BulletReference) -> dict[str, float]:
-    camera = Camera(CameraConf(), baked(world, LightConf()), figures(()))
+    camera = Camera(CameraConf(), bake_world(world, LightConf()), actor_moving_meshes(()))
     rotation = batch.motion.rotation
     position = batch.motion.position_w.copy()
     if world is not batch.world:

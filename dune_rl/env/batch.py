@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.actors.actor import ActorConf, Actors
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.env.action_log import ActionLog
-from dune_rl.env.figures import robot_figure
+from dune_rl.env.figures import robot_moving_mesh
 from dune_rl.env.motion import Motion
 from dune_rl.env.places import Places
 from dune_rl.env.rovers import RoverOutcome, Rovers
@@ -118,7 +118,7 @@ class Batch:
         )
         self.actors = self._new_actors(seed)
         self.sites = self._places.sites
-        shapes = [robot_figure(robot.body) for robot in robots] if make_others else []
+        shapes = [robot_moving_mesh(robot.body) for robot in robots] if make_others else []
         self.rovers = tuple(
             Rovers(
                 robot,
@@ -127,7 +127,7 @@ class Batch:
                     sensor_context(
                         self.sites,
                         robot_carrier(robot),
-                        [*figures(actors), *shapes[:index], *shapes[index + 1 :]],
+                        [*actor_moving_meshes(actors), *shapes[:index], *shapes[index + 1 :]],
                         num_rows=num_scenes,
                         step_s=physics.control_step_s,
                         worlds_differ=self.variety.of_worlds,

@@ -4,17 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.env.motion import Motion
-from dune_rl.geometry.per_scene import Rows
+from dune_rl.geometry.shared_per_scene import Rows
 from dune_rl.robots.robot import Robot
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 
 _ALL = slice(None)
 
 
-def drag_forces(sites: Sites, motion: Motion, robot: Robot) -> Array | None:
+def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot) -> Array | None:
     """Force [N] on each rover, (M, 3), world frame, of the grass where it stands; None where none grows."""
     groups = sites.worlds.groups
     if all(world.grass is None for world, _ in groups):

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, within, wrap_angle
+from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body, clip, wrap_angle
 from dune_rl.robots.robot import Robot
 from dune_rl.state import JointState
 from dune_rl.state import Motion as TrueMotion
@@ -91,7 +91,7 @@ class Motion:
 
     def tilt(self) -> Array:
         """Angle between the body's z and the world's [rad], (M,)."""
-        return np.arccos(within(self.rotation[:, 2, 2], -1.0, 1.0))
+        return np.arccos(clip(self.rotation[:, 2, 2], -1.0, 1.0))
 
     def bearing(self, points_w: Array) -> Array:
         """Bearing of points (M, 2) from each rover's heading [rad], in [-pi, pi), (M,)."""

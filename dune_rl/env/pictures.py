@@ -6,17 +6,17 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.env.batch import Batch
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.geometry.per_scene import Made
-from dune_rl.rendering.body import Body, Solid
-from dune_rl.rendering.light import linear
-from dune_rl.rendering.picture import Painter, Viewpoint
-from dune_rl.rendering.scenery import Segment, Shape, joined
+from dune_rl.geometry.shared_per_scene import DerivedCache
+from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.scenery import Segment, ColouredMesh, join_meshes
 from dune_rl.robots.visual import RobotVisual
-from dune_rl.worlds.appearance import in_weather
-from dune_rl.worlds.sites import Look
+from dune_rl.worlds.appearance import bake_in_weather
+from dune_rl.worlds.batched_worlds import WorldAppearance
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -34,8 +34,8 @@ class Pictures:
         self._batch = batch
 
     @cached_property
-    def _painters(self) -> Made[Look, Painter]:
-        return self._batch.sites.looks.map(_painter)
+    def _painters(self) -> DerivedCache[WorldAppearance, Renderer]:
+        return self._batch.sites.appearances.map(_painter)
 
     @cached_property
     def _robots(self) -> list[RobotVisual]:
@@ -43,25 +43,25 @@ class Pictures:
         return [RobotVisual(body.look or body.urdf) for body in bodies]
 
     @cached_property
-    def _flag(self) -> Solid:
-        return Solid(_goal_flag())
+    def _flag(self) -> RayMesh:
+        return RayMesh(_goal_flag())
 
-    def bodies(self, scene: int) -> list[Body]:
+    def bodies(self, scene: int) -> list[PosedMesh]:
         """The rovers, the actors and a flag at each goal."""
         batch = self._batch
-        found: list[Body] = []
+        found: list[PosedMesh] = []
         for visual, rovers in zip(self._robots, batch.rovers, strict=True):
             motion = rovers.motion
             angles = rovers.joint_angles(scene)
             found += visual.bodies(motion.position_w[scene], motion.rotation[scene], angles)
-        shapes = figures(batch.actor_confs)
+        shapes = actor_moving_meshes(batch.actor_confs)
         for figure, (x, y, z, yaw) in zip(shapes, batch.actors.poses[scene], strict=True):
             turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
-            found.append(Body(figure, np.array([x, y, z]), turn))
+            found.append(PosedMesh(figure, np.array([x, y, z]), turn))
         for rovers in batch.rovers:
             goal = rovers.goals_w[scene]
             foot = np.array([*goal, self._ground(scene, goal)])
-            found.append(Body(self._flag, foot, np.eye(3)))
+            found.append(PosedMesh(self._flag, foot, np.eye(3)))
         return found
 
     def from_behind(self, scene: int = 0, width: int = 640, height: int = 480, samples: int = 1) -> Picture:
@@ -110,7 +110,7 @@ class Pictures:
         lengths = np.minimum(lengths, np.float32(_FARTHEST_EYE_M))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
         reach = lengths.copy()
-        self._painters[scene].baked.rays.shorten(
+        self._painters[scene].baked.rays.shorten_ranges(
             start[None].astype(np.float32), ways.astype(np.float32), reach
         )
         free = np.maximum(reach - np.float32(_CLEAR_OF_WALLS_M), 0.0)
@@ -121,11 +121,11 @@ class Pictures:
         return eye
 
 
-def _painter(look: Look) -> Painter:
-    return Painter(in_weather(look.world, look.weather), look.air)
+def _painter(look: WorldAppearance) -> Renderer:
+    return Renderer(bake_in_weather(look.world, look.weather), look.air)
 
 
-def _goal_flag() -> Shape:
+def _goal_flag() -> ColouredMesh:
     pole = trimesh.creation.cylinder(0.025, 1.6, sections=12)
     pole.apply_translation([0.0, 0.0, 0.8])
     flag = trimesh.creation.box([0.02, 0.55, 0.32])
@@ -136,11 +136,11 @@ def _goal_flag() -> Shape:
     for mesh, colour in ((pole, (0.9, 0.9, 0.88)), (flag, _GOAL_COLOUR), (disc, _GOAL_COLOUR)):
         count = len(mesh.faces)
         shapes.append(
-            Shape(
+            ColouredMesh(
                 np.asarray(mesh.vertices),
                 np.asarray(mesh.faces, np.int32),
-                np.tile(linear(np.array(colour)), (count, 1)),
+                np.tile(srgb_to_linear(np.array(colour)), (count, 1)),
                 np.full(count, Segment.SKY, np.uint8),
             )
         )
-    return joined(shapes)
+    return join_meshes(shapes)

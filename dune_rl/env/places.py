@@ -15,7 +15,7 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import SpawnConf, Spawner
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 # A world in which no rover can start or no walker walk is passed over for another, so many times at most.
@@ -45,7 +45,7 @@ class Places:
         measures_work: bool = False,
     ) -> None:
         self.variety = variety
-        self.sites = Sites([(world, weather)] * num_scenes)
+        self.sites = BatchedWorlds([(world, weather)] * num_scenes)
         self.values = np.zeros((num_scenes, len(variety.names)))
         self.most_bodies = 0
         self._world, self._weather, self._robots = world, weather, robots

@@ -23,7 +23,7 @@ from dune_rl.tasks.rewards import REWARD_TERMS, reward_terms
 from dune_rl.tasks.snapshot import Snapshot
 from dune_rl.tasks.spawn import Placement, Spawner
 from dune_rl.tasks.terminations import Endings, endings
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -59,7 +59,7 @@ class Rovers:
         self,
         robot: Robot,
         senses: SensorSuite,
-        sites: Sites,
+        sites: BatchedWorlds,
         physics: PhysicsConf,
         task: PointGoalConf,
         metrics: MetricsConf,

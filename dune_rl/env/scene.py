@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
 from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, SceneSpec, StaticBody
 from dune_rl.robots.robot import Robot
-from dune_rl.worlds.props import merge
+from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ def scene_spec(
     # Every static body costs the engine a third of a microsecond a step; what is ground needs no name.
     decks = [(prop.vertices, prop.faces) for prop in world.props if prop.solid and prop.drivable]
     if decks:
-        deck = merge(decks)
+        deck = merge_meshes(decks)
         statics.append(StaticBody("drivable props", *deck, friction, ground=True, restitution=restitution))
     statics += [
         StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=False)

@@ -7,19 +7,19 @@ import numpy as np
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.geometry.several import HeightFields, RayScenes
-from dune_rl.rendering.air import BeamAir
-from dune_rl.rendering.foliage import Foliage, Foliages
-from dune_rl.rendering.moving import Figure as MovingMesh
-from dune_rl.rendering.surface import Surfaces
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.rendering.participating_media import BeamMedia
+from dune_rl.rendering.foliage import Foliage, BatchedFoliage
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.context import SensorCarrier, SensorContext
 from dune_rl.sensors.odometry import DriveGeometry
-from dune_rl.worlds.appearance import in_weather, under_own_sun
-from dune_rl.worlds.sites import Look, Sites
-from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
+from dune_rl.worlds.batched_worlds import WorldAppearance, BatchedWorlds
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 # Over the highest and under the lowest solid point, where a body can still be.
@@ -27,7 +27,7 @@ _MARGIN_M = 1.0
 
 
 def sensor_context(
-    worlds: Sites,
+    worlds: BatchedWorlds,
     carrier: SensorCarrier,
     meshes: Sequence[MovingMesh],
     *,
@@ -42,15 +42,15 @@ def sensor_context(
     observation spaces never change.
     """
     # All worlds have the extent of the first.
-    world, weather = worlds.looks[0].world, worlds.looks[0].weather
+    world, weather = worlds.appearances[0].world, worlds.appearances[0].weather
     return SensorContext(
         num_rows=num_rows,
         step_s=step_s,
         carrier=carrier,
-        solid=RayScenes(worlds.worlds.map(_rays)),
-        surfaces=Surfaces(worlds.worlds.map(solid_look)),
+        solid=BatchedRayScenes(worlds.worlds.map(_rays)),
+        surfaces=BatchedBeamSurfaces(worlds.worlds.map(beam_surface)),
         meshes=meshes,
-        terrain=HeightFields(worlds.worlds.map(_terrain)),
+        terrain=BatchedHeightFields(worlds.worlds.map(_terrain)),
         extent=world.extent,
         heights=_height_limits(world) if worlds_differ else _heights(world),
         make_cameras=partial(_cameras, worlds, meshes),
@@ -76,18 +76,18 @@ def robot_carrier(robot: Robot) -> SensorCarrier:
     )
 
 
-def _cameras(worlds: Sites, meshes: Sequence[MovingMesh], conf: CameraConf) -> Cameras:
-    def camera(look: Look) -> Camera:
-        return Camera(conf, in_weather(look.world, look.weather), meshes, look.air)
+def _cameras(worlds: BatchedWorlds, meshes: Sequence[MovingMesh], conf: CameraConf) -> Cameras:
+    def camera(look: WorldAppearance) -> Camera:
+        return Camera(conf, bake_in_weather(look.world, look.weather), meshes, look.air)
 
-    return Cameras(conf, worlds.looks.map(camera))
+    return Cameras(conf, worlds.appearances.map(camera))
 
 
-def _beam_air(worlds: Sites, weather: WeatherConf, worlds_differ: bool) -> BeamAir:
+def _beam_air(worlds: BatchedWorlds, weather: WeatherConf, worlds_differ: bool) -> BeamMedia:
     grassy = worlds_differ or any(world.grass is not None for world, _ in worlds.worlds.groups)
-    return BeamAir(
-        Haze.of(under_own_sun(worlds.worlds[0], weather)),
-        Foliages(worlds.worlds.map(_foliage)) if grassy else None,
+    return BeamMedia(
+        Haze.of(with_own_sun(worlds.worlds[0], weather)),
+        BatchedFoliage(worlds.worlds.map(_foliage)) if grassy else None,
     )
 
 

@@ -65,7 +65,7 @@ class Traction:
                 )
             return
         rotation = rotation_matrices(quaternion)
-        self.surfaces[scene], _ = world.underfoot(self._bottoms(position_w, rotation))
+        self.surfaces[scene], _ = world.surface_below(self._bottoms(position_w, rotation))
         self._set(scene, world, engine)
 
     @property
@@ -87,7 +87,7 @@ class Traction:
         for world, scenes, rolling in groups:
             rotation = motion.rotation[scenes]
             bottoms = self._bottoms(motion.position_w[scenes], rotation)
-            numbers, height = world.underfoot(bottoms)
+            numbers, height = world.surface_below(bottoms)
             changed = (numbers != self.surfaces[scenes]).any(axis=1)
             self.surfaces[scenes] = numbers
             for scene in scenes[changed].tolist():

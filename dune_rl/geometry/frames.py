@@ -13,7 +13,7 @@ def wrap_angle(angle: Array) -> Array:
     return np.where(wrapped >= np.pi, -np.pi, wrapped)
 
 
-def within(value: Array, low: Array | float, high: Array | float) -> Array:
+def clip(value: Array, low: Array | float, high: Array | float) -> Array:
     """`value` moved into [low, high], any shape; `np.clip` gives the same at several times the cost."""
     return np.minimum(np.maximum(value, low), high)
 
@@ -54,7 +54,7 @@ def roll_pitch_yaw(rotation: Array) -> Array:
     """
     out = np.empty(rotation.shape[:-1])
     out[..., 0] = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
-    out[..., 1] = -np.arcsin(within(rotation[..., 2, 0], -1.0, 1.0))
+    out[..., 1] = -np.arcsin(clip(rotation[..., 2, 0], -1.0, 1.0))
     out[..., 2] = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
     return out
 

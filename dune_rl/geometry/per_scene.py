@@ -14,7 +14,7 @@ Groups = tuple[tuple[T, Rows], ...]
 _ALL = slice(None)
 
 
-class PerScene(Generic[T]):
+class SharedPerScene(Generic[T]):
     """One thing for each of M scenes, compared by identity.
 
     `groups` are the different things, each with the scenes that have it, in the
@@ -46,19 +46,19 @@ class PerScene(Generic[T]):
             self._groups = _grouped(self._things)
         return self._groups
 
-    def among(self, scenes: NDArray[np.int64]) -> Groups[T]:
+    def select_scenes(self, scenes: NDArray[np.int64]) -> Groups[T]:
         """As `groups`, of the scenes in `scenes` (m,) alone, which are counted from 0 in its order."""
         return _grouped([self._things[scene] for scene in scenes.tolist()])
 
     def map(self, make: Callable[[T], U]) -> "Made[T, U]":
         """What `make` makes of each thing, once for as long as a scene has it, when it is first asked for."""
-        return Made(self, make)
+        return DerivedCache(self, make)
 
 
-class Made(Generic[T, U]):
-    """Things made of those of a `PerScene`, which it follows: see `PerScene.map`."""
+class DerivedCache(Generic[T, U]):
+    """Things made of those of a `SharedPerScene`, which it follows: see `PerScene.map`."""
 
-    def __init__(self, source: PerScene[T], make: Callable[[T], U]) -> None:
+    def __init__(self, source: SharedPerScene[T], make: Callable[[T], U]) -> None:
         self._source, self._make = source, make
         self._known: dict[int, tuple[T, U]] = {}
         self._followed: Groups[T] = ()
@@ -73,16 +73,16 @@ class Made(Generic[T, U]):
 
     @property
     def groups(self) -> Groups[U]:
-        """As those of a `PerScene`."""
+        """As those of a `SharedPerScene`."""
         if self._source.groups is not self._followed:
             self._forget()
             self._followed = self._source.groups
             self._groups = self._made(self._followed)
         return self._groups
 
-    def among(self, scenes: NDArray[np.int64]) -> Groups[U]:
-        """As those of a `PerScene`."""
-        return self._made(self._source.among(scenes))
+    def select_scenes(self, scenes: NDArray[np.int64]) -> Groups[U]:
+        """As those of a `SharedPerScene`."""
+        return self._made(self._source.select_scenes(scenes))
 
     def _made(self, groups: Groups[T]) -> Groups[U]:
         return tuple((self._of(thing), rows) for thing, rows in groups)
@@ -99,7 +99,7 @@ class Made(Generic[T, U]):
             self._known = {key: value for key, value in self._known.items() if key in used}
 
 
-def asked(groups: Groups[T], ask: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
+def query_grouped(groups: Groups[T], ask: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
     """`ask(thing, *parts)` of each group with its rows of the `arrays` (M, ...), put together: (M, ...)."""
     if len(groups) == 1:
         return ask(groups[0][0], *arrays)

@@ -33,11 +33,11 @@ class RayScene:
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self._triangles = TriangleScene(vertices, faces)
 
-    def among(self, scenes: NDArray[np.int64]) -> "RayScene":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScene":
         """Itself: it is the same for all scenes; see `RayScenes`."""
         return self
 
-    def shorten(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
+    def shorten_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
         """Shorten `ranges` (N,) in place to the first hit.
 
         A ray whose range is already shorter than its first hit keeps it, so
@@ -46,7 +46,7 @@ class RayScene:
         self._triangles.intersect(origins, directions, ranges, _NO_FACES, _NO_NORMALS)
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
-        """First hits of rays as in `shorten`; `ranges` (N,) are shortened too."""
+        """First hits of rays as in `shorten_ranges`; `ranges` (N,) are shortened too."""
         faces = np.empty(len(directions), np.int32)
         normals = np.empty((len(directions), 3), np.float32)
         self._triangles.intersect(origins, directions, ranges, faces, normals)
@@ -62,6 +62,6 @@ class RayScene:
         )
         return found.range, found.normal
 
-    def blocked(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+    def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
         """Whether anything at all lies on each ray, (N,)."""
         return self._triangles.occluded(origins, directions)

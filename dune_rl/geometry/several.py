@@ -6,40 +6,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import Made, PerScene, asked
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene, query_grouped
 from dune_rl.geometry.rays import Hits, RayScene
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 
-class RayScenes:
+class BatchedRayScenes:
     """A `RayScene` for each of M scenes, with the same queries.
 
     Origins (S, 3) and rays (N, 3) are those of all scenes, scene after scene:
     each scene has S / M of the origins and N / M of the rays.
     """
 
-    def __init__(self, scenes: PerScene[RayScene] | Made[Any, RayScene]) -> None:
+    def __init__(self, scenes: SharedPerScene[RayScene] | DerivedCache[Any, RayScene]) -> None:
         self._scenes = scenes
 
     def __len__(self) -> int:
         return len(self._scenes)
 
-    def among(self, scenes: NDArray[np.int64]) -> "RayScenes":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScenes":
         """Those of some scenes (m,), counted from 0 in their order."""
-        return RayScenes(PerScene([self._scenes[scene] for scene in scenes.tolist()]))
+        return BatchedRayScenes(SharedPerScene([self._scenes[scene] for scene in scenes.tolist()]))
 
-    def shorten(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
-        """As `RayScene.shorten`."""
+    def shorten_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
+        """As `RayScene.shorten_ranges`."""
         groups = self._scenes.groups
         if len(groups) == 1:
-            groups[0][0].shorten(origins, directions, ranges)
+            groups[0][0].shorten_ranges(origins, directions, ranges)
             return
         by_scene = ranges.reshape(len(self._scenes), -1)
         for rays, rows in groups:
             part = by_scene[rows].ravel()
-            rays.shorten(self._part(origins, rows), self._part(directions, rows), part)
+            rays.shorten_ranges(self._part(origins, rows), self._part(directions, rows), part)
             by_scene[rows] = part.reshape(-1, by_scene.shape[1])
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
@@ -59,15 +59,15 @@ class RayScenes:
             normal.reshape(scenes, -1, 3)[rows] = found.normal.reshape(-1, count, 3)
         return Hits(face, ranges, normal)
 
-    def blocked(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
-        """As `RayScene.blocked`."""
+    def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+        """As `RayScene.any_hit`."""
         groups = self._scenes.groups
         if len(groups) == 1:
-            return groups[0][0].blocked(origins, directions)
+            return groups[0][0].any_hit(origins, directions)
         found = np.empty(len(directions), np.bool_)
         by_scene = found.reshape(len(self._scenes), -1)
         for rays, rows in groups:
-            blocked = rays.blocked(self._part(origins, rows), self._part(directions, rows))
+            blocked = rays.any_hit(self._part(origins, rows), self._part(directions, rows))
             by_scene[rows] = blocked.reshape(-1, by_scene.shape[1])
         return found
 
@@ -75,13 +75,13 @@ class RayScenes:
         return values.reshape(len(self._scenes), -1, 3)[rows].reshape(-1, 3)
 
 
-class HeightFields:
+class BatchedHeightFields:
     """A `HeightField` for each of M scenes.
 
     Points have the leading axis N = M * G, scene after scene.
     """
 
-    def __init__(self, fields: PerScene[HeightField] | Made[Any, HeightField]) -> None:
+    def __init__(self, fields: SharedPerScene[HeightField] | DerivedCache[Any, HeightField]) -> None:
         self._fields = fields
 
     def height(self, xy: Array) -> Array:
@@ -90,8 +90,8 @@ class HeightFields:
         if len(groups) == 1:
             return groups[0][0].height(xy)
         by_scene = xy.reshape(len(self._fields), -1, 2)
-        return asked(groups, HeightField.height, by_scene).reshape(xy.shape[:-1])
+        return query_grouped(groups, HeightField.height, by_scene).reshape(xy.shape[:-1])
 
 
-AnyRays: TypeAlias = RayScene | RayScenes
-AnyTerrain: TypeAlias = HeightField | HeightFields
+AnyRays: TypeAlias = RayScene | BatchedRayScenes
+AnyTerrain: TypeAlias = HeightField | BatchedHeightFields

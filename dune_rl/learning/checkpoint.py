@@ -10,7 +10,7 @@ import torch
 from pydantic import Field
 
 from dune_rl.errors import CheckpointError
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.settings import Settings
 
 FORMAT = "dune_rl"
@@ -30,7 +30,7 @@ class CheckpointConf(Settings):
 def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
     """Write `content` (plain containers and tensors) as a file of this `kind`; raises CheckpointError."""
     try:
-        with replaced(path) as temporary:
+        with write_atomically(path) as temporary:
             torch.save({"format": FORMAT, "version": VERSION, "kind": kind, **content}, temporary)
     except OSError as error:
         raise CheckpointError(

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 
 _EVALUATION, _TRAINING = "#1f5fa8", "#d9822b"
 
@@ -41,5 +41,5 @@ def draw_curve(history: Sequence[Mapping[str, object]], path: Path, title: str) 
     reward.xaxis.set_major_formatter(EngFormatter(sep=""))
     reward.set_xlim(left=0)
     FigureCanvasAgg(figure)
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         figure.savefig(temporary, format="png")

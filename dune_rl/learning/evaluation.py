@@ -10,7 +10,7 @@ from pydantic import Field
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.learning.policies import Policy
 from dune_rl.learning.random_state import undisturbed
 from dune_rl.learning.statistics import Estimate, PairedTest, mcnemar, mean, proportion
@@ -129,7 +129,7 @@ def compare(rows_a: Sequence[Mapping[str, float]], rows_b: Sequence[Mapping[str,
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
     """Write `rows` atomically, one line each, with the columns of the first; raises CheckpointError."""
     try:
-        with replaced(path) as temporary, temporary.open("w", newline="") as file:
+        with write_atomically(path) as temporary, temporary.open("w", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]) if rows else [])
             writer.writeheader()
             writer.writerows(rows)

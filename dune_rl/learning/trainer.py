@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
@@ -268,7 +268,7 @@ class Trainer:
         if with_replay:
             name = f"replay-{self.frames}.npy"
             try:
-                with replaced(self._run_dir / name) as temporary:
+                with write_atomically(self._run_dir / name) as temporary:
                     replay = {"file": name, **self._replay.save(temporary)}
             except OSError as error:
                 raise CheckpointError(
@@ -341,7 +341,7 @@ def _claim(run_dir: Path, *, fresh: bool) -> None:
         )
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
-        with replaced(run_dir / ".writable"):
+        with write_atomically(run_dir / ".writable"):
             pass
         (run_dir / ".writable").unlink()
     except OSError as error:

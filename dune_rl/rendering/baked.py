@@ -10,9 +10,9 @@ from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.light import Light, srgb
-from dune_rl.rendering.scenery import Scenery, Segment, Shape, joined, subdivided
-from dune_rl.rendering.skin import SkinLook
+from dune_rl.rendering.light import Light, tone_map_to_srgb
+from dune_rl.rendering.scenery import Scenery, Segment, ColouredMesh, join_meshes, subdivide_mesh
+from dune_rl.rendering.texture import TextureSampler
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -36,11 +36,11 @@ def _made(_: str, make: Callable[[], Floats]) -> Floats:
     return make()
 
 
-class Baked:
+class BakedScenery:
     """Colours and segments of everything in a `Scenery` by where a ray meets it.
 
     `rays` is what to cast against: the ground's faces first, then the things'.
-    `skin` is the pictures on things, None where there are none.
+    `texture` is the pictures on things, None where there are none.
     `keep(name, make)` gives what `make` does, or has given before for this
     scenery in any light.
     """
@@ -49,25 +49,25 @@ class Baked:
         self.scenery = scenery
         self.terrain = scenery.terrain
         ground_vertices, ground_faces = self.terrain.mesh()
-        self.things = subdivided(scenery.things, _LONGEST_EDGE_M)
-        ground = Shape(
+        self.things = subdivide_mesh(scenery.things, _LONGEST_EDGE_M)
+        ground = ColouredMesh(
             ground_vertices,
             ground_faces,
             np.zeros((len(ground_faces), 3), np.float32),
             np.full(len(ground_faces), Segment.GROUND, np.uint8),
         )
-        everything = joined([ground, self.things])
+        everything = join_meshes([ground, self.things])
         self.rays = RayScene(everything.vertices, everything.faces)
         self.ground_faces = len(ground_faces)
         # Index -1, a miss, finds the last entry.
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
-        self.skin = None if self.things.skin is None else SkinLook(self.things.skin)
+        self.texture = None if self.things.texture is None else TextureSampler(self.things.texture)
         self.sky_share = keep("sky share of the ground", self._ground_sky_share)
         self._things_normals = _flat_normals(self.things)
         self.things_sky_share = keep(LAST_KEPT, self._find_things_sky_share)
         self._shine(light)
 
-    def relit(self, light: Light) -> "Baked":
+    def relight(self, light: Light) -> "Baked":
         """The same in another light, at a fraction of the cost: the sky's share of each place is known."""
         other = copy(self)
         other._shine(light)
@@ -80,7 +80,7 @@ class Baked:
             [np.zeros((self.ground_faces, 3), np.uint8), self._bake_things(), np.zeros((1, 3), np.uint8)]
         )
         # Straight down to straight up; only upward directions meet the sky.
-        self.sky = encoded(light.sky(np.linspace(-1.0, 1.0, 2 * _SKY_STEPS, dtype=np.float32)))
+        self.sky = to_srgb_bytes(light.sky(np.linspace(-1.0, 1.0, 2 * _SKY_STEPS, dtype=np.float32)))
 
     def ground_texel_positions(self) -> Array:
         """Points (rows, columns, 3) on the ground in the middle of the texture's texels."""
@@ -113,7 +113,7 @@ class Baked:
         lit = self.light.on(
             albedo.reshape(-1, 3), normals, sunlit(self.rays, self.light, points, normals), share.ravel()
         )
-        return encoded(lit).reshape(albedo.shape)
+        return to_srgb_bytes(lit).reshape(albedo.shape)
 
     def _things_centres(self) -> Array:
         centres: Array = self.things.vertices[self.things.faces].mean(axis=1)
@@ -124,23 +124,23 @@ class Baked:
         if not len(things.faces):
             return np.zeros((0, 3), np.uint8)
         sun = sunlit(self.rays, self.light, self._things_centres(), normals)
-        if self.skin is not None:
+        if self.texture is not None:
             white = np.ones_like(things.albedo)
             self._light_on_things = self.light.on(white, normals, sun, self.things_sky_share)
-        return encoded(self.light.on(things.albedo, normals, sun, self.things_sky_share))
+        return to_srgb_bytes(self.light.on(things.albedo, normals, sun, self.things_sky_share))
 
     def _find_things_sky_share(self) -> Floats:
         return sky_share(self.rays, self._things_centres(), self._things_normals)
 
-    def pictured(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
+    def textured_colours(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
         """Bytes (N, 3) at `points` (N, 3) on the things' textured faces `face` (N,), in pixels so wide."""
-        assert self.skin is not None
-        return encoded(self.skin.albedo(face, points, pixel_m) * self._light_on_things[face])
+        assert self.texture is not None
+        return to_srgb_bytes(self.texture.albedo(face, points, pixel_m) * self._light_on_things[face])
 
 
-def encoded(colour: Floats) -> NDArray[np.uint8]:
+def to_srgb_bytes(colour: Floats) -> NDArray[np.uint8]:
     """Bytes (...) for a screen, of linear values (...)."""
-    return (srgb(colour) * 255.0 + 0.5).astype(np.uint8)
+    return (tone_map_to_srgb(colour) * 255.0 + 0.5).astype(np.uint8)
 
 
 def smooth_normals(terrain: HeightField, xy: Array) -> Floats:
@@ -160,7 +160,7 @@ def sunlit(rays: RayScene, light: Light, points: Array, normals: Floats) -> Floa
     if light.shadows and facing.any():
         origins = (points[facing] + normals[facing] * _OFF_SURFACE_M).astype(np.float32)
         directions = np.ascontiguousarray(np.broadcast_to(light.to_sun, origins.shape))
-        share[facing] = ~rays.blocked(origins, directions)
+        share[facing] = ~rays.any_hit(origins, directions)
     return share
 
 
@@ -180,12 +180,12 @@ def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
         if not faced.any():
             continue
         towards = np.ascontiguousarray(np.broadcast_to(direction, (int(faced.sum()), 3)))
-        open_weight[faced] += cosine[faced] * ~rays.blocked(origins[faced], towards)
+        open_weight[faced] += cosine[faced] * ~rays.any_hit(origins[faced], towards)
         weight += cosine
     return (open_weight / np.maximum(weight, 1e-6)).astype(np.float32)
 
 
-def _flat_normals(shape: Shape) -> Floats:
+def _flat_normals(shape: ColouredMesh) -> Floats:
     """Unit normals (F, 3) of the faces."""
     corners = shape.vertices[shape.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

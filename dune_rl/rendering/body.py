@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.rays import Hits, RayScene
-from dune_rl.rendering.scenery import Shape
+from dune_rl.rendering.scenery import ColouredMesh
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 
-class Solid:
-    """A `Shape` made ready for rays, in its own frame."""
+class RayMesh:
+    """A `ColouredMesh` made ready for rays, in its own frame."""
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: ColouredMesh) -> None:
         self.shape = shape
         self.rays = RayScene(shape.vertices, shape.faces)
         low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
@@ -25,15 +25,15 @@ class Solid:
 
 
 @dataclass(frozen=True)
-class Body:
+class PosedMesh:
     """A solid at `position` (3,) [m], turned by `rotation` (3, 3) to the world."""
 
-    solid: Solid
+    solid: RayMesh
     position: Array
     rotation: Array
 
     @property
-    def shape(self) -> Shape:
+    def shape(self) -> ColouredMesh:
         """What it looks like, in its own frame."""
         return self.solid.shape
 
@@ -68,7 +68,7 @@ class Body:
     def blocks(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
         """Whether it lies on each of the world rays (R, 3), (R,)."""
         local, carried = self._carried(origins, directions)
-        return self.solid.rays.blocked(local, carried)
+        return self.solid.rays.any_hit(local, carried)
 
     def _carried(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         turn = self.rotation.astype(np.float32)

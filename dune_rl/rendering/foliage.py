@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import Made, PerScene
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -28,7 +28,7 @@ _UNDER_M, _CLOSELY = 0.3, 0.3
 _GOLDEN = 0.6180339887498949
 
 
-class Veil(NamedTuple):
+class FoliageTransmission(NamedTuple):
     """What grass does to rays (N,): the share of light that passes, and what is seen instead of the rest.
 
     `range` [m] is where half of the light is lost, inf where less is. Means over
@@ -96,12 +96,12 @@ class Foliage:
         depths = np.full(len(directions), _MEDIAN, np.float32)
         return self._marched(origins, directions, ranges, depths, self.extinction, _BEAM_STEP, 0)[0]
 
-    def veil(self, origins: Floats, directions: Floats, ranges: Floats, *, tufts: bool = False) -> Veil:
+    def transmission(self, origins: Floats, directions: Floats, ranges: Floats, *, tufts: bool = False) -> FoliageTransmission:
         """What lies before rays of `ranges` (N,) [m]; `tufts` tells single ones near by apart."""
         depths = np.full(len(directions), _MEDIAN, np.float32)
         step, detail = (_TUFT_STEP, 2) if tufts else (_PIXEL_STEP, 1)
         crossing, found = self._marched(origins, directions, ranges, depths, self.extinction, step, detail)
-        return Veil(found[0], crossing, *found[1:])
+        return FoliageTransmission(found[0], crossing, *found[1:])
 
     def shade(self, points: Array) -> Floats:
         """Share (N,) of daylight that reaches the ground at points (N, 2 or 3)."""
@@ -136,13 +136,13 @@ class Foliage:
         return crossing, found
 
 
-class Foliages:
+class BatchedFoliage:
     """Grass as the beams of M scenes meet it, of which each may have its own, or None.
 
     Origins (S, 3) and rays (N, 3) are those of all scenes, scene after scene.
     """
 
-    def __init__(self, foliages: PerScene[Foliage | None] | Made[Any, Foliage | None]) -> None:
+    def __init__(self, foliages: SharedPerScene[Foliage | None] | DerivedCache[Any, Foliage | None]) -> None:
         self._foliages = foliages
 
     @property

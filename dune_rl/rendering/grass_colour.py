@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.light import Light, linear
+from dune_rl.rendering.light import Light, srgb_to_linear
 
 Floats = NDArray[np.float32]
 
@@ -14,7 +14,7 @@ _MEAN_COLOUR = (0.40, 0.44, 0.19)
 
 def grass_colours(light: Light, height: Floats, tint: Floats, sunlit: Floats) -> Floats:
     """Linear RGB (N, 3) of grass seen at `height` and `tint` (N,), where `sunlit` (N,) of the sun comes."""
-    shaded, fresh, dry = (linear(np.array(colour)) for colour in (_SHADED, _FRESH, _DRY))
+    shaded, fresh, dry = (srgb_to_linear(np.array(colour)) for colour in (_SHADED, _FRESH, _DRY))
     height, tint = np.clip(height, 0.0, 1.0)[:, None], np.clip(tint, 0.0, 1.0)[:, None]
     # Tips are drier than stems.
     tips = fresh + (dry - fresh) * np.clip(tint * (0.4 + height), 0.0, 1.0)
@@ -27,4 +27,4 @@ def grass_colours(light: Light, height: Floats, tint: Floats, sunlit: Floats) ->
 
 def grass_albedo() -> Floats:
     """Linear RGB (3,) of grass as a whole."""
-    return linear(np.array(_MEAN_COLOUR))
+    return srgb_to_linear(np.array(_MEAN_COLOUR))

@@ -79,23 +79,23 @@ class Light:
         return colour
 
 
-def srgb(linear: Floats) -> Floats:
+def tone_map_to_srgb(srgb_to_linear: Floats) -> Floats:
     """Values in [0, 1] for a screen, of linear ones (...), the bright ones compressed instead of cut off."""
     # Linear up to a half, then toward 1 with the same slope at the join.
-    bright = 0.5 + 0.5 * (1.0 - np.exp(-(np.maximum(linear, 0.5) - 0.5) / 0.5))
-    low = np.clip(np.where(linear > 0.5, bright, linear), 0.0, 1.0)
+    bright = 0.5 + 0.5 * (1.0 - np.exp(-(np.maximum(srgb_to_linear, 0.5) - 0.5) / 0.5))
+    low = np.clip(np.where(srgb_to_linear > 0.5, bright, srgb_to_linear), 0.0, 1.0)
     encoded: Floats = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
     return encoded.astype(np.float32)
 
 
-def srgb_exact(linear: Floats) -> Floats:
-    """Encoded (sRGB) values in [0, 1] of linear ones (...), none compressed: what `linear` undoes."""
-    value = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
+def linear_to_srgb(srgb_to_linear: Floats) -> Floats:
+    """Encoded (sRGB) values in [0, 1] of linear ones (...), none compressed: what `srgb_to_linear` undoes."""
+    value = np.clip(np.asarray(srgb_to_linear, np.float32), 0.0, 1.0)
     encoded: Floats = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return encoded.astype(np.float32)
 
 
-def linear(encoded: Floats) -> Floats:
+def srgb_to_linear(encoded: Floats) -> Floats:
     """Linear values (...) of sRGB ones in [0, 1], such as colours in files and settings."""
     value = np.asarray(encoded, np.float32)
     decoded: Floats = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)

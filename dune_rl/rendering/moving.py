@@ -4,22 +4,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.rays import Hits
-from dune_rl.rendering.baked import encoded
-from dune_rl.rendering.body import Solid
+from dune_rl.rendering.baked_scenery import to_srgb_bytes
+from dune_rl.rendering.posed_mesh import RayMesh
 from dune_rl.rendering.light import Light
-from dune_rl.rendering.scenery import Segment, Shape
+from dune_rl.rendering.scenery import Segment, ColouredMesh
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 
-class Figure(Solid):
+class MovingMesh(RayMesh):
     """A closed shape that stands upright, turns about its own z axis and is lit where it is.
 
     `radius_m` is that of a sphere round `centre` (3,) that holds it, in its own frame.
     """
 
-    def __init__(self, shape: Shape, segment: Segment = Segment.ACTOR) -> None:
+    def __init__(self, shape: ColouredMesh, segment: Segment = Segment.ACTOR) -> None:
         super().__init__(shape)
         self.segment = segment
         # On its own axis, so that turning leaves it in place.
@@ -52,4 +52,4 @@ class Figure(Solid):
     def colours(self, light: Light, face: NDArray[np.int32], normal: Floats) -> NDArray[np.uint8]:
         """Bytes (R, 3) of faces `face` (R,) with unit world `normal` (R, 3), in full light."""
         everywhere = np.ones(len(face), np.float32)
-        return encoded(light.on(self.shape.albedo[face], normal, everywhere, everywhere))
+        return to_srgb_bytes(light.on(self.shape.albedo[face], normal, everywhere, everywhere))

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dune_rl.rendering.air import Air
-from dune_rl.rendering.baked import Baked, smooth_normals
-from dune_rl.rendering.body import Body
-from dune_rl.rendering.foliage import Foliage, Veil
+from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.baked_scenery import BakedScenery, smooth_normals
+from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.foliage import Foliage, FoliageTransmission
 from dune_rl.rendering.grass_colour import grass_colours
-from dune_rl.rendering.light import srgb
+from dune_rl.rendering.light import tone_map_to_srgb
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.sky import Sky
 
@@ -27,7 +27,7 @@ _GRAIN_TILE_M, _GRAIN_TEXELS, _GRAIN_STRENGTH = 2.56, 512, 0.16
 _GRAIN_FADES_M = 14.0
 # How far one sees through clear air until half of the colour is the sky's.
 _AIR_M = 700.0
-_CLEAR = Air()
+_CLEAR = ParticipatingMedia()
 _TONES = 4096
 _BRIGHTEST = 4.0
 
@@ -55,10 +55,10 @@ class Viewpoint:
         return rays.astype(np.float32)
 
 
-class Painter:
+class Renderer:
     """Paints a world that has been baked, bodies in it, and what is in the `air` before them."""
 
-    def __init__(self, baked: Baked, air: Air = _CLEAR) -> None:
+    def __init__(self, baked: BakedScenery, air: ParticipatingMedia = _CLEAR) -> None:
         self.baked = baked
         self._air = air
         self._light = baked.light
@@ -74,14 +74,14 @@ class Painter:
         )
         self._grain = (grain / np.std(grain)).astype(np.float32)
         tones = np.linspace(0.0, _BRIGHTEST, _TONES, dtype=np.float32)
-        self._tones = (srgb(tones) * 255.0 + 0.5).astype(np.uint8)
+        self._tones = (tone_map_to_srgb(tones) * 255.0 + 0.5).astype(np.uint8)
 
     def paint(
         self,
         view: Viewpoint,
         width: int = 1280,
         height: int = 720,
-        bodies: Sequence[Body] = (),
+        bodies: Sequence[PosedMesh] = (),
         samples: int = 1,
     ) -> NDArray[np.uint8]:
         """RGB (height, width, 3). `samples` > 1 smooths edges at the square of the cost."""
@@ -99,7 +99,7 @@ class Painter:
         index = (colours * ((_TONES - 1) / _BRIGHTEST)).astype(np.int32)
         return self._tones.take(index, mode="clip").reshape(height, width, 3)
 
-    def _colours(self, eye: Floats, directions: Floats, bodies: Sequence[Body], pixel_rad: float) -> Floats:
+    def _colours(self, eye: Floats, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float) -> Floats:
         """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3), `pixel_rad` apart."""
         baked = self.baked
         ranges = np.full(len(directions), _FAR_M, np.float32)
@@ -140,7 +140,7 @@ class Painter:
         ranges: Floats,
         normal: Floats,
         body_of: NDArray[np.int32],
-        bodies: Sequence[Body],
+        bodies: Sequence[PosedMesh],
         pixel_rad: float,
     ) -> None:
         """Put what rays `seen` have met into `colours` (N, 3), which change in place."""
@@ -162,14 +162,14 @@ class Painter:
         eye: Floats,
         directions: Floats,
         ranges: Floats,
-        bodies: Sequence[Body],
+        bodies: Sequence[PosedMesh],
     ) -> None:
         """Put grass before `colours` (N, 3), which change in place, of things at `ranges` (N,)."""
-        veil = foliage.veil(eye[None], directions, ranges, tufts=True)
+        veil = foliage.transmission(eye[None], directions, ranges, tufts=True)
         grown = np.flatnonzero(veil.passed < 0.998)
         if not len(grown):
             return
-        veil = Veil(*(part[grown] for part in veil))
+        veil = FoliageTransmission(*(part[grown] for part in veil))
         upward = np.zeros((len(grown), 3), np.float32)
         upward[:, 2] = 1.0
         sunlit = self._sunlit(eye + directions[grown] * veil.distance[:, None], upward, bodies)
@@ -183,7 +183,7 @@ class Painter:
         normal: Floats,
         body_of: NDArray[np.int32],
         ranges: Floats,
-        bodies: Sequence[Body],
+        bodies: Sequence[PosedMesh],
         pixel_rad: float,
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Albedo (N, 3), unit normals (N, 3), share of the sky (N,) and gloss (N,) at `points` (N, 3)."""
@@ -203,11 +203,11 @@ class Painter:
             # A little of the ground's grain keeps large walls from looking like plastic.
             grained = 1.0 + 0.4 * self._grain_at(points[thing], ranges[thing])
             albedo[thing] = baked.things.albedo[own] * grained
-            if baked.skin is not None:
-                pictured = baked.skin.textured[own]
+            if baked.texture is not None:
+                pictured = baked.texture.textured[own]
                 seen = thing[pictured]
                 pixel_m = ranges[seen] * np.float32(pixel_rad)
-                albedo[seen] = baked.skin.albedo(own[pictured], points[seen], pixel_m, smooth=True)
+                albedo[seen] = baked.texture.albedo(own[pictured], points[seen], pixel_m, smooth=True)
             share[thing] = baked.things_sky_share[own]
             gloss[thing] = np.where(baked.things.segments[own] == Segment.WATER, 1.0, 0.0)
         for number in np.unique(body_of[body_of >= 0]):
@@ -229,7 +229,7 @@ class Painter:
         fade = np.float32(_GRAIN_STRENGTH) * np.exp(ranges * np.float32(-1.0 / _GRAIN_FADES_M))
         return (grain * fade)[:, None]
 
-    def _sunlit(self, points: Floats, normals: Floats, bodies: Sequence[Body]) -> Floats:
+    def _sunlit(self, points: Floats, normals: Floats, bodies: Sequence[PosedMesh]) -> Floats:
         """1 where the sun reaches `points` (N, 3), else 0."""
         to_sun = self._light.to_sun
         facing = np.flatnonzero(normals @ to_sun > 0.0)
@@ -239,7 +239,7 @@ class Painter:
             return sunlit
         origins = points[facing] + normals[facing] * np.float32(_OFF_SURFACE_M)
         directions = np.tile(to_sun, (len(origins), 1))
-        free = ~self.baked.rays.blocked(origins, directions)
+        free = ~self.baked.rays.any_hit(origins, directions)
         for body in bodies:
             near = body.points_in_shadow_of(origins, to_sun)
             if len(near):

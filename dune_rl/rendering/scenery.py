@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.skin import Skin, joined_skins
+from dune_rl.rendering.texture import MeshTexture, join_textures
 
 Floats = NDArray[np.float32]
 
@@ -27,17 +27,17 @@ class Segment(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ColouredMesh:
     """Triangles: `vertices` (V, 3) [m], `faces` (F, 3), `albedo` (F, 3) in linear RGB, `segments` (F,).
 
-    Where faces have pictures, these are the `skin`, and `albedo` is their mean.
+    Where faces have pictures, these are the `texture`, and `albedo` is their mean.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     albedo: Floats
     segments: NDArray[np.uint8]
-    skin: Skin | None = None
+    skin: MeshTexture | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,38 +56,38 @@ class Scenery:
 
     terrain: HeightField
     ground: GroundTexture
-    things: Shape
+    things: ColouredMesh
 
 
-def joined(shapes: list[Shape]) -> Shape:
+def join_meshes(shapes: list[ColouredMesh]) -> ColouredMesh:
     """Several shapes as one, in their order."""
     if not shapes:
-        return Shape(
+        return ColouredMesh(
             np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
         )
     starts = np.cumsum([0, *(len(shape.vertices) for shape in shapes[:-1])])
-    return Shape(
+    return ColouredMesh(
         np.concatenate([shape.vertices for shape in shapes]),
         np.concatenate(
             [shape.faces + start for shape, start in zip(shapes, starts, strict=True)], dtype=np.int32
         ),
         np.concatenate([shape.albedo for shape in shapes]),
         np.concatenate([shape.segments for shape in shapes]),
-        joined_skins([shape.skin for shape in shapes], [len(shape.faces) for shape in shapes]),
+        join_textures([shape.texture for shape in shapes], [len(shape.faces) for shape in shapes]),
     )
 
 
-def subdivided(shape: Shape, longest_m: float) -> Shape:
+def subdivide_mesh(shape: ColouredMesh, longest_m: float) -> ColouredMesh:
     """The same surface in triangles whose edges are at most `longest_m`, so that light can vary over it."""
     if not len(shape.faces):
         return shape
     vertices, faces, origin = trimesh.remesh.subdivide_to_size(
         shape.vertices, shape.faces, longest_m, return_index=True
     )
-    return Shape(
+    return ColouredMesh(
         np.asarray(vertices),
         np.asarray(faces, np.int32),
         shape.albedo[origin],
         shape.segments[origin],
-        None if shape.skin is None else shape.skin.picked(origin),
+        None if shape.texture is None else shape.texture.select_faces(origin),
     )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dune_rl.rendering.light import linear
+from dune_rl.rendering.light import srgb_to_linear
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -24,7 +24,7 @@ _SMALLEST_TILE_M = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
+class MeshTexture:
     """`pictures` (rows, columns, 3), bytes in sRGB, and where each of F faces shows them.
 
     `picture` (F,) is the index of a face's picture, -1 where it has none. `maps` (F, 2, 4) take a point
@@ -52,19 +52,19 @@ class Skin:
         maps[~fit] = 0.0
         return cls((picture,), np.where(fit, 0, -1).astype(np.int32), maps)
 
-    def picked(self, faces: NDArray[Any]) -> "Skin":
+    def select_faces(self, faces: NDArray[Any]) -> "Skin":
         """That of some faces: their indices, or a mask."""
-        return Skin(self.pictures, self.picture[faces], self.maps[faces])
+        return MeshTexture(self.pictures, self.picture[faces], self.maps[faces])
 
     def moved(self, matrix: Array) -> "Skin | None":
         """The same on a mesh moved by a transform (4, 4), None where that is flat."""
         try:
-            return Skin(self.pictures, self.picture, self.maps @ np.linalg.inv(matrix))
+            return MeshTexture(self.pictures, self.picture, self.maps @ np.linalg.inv(matrix))
         except np.linalg.LinAlgError:
             return None
 
 
-def joined_skins(skins: Sequence[Skin | None], counts: Sequence[int]) -> Skin | None:
+def join_textures(skins: Sequence[MeshTexture | None], counts: Sequence[int]) -> MeshTexture | None:
     """Those of several meshes of `counts` faces as one; None where none has any picture."""
     if not any(skin is not None and (skin.picture >= 0).any() for skin in skins):
         return None
@@ -85,16 +85,16 @@ def joined_skins(skins: Sequence[Skin | None], counts: Sequence[int]) -> Skin | 
         np.zeros((count, 2, 4)) if skin is None else skin.maps
         for skin, count in zip(skins, counts, strict=True)
     ]
-    return Skin(tuple(pictures), np.concatenate(index), np.concatenate(maps))
+    return MeshTexture(tuple(pictures), np.concatenate(index), np.concatenate(maps))
 
 
-class SkinLook:
-    """A `Skin` made ready for rays: its pictures in all sizes, so that far ones do not flicker.
+class TextureSampler:
+    """A `MeshTexture` made ready for rays: its pictures in all sizes, so that far ones do not flicker.
 
     `textured` (F,) tells of which faces there are colours.
     """
 
-    def __init__(self, skin: Skin, most_texels: int = _MOST_TEXELS) -> None:
+    def __init__(self, skin: MeshTexture, most_texels: int = _MOST_TEXELS) -> None:
         pictures = [_halving(picture) for picture in skin.pictures]
         while sum(picture.shape[0] * picture.shape[1] for picture in pictures) > most_texels:
             pictures = [_halved(picture) for picture in pictures]
@@ -112,7 +112,7 @@ class SkinLook:
                 start += len(texels[-1])
                 picture = _halved(picture)
         self._texels = np.concatenate(texels)
-        self._linear = linear(np.arange(256, dtype=np.float32) / np.float32(255.0))
+        self._linear = srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(255.0))
         self._picture = skin.picture
         self._maps = skin.maps.astype(np.float32)
         sides = self._sides[np.maximum(skin.picture, 0), 0]

@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.per_scene import Made, PerScene
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 from dune_rl.rendering.scenery import Segment
 
 Floats = NDArray[np.float32]
@@ -16,7 +16,7 @@ _WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class BeamSurface:
     """Segments (F + 1,) and albedo luminances (F + 1,), in [0, 1], of the F faces of a mesh.
 
     The last entry is that of a ray that meets nothing, whose face is -1.
@@ -25,12 +25,12 @@ class Surface:
     segments: NDArray[np.uint8]
     luminance: Floats
 
-    def met(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
+    def look_up(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
         """Segments and luminances (N,) each of faces (N,)."""
         return self.segments.take(face, mode="wrap"), self.luminance.take(face, mode="wrap")
 
-    def among(self, scenes: NDArray[np.int64]) -> Self:
-        """Itself: it is the same for all scenes; see `Surfaces`."""
+    def select_scenes(self, scenes: NDArray[np.int64]) -> Self:
+        """Itself: it is the same for all scenes; see `BatchedBeamSurfaces`."""
         return self
 
     @classmethod
@@ -42,26 +42,26 @@ class Surface:
         )
 
 
-class Surfaces:
-    """A `Surface` for each of M scenes; faces are those of all scenes, scene after scene."""
+class BatchedBeamSurfaces:
+    """A `BeamSurface` for each of M scenes; faces are those of all scenes, scene after scene."""
 
-    def __init__(self, surfaces: PerScene[Surface] | Made[Any, Surface]) -> None:
+    def __init__(self, surfaces: SharedPerScene[BeamSurface] | DerivedCache[Any, BeamSurface]) -> None:
         self._surfaces = surfaces
 
-    def met(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
-        """As `Surface.met`."""
+    def look_up(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
+        """As `Surface.look_up`."""
         groups = self._surfaces.groups
         if len(groups) == 1:
-            return groups[0][0].met(face)
+            return groups[0][0].look_up(face)
         by_scene = face.reshape(len(self._surfaces), -1)
         segments, brightness = np.empty(by_scene.shape, np.uint8), np.empty(by_scene.shape, np.float32)
         for surface, rows in groups:
-            segments[rows], brightness[rows] = surface.met(by_scene[rows])
+            segments[rows], brightness[rows] = surface.look_up(by_scene[rows])
         return segments.ravel(), brightness.ravel()
 
-    def among(self, scenes: NDArray[np.int64]) -> "Surfaces":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "Surfaces":
         """Those of some scenes (m,), counted from 0 in their order."""
-        return Surfaces(PerScene([self._surfaces[scene] for scene in scenes.tolist()]))
+        return BatchedBeamSurfaces(SharedPerScene([self._surfaces[scene] for scene in scenes.tolist()]))
 
 
 def luminance(albedo: Floats) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.rendering.light import Channel, Light, LightConf, linear
+from dune_rl.rendering.light import Channel, Light, LightConf, srgb_to_linear
 from dune_rl.settings import Settings
 
 Floats = NDArray[np.float32]
@@ -43,7 +43,7 @@ class WeatherConf(Settings):
         """`light`, its sun moved to the time of day."""
         if self.time_of_day_h is None:
             return self.light
-        bearing, elevation = sun_at(self.time_of_day_h)
+        bearing, elevation = sun_position(self.time_of_day_h)
         return self.light.model_copy(update={"sun_bearing_rad": bearing, "sun_elevation_rad": elevation})
 
 
@@ -58,7 +58,7 @@ class Haze:
     def of(cls, weather: WeatherConf) -> "Haze | None":
         """That of a weather, None in clear air."""
         parts = [
-            (_KOSCHMIEDER / visibility, linear(np.array(colour)))
+            (_KOSCHMIEDER / visibility, srgb_to_linear(np.array(colour)))
             for visibility, colour in (
                 (weather.fog_visibility_m, weather.fog_colour),
                 (weather.dust_visibility_m, weather.dust_colour),
@@ -88,7 +88,7 @@ class Haze:
         return self.colour + (colours - self.colour) * self.transmittance(ranges)[:, None]
 
 
-def light_in(weather: WeatherConf) -> Light:
+def weather_light(weather: WeatherConf) -> Light:
     """Sun and sky of a weather: haze takes from the sun and covers the sky, most toward the horizon."""
     clear, haze = Light.of(weather.sunlight), Haze.of(weather)
     if haze is None:
@@ -103,7 +103,7 @@ def light_in(weather: WeatherConf) -> Light:
     )
 
 
-def sun_at(hour: float) -> tuple[float, float]:
+def sun_position(hour: float) -> tuple[float, float]:
     """Bearing from the x axis and elevation [rad] of the sun at a solar `hour` [h]; see `WeatherConf`.
 
     From the rotation of the Earth alone: at an equinox the sun stands over the equator.

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -40,4 +40,4 @@ class HeadingController:
         self._previous = heading_error.copy()
         self._integral += heading_error * step_s
         wanted = conf.kp * heading_error + conf.ki * self._integral + conf.kd * change
-        return within(wanted, -self._limit, self._limit)
+        return clip(wanted, -self._limit, self._limit)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -65,15 +65,15 @@ class SkidSteerDrive:
         `measured_yaw_rate` (M,) is the gyroscope's about the body's z [rad/s].
         """
         conf = self._conf
-        speed = within(speed, -conf.max_speed_mps, conf.max_speed_mps)
-        yaw_rate = within(yaw_rate, -conf.max_yaw_rate_radps, conf.max_yaw_rate_radps)
+        speed = clip(speed, -conf.max_speed_mps, conf.max_speed_mps)
+        yaw_rate = clip(yaw_rate, -conf.max_yaw_rate_radps, conf.max_yaw_rate_radps)
         gain = conf.max_acceleration_mps2 * step_s
         turn_gain = conf.max_yaw_acceleration_radps2 * step_s
-        self._speed = within(speed, self._speed - gain, self._speed + gain)
-        self._yaw_rate = within(yaw_rate, self._yaw_rate - turn_gain, self._yaw_rate + turn_gain)
+        self._speed = clip(speed, self._speed - gain, self._speed + gain)
+        self._yaw_rate = clip(yaw_rate, self._yaw_rate - turn_gain, self._yaw_rate + turn_gain)
         error = self._yaw_rate - measured_yaw_rate
         correction = self._correction + conf.yaw_rate_ki_per_s * step_s * error
-        self._correction = within(correction, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS)
+        self._correction = clip(correction, -_MAX_CORRECTION_RADPS, _MAX_CORRECTION_RADPS)
         turn = self._yaw_rate + conf.yaw_rate_kp * error + self._correction
         side = turn * (conf.effective_track_m / 2)
         return (self._speed - side) / conf.wheel_radius_m, (self._speed + side) / conf.wheel_radius_m

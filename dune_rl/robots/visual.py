@@ -10,9 +10,9 @@ import trimesh
 from defusedxml.ElementTree import parse
 from numpy.typing import NDArray
 
-from dune_rl.rendering.body import Body, Solid
-from dune_rl.rendering.light import linear
-from dune_rl.rendering.scenery import Segment, Shape, joined
+from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.scenery import Segment, ColouredMesh, join_meshes
 from dune_rl.robots.urdf.meshes import UrdfMeshes
 
 Array = NDArray[np.float64]
@@ -48,16 +48,16 @@ class RobotVisual:
         self._joints = [_joint(element) for element in root.findall("joint")]
         children = {joint.child for joint in self._joints}
         self._base = next(name for name in links if name not in children)
-        self._solids: dict[str, Solid] = {}
+        self._solids: dict[str, RayMesh] = {}
         meshes = UrdfMeshes(urdf)
         for name, link in links.items():
             shapes = [_visual(element, colours, meshes) for element in link.findall("visual")]
             if shapes:
-                self._solids[name] = Solid(joined(shapes))
+                self._solids[name] = RayMesh(join_meshes(shapes))
 
     def bodies(
         self, position_w: Array, rotation: Array, angles: Mapping[str, float] | None = None
-    ) -> list[Body]:
+    ) -> list[PosedMesh]:
         """The robot with its base at `position_w` (3,), turned by `rotation` (3, 3).
 
         `angles` [rad] are those of joints by name; the others stand at zero.
@@ -72,7 +72,7 @@ class RobotVisual:
             turn = trimesh.transformations.rotation_matrix((angles or {}).get(joint.name, 0.0), joint.axis)
             poses[joint.child] = poses[joint.parent] @ joint.origin @ turn
         return [
-            Body(solid, poses[name][:3, 3], poses[name][:3, :3])
+            PosedMesh(solid, poses[name][:3, 3], poses[name][:3, :3])
             for name, solid in self._solids.items()
             if name in poses
         ]
@@ -118,7 +118,7 @@ def _rgb(material: Element | None) -> tuple[float, float, float]:
     return float(red), float(green), float(blue)
 
 
-def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]], meshes: UrdfMeshes) -> Shape:
+def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]], meshes: UrdfMeshes) -> ColouredMesh:
     geometry = element.find("geometry")
     assert geometry is not None and len(geometry), "a visual element has a geometry"
     own: Array | None = None
@@ -133,10 +133,10 @@ def _visual(element: Element, colours: Mapping[str, tuple[float, float, float]],
     count = len(mesh.faces)
     if own is None or painted:
         own = np.tile(np.array(named if named is not None else _rgb(material)), (count, 1))
-    return Shape(
+    return ColouredMesh(
         np.asarray(mesh.vertices),
         np.asarray(mesh.faces, np.int32),
-        linear(own.astype(np.float32)),
+        srgb_to_linear(own.astype(np.float32)),
         np.full(count, Segment.ROBOT, np.uint8),
     )
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
 from dune_rl.robots.battery import BatteryConf
@@ -90,7 +90,7 @@ class WheeledRobot(RectangularHull):
         present one [rad]; both are clipped to the platform's limits.
         `measured_yaw_rate` (M,) is the gyroscope's [rad/s].
         """
-        error = within(action[:, 1], -np.pi, np.pi)
+        error = clip(action[:, 1], -np.pi, np.pi)
         yaw_rate = self._heading.yaw_rate(error, step_s)
         left, right = self._drive.wheel_speeds(action[:, 0], yaw_rate, measured_yaw_rate, step_s)
         return np.where(self._on_left, left[:, None], right[:, None])

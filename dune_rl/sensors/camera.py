@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.per_scene import Made, PerScene
-from dune_rl.rendering.air import Air
-from dune_rl.rendering.baked import Baked
-from dune_rl.rendering.moving import Figure as MovingMesh
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
+from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.baked_scenery import BakedScenery
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.sensor import Mount, mount_position
@@ -18,7 +18,7 @@ from dune_rl.sensors.sensor import Mount, mount_position
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-_CLEAR = Air()
+_CLEAR = ParticipatingMedia()
 
 Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
 
@@ -58,7 +58,7 @@ class Camera:
     """
 
     def __init__(
-        self, conf: CameraConf, baked: Baked, meshes: Sequence[MovingMesh], air: Air = _CLEAR
+        self, conf: CameraConf, baked: BakedScenery, meshes: Sequence[MovingMesh], air: ParticipatingMedia = _CLEAR
     ) -> None:
         self.conf = conf
         self._air = air
@@ -78,7 +78,7 @@ class Camera:
         self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
         self._tables()
 
-    def among(self, scenes: NDArray[np.int64]) -> "Camera":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "Camera":
         """Itself: it is the same for all scenes; see `Cameras`."""
         return self
 
@@ -93,10 +93,10 @@ class Camera:
         self._ground = _packed(baked.ground.reshape(-1, 3))
         self._faces = _packed(baked.faces)
         self._sky = _packed(baked.sky)
-        if baked.skin is not None:
+        if baked.texture is not None:
             # Index -1, a miss, finds the last entry.
             ground = np.zeros(baked.ground_faces, bool)
-            self._pictured = np.concatenate([ground, baked.skin.textured, [False]])
+            self._pictured = np.concatenate([ground, baked.texture.textured, [False]])
             steps = np.einsum("ij,ij->i", self._directions[1:], self._directions[:-1])
             self._pixel_rad = np.float32(np.median(np.arccos(np.clip(steps, -1.0, 1.0))))
 
@@ -163,7 +163,7 @@ class Camera:
         colour: NDArray[np.uint32] = np.where(
             on_ground, self._ground.take(index.ravel()), self._faces.take(face, mode="wrap")
         )
-        if self._baked.skin is not None:
+        if self._baked.texture is not None:
             self._put_pictures(colour, origin, directions, ranges, face)
         missed = face < 0
         if missed.any():
@@ -187,7 +187,7 @@ class Camera:
         along = ranges[ray]
         points = origin[scene].astype(np.float32) + directions.reshape(-1, 3)[ray] * along[:, None]
         own = face[ray] - self._baked.ground_faces
-        colour[ray] = _packed(self._baked.pictured(own, points, along * self._pixel_rad))
+        colour[ray] = _packed(self._baked.textured_colours(own, points, along * self._pixel_rad))
 
     def _draw_meshes(
         self,
@@ -228,7 +228,7 @@ class Camera:
     ) -> None:
         """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
         foliage = self._air.foliage
-        veil = None if foliage is None else foliage.veil(origin.astype(np.float32), directions, ranges)
+        veil = None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])
@@ -276,16 +276,16 @@ class Cameras:
     Poses are those of N = M * G robots, scene after scene.
     """
 
-    def __init__(self, conf: CameraConf, cameras: PerScene[Camera] | Made[Any, Camera]) -> None:
+    def __init__(self, conf: CameraConf, cameras: SharedPerScene[Camera] | DerivedCache[Any, Camera]) -> None:
         self.conf = conf
         self._cameras = cameras
 
     def __len__(self) -> int:
         return len(self._cameras)
 
-    def among(self, scenes: NDArray[np.int64]) -> "Cameras":
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "Cameras":
         """Those of some scenes (m,), counted from 0 in their order; a scene may occur several times."""
-        return Cameras(self.conf, PerScene([self._cameras[scene] for scene in scenes.tolist()]))
+        return Cameras(self.conf, SharedPerScene([self._cameras[scene] for scene in scenes.tolist()]))
 
     def frames(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, NDArray[Any]]:
         """As `Camera.frames`."""

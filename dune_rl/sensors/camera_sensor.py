@@ -43,7 +43,7 @@ class CameraSensor:
         rows = np.flatnonzero(mask)
         if not len(rows):
             return
-        camera = self._camera.among(rows // self._agents)
+        camera = self._camera.select_scenes(rows // self._agents)
         frames = camera.frames(now.motion.position_w[rows], now.motion.rotation[rows], now.neighbours[rows])
         for name, frame in frames.items():
             self._frames[f"{self._name}_{name}"][rows] = frame

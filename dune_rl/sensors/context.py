@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dune_rl.geometry.several import HeightFields, RayScenes
-from dune_rl.rendering.air import BeamAir
-from dune_rl.rendering.moving import Figure as MovingMesh
-from dune_rl.rendering.surface import Surfaces
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.rendering.participating_media import BeamMedia
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.sensors.camera import CameraConf, Cameras
 from dune_rl.sensors.odometry import DriveGeometry
 
@@ -49,14 +49,14 @@ class SensorContext:
     num_rows: int
     step_s: float
     carrier: SensorCarrier
-    solid: RayScenes
-    surfaces: Surfaces
+    solid: BatchedRayScenes
+    surfaces: BatchedBeamSurfaces
     meshes: Sequence[MovingMesh]
-    terrain: HeightFields
+    terrain: BatchedHeightFields
     extent: tuple[float, float, float, float]
     heights: tuple[float, float]
     make_cameras: Callable[[CameraConf], Cameras]
-    air: BeamAir
+    air: BeamMedia
 
     @property
     def diagonal_m(self) -> float:

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -61,7 +61,7 @@ class Currents:
         wheels = joints_of(now)
         driving = wheels.torque * wheels.speed > 0.0
         current = wheels.torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
-        self._reading = within(current, -self._limit_a, self._limit_a).astype(np.float32)
+        self._reading = clip(current, -self._limit_a, self._limit_a).astype(np.float32)
 
     def read(self) -> dict[str, Reading]:
         """The present currents."""

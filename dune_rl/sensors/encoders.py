@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -53,7 +53,7 @@ class WheelCounter:
             counts = np.rint(counts)
         turned = (counts - self._counts) * self._count_rad
         self._counts = counts
-        return within(turned, -self.most_rad, self.most_rad)
+        return clip(turned, -self.most_rad, self.most_rad)
 
 
 class Encoders:

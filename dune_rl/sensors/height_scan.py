@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.frames import within
-from dune_rl.geometry.several import AnyRays, AnyTerrain
+from dune_rl.geometry.frames import clip
+from dune_rl.geometry.batched import AnyRays, AnyTerrain
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -111,7 +111,7 @@ class HeightScan:
             heights = self._terrain.height(xy) - base
         else:
             heights = self._solid_heights(xy, base)
-        return within(heights, -conf.limit_m, conf.limit_m).astype(np.float32)
+        return clip(heights, -conf.limit_m, conf.limit_m).astype(np.float32)
 
     def _solid_heights(self, xy: Array, base: Array) -> Array:
         """Heights (M, P) [m] of what is solid at `xy` (M, P, 2), over `base` (M, 1)."""
@@ -124,7 +124,7 @@ class HeightScan:
         upward = np.zeros_like(origins)
         upward[:, 2] = 1.0
         depth = np.full(len(origins), above_m + limit_m, np.float32)
-        self._solid.shorten(origins, -upward, depth)
+        self._solid.shorten_ranges(origins, -upward, depth)
         # A ray that starts inside a wall or under a hill would miss its top: from there, the first
         # surface upward is met from behind.
         over = self._solid.hits(origins, upward, np.full(len(origins), _HIGHEST_M, np.float32))

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import cross, to_body, within
+from dune_rl.geometry.frames import cross, to_body, clip
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Mount, Reading, mount_position
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -63,8 +63,8 @@ class Imu:
         conf = self.conf
         out = np.empty((len(rotation), 9), np.float32)
         force = self.acceleration_b + GRAVITY_MPS2 * rotation[:, 2, :]
-        out[:, 0:3] = within(force, -conf.acceleration_range_mps2, conf.acceleration_range_mps2)
-        out[:, 3:6] = within(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
+        out[:, 0:3] = clip(force, -conf.acceleration_range_mps2, conf.acceleration_range_mps2)
+        out[:, 3:6] = clip(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
         out[:, 6:9] = roll_pitch_yaw
         return out
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.rays import RayScene
-from dune_rl.geometry.several import AnyRays
+from dune_rl.geometry.batched import AnyRays
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.settings import Settings
 
@@ -110,7 +110,7 @@ class Beams:
         directions = self.directions_b @ rotation.transpose(0, 2, 1)
         ranges = np.full(scenes * count, self._range_m, np.float32)
         directions32 = directions.reshape(-1, 3).astype(np.float32)
-        self._static.shorten(origin.astype(np.float32), directions32, ranges)
+        self._static.shorten_ranges(origin.astype(np.float32), directions32, ranges)
         for shape, columns in self._groups:
             ranges = self._past_actors(shape, neighbours[:, columns], origin, directions, ranges)
         return ranges.reshape(scenes, count)
@@ -140,7 +140,7 @@ class Beams:
         carried[..., 1] = cos * y - sin * x
         carried[..., 2] = directions[:, None, :, 2]
         shortened = np.repeat(ranges.reshape(scenes, 1, count), actors, axis=1).ravel()
-        shape.shorten(origins.reshape(-1, 3), carried.reshape(-1, 3), shortened)
+        shape.shorten_ranges(origins.reshape(-1, 3), carried.reshape(-1, 3), shortened)
         nearest: NDArray[np.float32] = shortened.reshape(scenes, actors, count).min(axis=1)
         return nearest.ravel()
 

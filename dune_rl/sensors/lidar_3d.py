@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.several import AnyRays, RayScenes
-from dune_rl.rendering.air import Air, BeamAir
-from dune_rl.rendering.moving import Figure as MovingMesh
+from dune_rl.geometry.batched import AnyRays, BatchedRayScenes
+from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import Surface, Surfaces, luminance
+from dune_rl.rendering.beam_surface import BeamSurface, BatchedBeamSurfaces, luminance
 from dune_rl.sensors.camera import columns_by_mesh
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-_CLEAR = Air()
+_CLEAR = ParticipatingMedia()
 
 
 class RangeFaults(Protocol):
@@ -85,10 +85,10 @@ class Lidar3d:
         self,
         conf: Lidar3dConf,
         solid: AnyRays,
-        surface: Surface | Surfaces,
+        surface: BeamSurface | BatchedBeamSurfaces,
         meshes: Sequence[MovingMesh],
         num_rows: int,
-        air: Air | BeamAir = _CLEAR,
+        air: ParticipatingMedia | BeamMedia = _CLEAR,
         faults: RangeFaults | None = None,
         name: str = "lidar_3d",
     ) -> None:
@@ -182,10 +182,10 @@ class Lidar3d:
         conf = self.conf
         solid, surface = self._solid, self._surface
         if rows is not None:
-            scene = rows // (self._num_rows // len(solid)) if isinstance(solid, RayScenes) else rows
-            solid = solid.among(scene)
+            scene = rows // (self._num_rows // len(solid)) if isinstance(solid, BatchedRayScenes) else rows
+            solid = solid.select_scenes(scene)
             # The brightness of faces is computed when it is first read: leave it where nothing reads it.
-            surface = surface if self._range_only else surface.among(scene)
+            surface = surface if self._range_only else surface.select_scenes(scene)
         scenes, count = len(position_w), len(self._directions_b)
         origin = position_w + rotation @ mount_position(conf.mount_b)
         origins32 = origin.astype(np.float32)
@@ -194,10 +194,10 @@ class Lidar3d:
         brightness = np.zeros(0 if self._range_only else len(ranges), np.float32)
         segments = np.zeros(len(brightness), np.uint8)
         if self._range_only:
-            solid.shorten(origins32, directions, ranges)
+            solid.shorten_ranges(origins32, directions, ranges)
         else:
             face, ranges, normal = solid.hits(origins32, directions, ranges)
-            segments, albedo = surface.met(face)
+            segments, albedo = surface.look_up(face)
             brightness = albedo * _incidence(normal, directions)
         for (mesh, columns), albedo in zip(self._groups, self._brightness, strict=True):
             poses = neighbours[:, columns]

@@ -6,11 +6,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.air import Air, BeamAir
-from dune_rl.rendering.foliage import Foliage, Foliages
+from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
+from dune_rl.rendering.foliage import Foliage, BatchedFoliage
 from dune_rl.rendering.grass_colour import grass_albedo
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import luminance
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.sensors.draws import uniform
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.state import GroupState
@@ -111,7 +111,7 @@ class InGrass:
 
     def __init__(
         self,
-        foliage: Foliage | Foliages,
+        foliage: Foliage | BatchedFoliage,
         name: str,
         directions_b: NDArray[np.floating],
         mount_b: Mount,
@@ -123,7 +123,7 @@ class InGrass:
 
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m], shortened where a blade is met."""
-        if isinstance(self._foliage, Foliages) and self._foliage.none:
+        if isinstance(self._foliage, BatchedFoliage) and self._foliage.none:
             return ranges
         origins = (now.motion.position_w + now.motion.rotation @ self._mount_b).astype(np.float32)
         directions = self._directions_b @ now.motion.rotation.transpose(0, 2, 1).astype(np.float32)
@@ -136,7 +136,7 @@ class InGrass:
 
 
 def effects_of(
-    air: Air | BeamAir,
+    air: ParticipatingMedia | BeamMedia,
     name: str,
     directions_b: NDArray[np.floating],
     mount_b: Mount,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.sensor import PI32, Array, Bounds, Flags, Reading
 from dune_rl.sensors.velocity import heading_frame
 from dune_rl.settings import Settings
@@ -66,7 +66,7 @@ class NearestAgent:
         reading[:, 0] = np.minimum(distance[rows, nearest], self._farthest_m)
         reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - yaw)
         closing = heading_frame(velocity[rows, nearest] - now.motion.velocity_w[:, :2], yaw)
-        reading[:, 2:] = within(closing, -self._max_closing_mps, self._max_closing_mps)
+        reading[:, 2:] = clip(closing, -self._max_closing_mps, self._max_closing_mps)
         self._reading = reading
 
     def read(self) -> dict[str, Reading]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.encoders import EncodersConf, WheelCounter
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading, joints_of
 from dune_rl.settings import Settings
@@ -112,7 +112,7 @@ class Odometry:
         self._pose[:, 1] += chord * np.sin(heading)
         self._pose[:, 2] = wrap_angle(self._pose[:, 2] + turn)
         reading = np.concatenate([self._pose, motion / self._step_s], axis=1)
-        self._reading = within(reading, -self._highest, self._highest).astype(np.float32)
+        self._reading = clip(reading, -self._highest, self._highest).astype(np.float32)
 
     def read(self) -> dict[str, Reading]:
         """The latest pose and twist."""

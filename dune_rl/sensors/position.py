@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.sensors.draws import normal
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
 from dune_rl.settings import Settings
@@ -86,7 +86,7 @@ class Position:
         reading = np.concatenate(
             [now.motion.position_w + self._drift, now.motion.roll_pitch_yaw[:, 2:]], axis=1
         )
-        self._reading = within(reading, self._low, self._high).astype(np.float32)
+        self._reading = clip(reading, self._low, self._high).astype(np.float32)
 
     def _draws(self, now: GroupState) -> NDArray[np.float32]:
         """Standard normal numbers (N, 3) of the present steps of the episodes."""

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ def walker_observation(
 
     position, velocity = (of.reshape(len(poses), -1, 3) for of in (rover_position_w, rover_velocity_w))
     rover = polar(position[..., :2] - poses[..., :2])
-    closing = within(to_own_frame(velocity[..., :2] - velocity_w), -limit_mps, limit_mps)
+    closing = clip(to_own_frame(velocity[..., :2] - velocity_w), -limit_mps, limit_mps)
     return {
         "goal": polar(goals_w - poses[..., :2]).astype(np.float32),
         "rover": np.concatenate([rover, closing], axis=-1).astype(np.float32),

@@ -6,7 +6,7 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.view.stage import Stage
 from dune_rl.visualization.contact_sheet import contact_sheet
 from dune_rl.visualization.film import film
@@ -16,7 +16,7 @@ from dune_rl.visualization.overlay import with_overlays
 def write_orbit(stage: Stage, path: Path) -> Path:
     """A picture of the whole place (PNG)."""
     picture = stage.orbit()
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         Image.fromarray(picture).save(temporary, format="png")
     return path
 
@@ -31,7 +31,7 @@ def write_sheet(stage: Stage, path: Path) -> Path:
             break
     title = f"{conf.world.name}, seed {conf.seed}, {steps / conf.physics.control_hz:.1f} s into the episode"
     figure = contact_sheet(stage.readings(), conf.sensors, stage.behind(1280, 960), title)
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110, facecolor=figure.get_facecolor())
     return path
 

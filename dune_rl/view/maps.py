@@ -11,7 +11,7 @@ from torch import no_grad
 from dune_rl.actors.actor import Actors
 from dune_rl.config.build import build_robot, build_world, make_torchrl_env
 from dune_rl.config.schema import ViewConf
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.learning.layout import Layout
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import Spawner
@@ -30,7 +30,7 @@ def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
     """A map of the world of `conf` (PNG); where it names a driver, of its episodes too."""
     site = site_of(conf, drives(conf, console) if conf.checkpoint or conf.policy else [])
     figure = site_map(site, title(conf), subtitle(conf), conf.dpi)
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         # The library's version would make the file another with every one.
         figure.savefig(temporary, format="png", dpi=conf.dpi, metadata={"Software": None})
     return path

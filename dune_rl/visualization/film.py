@@ -9,7 +9,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 
 AddFrame = Callable[[NDArray[np.uint8]], None]
 
@@ -23,7 +23,7 @@ def film(path: Path, frames_per_s: float, width: int, height: int) -> Iterator[A
     """
     if width % 2 or height % 2:
         raise ValueError(f"a film's width and height must be even (got {width} by {height})")
-    with replaced(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+    with write_atomically(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(frames_per_s).limit_denominator(1000))
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"

@@ -4,12 +4,12 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
 from dune_rl.seeding import stream
 from dune_rl.settings import Settings
-from dune_rl.worlds.grass import Grass, grow
+from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground import GRAVEL, MEADOW, Ground
-from dune_rl.worlds.props import beam, merge, slab, tube, upright_box
+from dune_rl.worlds.props import beam, merge_meshes, slab, tube, upright_box
 from dune_rl.worlds.rocks import rock
 from dune_rl.worlds.roughness import rough_field
-from dune_rl.worlds.soundness import check_world
+from dune_rl.worlds.validation import check_world
 from dune_rl.worlds.world import Prop, World
 
 __all__ = [

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import DuneWarning
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -71,7 +71,7 @@ class CacheFolder:
             data = np.frombuffer(json.dumps(text).encode(), np.uint8)
             everything: dict[str, Any] = {_TEXT: data, **arrays}
             everything[_CHECKSUM] = _checksum(everything)
-            with replaced(path) as temporary, temporary.open("wb") as file:
+            with write_atomically(path) as temporary, temporary.open("wb") as file:
                 np.savez(file, **everything)
             self._make_room(path)
         except OSError as error:
@@ -105,7 +105,7 @@ class CacheFolder:
             warnings.warn(f"cache: {text}", CacheWarning, stacklevel=3)
 
 
-class Shelf:
+class DiskCache:
     """What follows from one thing that `key` (hexadecimal) tells from all others: arrays by name."""
 
     def __init__(self, cache: CacheFolder, key: str) -> None:

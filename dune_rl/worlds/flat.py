@@ -6,9 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.grass import grow
+from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.ground import GRAVEL
-from dune_rl.worlds.natural_surfaces import Part, surface_map
+from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice
 from dune_rl.worlds.world import World
@@ -16,7 +16,7 @@ from dune_rl.worlds.world import World
 # Contact solvers lose precision on triangles much longer than the robot.
 _SPACING_M = 5.0
 
-_SURFACES = tuple(Part(name, 1.0 / len(SURFACE_NAMES)) for name in SURFACE_NAMES)
+_SURFACES = tuple(SurfaceShare(name, 1.0 / len(SURFACE_NAMES)) for name in SURFACE_NAMES)
 
 
 class FlatConf(WorldSettings):
@@ -43,6 +43,6 @@ def build_flat(conf: FlatConf) -> World:
         region=(-reach, reach, -reach, reach),
         friction=conf.friction,
         ground=GRAVEL,
-        grass=grow(terrain, (), conf.grass_cover, conf.grass_height_m, seed=0),
+        grass=grow_grass(terrain, (), conf.grass_cover, conf.grass_height_m, seed=0),
         surfaces=surface_map(conf.surfaces, terrain, 0, _SURFACES, sinkage=conf.sinkage),
     )

@@ -13,7 +13,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage
 from dune_rl.seeding import stream
-from dune_rl.worlds.props import merge
+from dune_rl.worlds.props import merge_meshes
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -73,7 +73,7 @@ class Grass:
         return held
 
 
-def grow(
+def grow_grass(
     terrain: HeightField, standing: Sequence[Mesh], cover: float, height_m: float, seed: int
 ) -> Grass | None:
     """Patches on a `cover` share of the ground, none under or over the meshes in `standing`; None for 0.
@@ -127,7 +127,7 @@ def _covered(terrain: HeightField, standing: Sequence[Mesh], rows: int, columns:
     upward = np.zeros_like(origins)
     upward[:, 2] = 1.0
     # As one mesh: hundreds of small ones take a hundred times as long.
-    vertices, faces = merge(standing)
+    vertices, faces = merge_meshes(standing)
     met = RayScene(vertices, faces).hits(origins, upward, np.full(len(under), _HIGHEST_M, np.float32))
     cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
     surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.light import linear
+from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import GroundTexture
 from dune_rl.seeding import stream
 from dune_rl.worlds.surface_map import SurfaceMap
@@ -76,9 +76,9 @@ def texels(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
     return rows, columns
 
 
-def pictured_ground(terrain: HeightField, ground: Ground, seed: int, picture: GroundPicture) -> GroundTexture:
+def apply_ground_picture(terrain: HeightField, ground: Ground, seed: int, picture: GroundPicture) -> GroundTexture:
     """The look of a `picture` on `terrain`, grained like `ground` where it has no detail of its own."""
-    albedo = linear(picture.colours)
+    albedo = srgb_to_linear(picture.colours)
     if picture.detailed.all():
         return GroundTexture(np.clip(albedo, 0.01, 0.95))
     rows, columns = albedo.shape[:2]
@@ -112,7 +112,7 @@ def ground_texture(
     texture = np.zeros((rows, columns, 3))
     for look, share in shown:
         bare = _step((slope - look.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
-        low, high, earth = (linear(np.array(colour)) for colour in (look.low, look.high, look.bare))
+        low, high, earth = (srgb_to_linear(np.array(colour)) for colour in (look.low, look.high, look.bare))
         albedo = low + growth * (high - low)
         albedo = albedo + bare * (earth - albedo)
         # Grass is rougher than earth.

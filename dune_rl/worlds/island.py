@@ -10,11 +10,11 @@ from pydantic import Field, model_validator
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.grass import Grass, grow
+from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground import Ground
-from dune_rl.worlds.natural_surfaces import Part, surface_map
+from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.plan import Plan
-from dune_rl.worlds.props import bearing, upright_box
+from dune_rl.worlds.props import unit_vector, upright_box
 from dune_rl.worlds.roughness import rough_field, smooth_step
 from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
@@ -50,9 +50,9 @@ _PAINTS: tuple[Colour, ...] = (
 
 # Of all the ground, half of which lies under the sea.
 _SURFACES = (
-    Part("sand", 0.72, high=-0.5),
-    Part("rock", 0.13, steep=0.7),
-    Part("mud", 0.15, steep=-0.5, high=0.3),
+    SurfaceShare("sand", 0.72, high=-0.5),
+    SurfaceShare("rock", 0.13, steep=0.7),
+    SurfaceShare("mud", 0.15, steep=-0.5, high=0.3),
 )
 
 
@@ -159,7 +159,7 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
         length, width = float(rng.uniform(0.6, 1.8)), float(rng.uniform(0.4, 1.0))
         height = float(rng.uniform(0.5, 1.2))
         for _ in range(_TRIES):
-            xy = reach * np.sqrt(rng.uniform()) * bearing(float(rng.uniform(-np.pi, np.pi)))
+            xy = reach * np.sqrt(rng.uniform()) * unit_vector(float(rng.uniform(-np.pi, np.pi)))
             yaw = float(rng.uniform(-np.pi, np.pi))
             if plan.gap(xy, yaw, length, width) >= _GAP_M:
                 break
@@ -169,7 +169,7 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
                 f"box {number + 1} of {count} fits nowhere. Lower it, or raise world.radius_m."
             )
         plan.take(xy, yaw, length, width)
-        axes = np.stack([bearing(yaw), bearing(yaw + np.pi / 2)])
+        axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])
         corners = xy + np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]]) / 2 * [length, width] @ axes
         ground = terrain.height(corners)
         mesh = upright_box(xy, yaw, ground.min() - _SUNK_M, ground[-1] + height, length, width)
@@ -180,7 +180,7 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
 
 def _grass(conf: IslandConf, terrain: HeightField, boxes: list[Prop]) -> Grass | None:
     standing = [(prop.vertices, prop.faces) for prop in boxes]
-    grass = grow(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed)
+    grass = grow_grass(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed)
     if grass is None:
         return None
     rows, columns = grass.density.shape

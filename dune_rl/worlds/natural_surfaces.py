@@ -19,7 +19,7 @@ _PATCH_M = 4.5
 _SHARE_ROUNDS = 30
 
 
-class Part(NamedTuple):
+class SurfaceShare(NamedTuple):
     """A surface on a `share` of the ground, in patches that lean to steep (positive) or to high places.
 
     The leanings are in deviations of noise for each deviation of slope and of height.
@@ -32,7 +32,7 @@ class Part(NamedTuple):
 
 
 def surface_map(
-    choice: SurfaceChoice, terrain: HeightField, seed: int, parts: Sequence[Part], *, sinkage: bool
+    choice: SurfaceChoice, terrain: HeightField, seed: int, parts: Sequence[SurfaceShare], *, sinkage: bool
 ) -> SurfaceMap | None:
     """The map of `choice` on `terrain`: None for "uniform", all of one surface, or "natural", of `parts`.
 
@@ -51,7 +51,7 @@ def surface_map(
     return SurfaceMap(_patches(terrain, seed, parts), terrain.extent, sinkage=sinkage)
 
 
-def _patches(terrain: HeightField, seed: int, parts: Sequence[Part]) -> NDArray[np.uint8]:
+def _patches(terrain: HeightField, seed: int, parts: Sequence[SurfaceShare]) -> NDArray[np.uint8]:
     """Numbers (rows, columns) of the surfaces, each on the share of the ground that is its."""
     xmin, xmax, ymin, ymax = terrain.extent
     columns, rows = (int(np.clip(round(side / CELL_M), 1, MOST_CELLS)) for side in (xmax - xmin, ymax - ymin))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.skin import Skin
+from dune_rl.rendering.texture import MeshTexture
 from dune_rl.settings import Settings
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
@@ -35,7 +35,7 @@ _PLAIN: tuple[type, ...] = (
     ImportedProp,
     ImportedWorld,
     Prop,
-    Skin,
+    MeshTexture,
     Soil,
     Surface,
     SurfaceClearance,

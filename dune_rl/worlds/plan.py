@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dune_rl.worlds.props import bearing
+from dune_rl.worlds.props import unit_vector
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ class Plan:
         """Distance [m] from a rectangle, `length` along `yaw`, to the nearest ground taken; 0 on it."""
         if not len(self._taken):
             return np.inf
-        axes = np.stack([bearing(yaw), bearing(yaw + np.pi / 2)], axis=-1)
+        axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)], axis=-1)
         offset = (self._taken - np.asarray(xy)) @ axes
         beyond = np.maximum(np.abs(offset) - [length / 2, width / 2], 0.0)
         return float(np.hypot(beyond[:, 0], beyond[:, 1]).min())
@@ -31,7 +31,7 @@ class Plan:
             for side in (length, width)
         )
         local = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        axes = np.stack([bearing(yaw), bearing(yaw + np.pi / 2)])
+        axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])
         self.take_points(np.asarray(xy) + local @ axes)
 
     def take_points(self, points: Array) -> None:

@@ -22,7 +22,7 @@ def main() -> None:
     # Before the long imports, so that the end of the parent is noticed in them.
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
-    from dune_rl.worlds.appearance import work_out
+    from dune_rl.worlds.appearance import precompute_appearance
     from dune_rl.worlds.store import requested, shared_store
 
     warnings.simplefilter("ignore")
@@ -38,7 +38,7 @@ def main() -> None:
             if not store.is_kept(conf, seen=seen):
                 world = store.get(conf)
                 if seen:
-                    work_out(world)
+                    precompute_appearance(world)
         # Who needs the world meets the fault, and is told of it.
         except Exception:
             continue

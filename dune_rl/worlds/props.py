@@ -20,7 +20,7 @@ _BOX_FACES = np.array(
 )  # fmt: skip
 
 
-def merge(meshes: Iterable[Mesh]) -> Mesh:
+def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
     """Several meshes as one."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
@@ -38,7 +38,7 @@ def slab(centre: ArrayLike, axes: ArrayLike, size: ArrayLike) -> Mesh:
 def upright_box(xy: ArrayLike, yaw: float, bottom: float, top: float, length: float, width: float) -> Mesh:
     """A vertical box between two heights, `length` along `yaw` and `width` across."""
     x, y = np.asarray(xy, dtype=np.float64)
-    ahead, left = bearing(yaw), bearing(yaw + np.pi / 2)
+    ahead, left = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     axes = [[*ahead, 0.0], [*left, 0.0], [0.0, 0.0, 1.0]]
     return slab([x, y, (bottom + top) / 2], axes, [length, width, top - bottom])
 
@@ -71,7 +71,7 @@ def tube(start: ArrayLike, end: ArrayLike, radius: float, bore: float = 0.0, sid
     return np.concatenate([outside, [first, last]]), faces
 
 
-def bearing(yaw: float) -> Array:
+def unit_vector(yaw: float) -> Array:
     """Unit vector (2,) that points along `yaw` [rad]."""
     return np.array([np.cos(yaw), np.sin(yaw)])
 

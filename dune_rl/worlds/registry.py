@@ -18,7 +18,7 @@ from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.rubicon.build import RubiconConf, build_rubicon
 from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.soundness import check_world
+from dune_rl.worlds.validation import check_world
 from dune_rl.worlds.world import World
 
 _OURS: dict[str, tuple[type[WorldSettings], Callable[[Any], World]]] = {

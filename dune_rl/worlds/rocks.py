@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, bearing, merge
+from dune_rl.worlds.props import Mesh, unit_vector, merge_meshes
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def rock(terrain: HeightField, name: str, xy: ArrayLike, width: float, rng: np.r
 
 def joined(name: str, kind: str, rocks: Sequence[Prop], *, drivable: bool = False) -> Prop:
     """Several rocks as one prop, in the colour of the first."""
-    mesh = merge((rock.vertices, rock.faces) for rock in rocks)
+    mesh = merge_meshes((rock.vertices, rock.faces) for rock in rocks)
     return Prop(name, kind, *mesh, drivable=drivable, colour=rocks[0].colour, surface="rock")
 
 
@@ -93,7 +93,7 @@ def _hull(rng: np.random.Generator, width: float) -> Mesh:
         normal /= np.linalg.norm(normal)
         over = np.maximum(points @ normal - rng.uniform(0.55, 0.85), 0.0)
         points -= over[:, None] * normal
-    ahead = bearing(float(rng.uniform(-np.pi, np.pi)))
+    ahead = unit_vector(float(rng.uniform(-np.pi, np.pi)))
     left = np.array([-ahead[1], ahead[0]])
     squeezed = points * [1.0, rng.uniform(0.65, 0.95), rng.uniform(0.6, 0.85)]
     turned = np.column_stack([squeezed[:, :1] * ahead + squeezed[:, 1:2] * left, squeezed[:, 2]])

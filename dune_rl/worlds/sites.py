@@ -7,30 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import PerScene, asked
-from dune_rl.rendering.air import Air
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
-from dune_rl.worlds.appearance import under_own_sun
+from dune_rl.worlds.appearance import with_own_sun
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class WorldAppearance:
     """A world in a weather."""
 
     world: World
     weather: WeatherConf
 
     @property
-    def air(self) -> Air:
+    def air(self) -> ParticipatingMedia:
         """What lies between an eye and what it sees."""
         grass = self.world.grass
-        return Air(Haze.of(under_own_sun(self.world, self.weather)), None if grass is None else grass.foliage)
+        return ParticipatingMedia(Haze.of(with_own_sun(self.world, self.weather)), None if grass is None else grass.foliage)
 
 
-class Sites:
+class BatchedWorlds:
     """The world and the weather of each of M scenes.
 
     Points and what is told of them have the leading axis M. Each query loops
@@ -40,9 +40,9 @@ class Sites:
 
     def __init__(self, looks: Sequence[tuple[World, WeatherConf]]) -> None:
         world, weather = looks[0]
-        first = Look(world, weather)
-        self.worlds: PerScene[World] = PerScene([world] * len(looks))
-        self.looks: PerScene[Look] = PerScene([first] * len(looks))
+        first = WorldAppearance(world, weather)
+        self.worlds: SharedPerScene[World] = SharedPerScene([world] * len(looks))
+        self.appearances: SharedPerScene[WorldAppearance] = SharedPerScene([first] * len(looks))
         self._terrains = self.worlds.map(_terrain)
         self._extents = np.tile(np.array(world.extent), (len(looks), 1))
         for scene, look in enumerate(looks):
@@ -55,11 +55,11 @@ class Sites:
         """Move a scene to `world` in `weather`."""
         self.worlds.put(scene, world)
         self._extents[scene] = world.extent
-        if self.looks[scene].world is world and self.looks[scene].weather == weather:
+        if self.appearances[scene].world is world and self.appearances[scene].weather == weather:
             return
         # Scenes that look alike share one look, so that they are drawn together.
-        alike = (look for look, _ in self.looks.groups if look.world is world and look.weather == weather)
-        self.looks.put(scene, next(alike, None) or Look(world, weather))
+        alike = (look for look, _ in self.appearances.groups if look.world is world and look.weather == weather)
+        self.appearances.put(scene, next(alike, None) or WorldAppearance(world, weather))
 
     @property
     def extents(self) -> Array:
@@ -68,11 +68,11 @@ class Sites:
 
     def height(self, xy: Array) -> Array:
         """Height of the ground [m], (M, ...), at points (M, ..., 2)."""
-        return asked(self._terrains.groups, HeightField.height, xy)
+        return query_grouped(self._terrains.groups, HeightField.height, xy)
 
     def clearance(self, xy: Array) -> Array:
         """As `World.clearance`: distance [m], (M, ...), from points (M, ..., 2) to what can be hit."""
-        return asked(self.worlds.groups, World.clearance, xy)
+        return query_grouped(self.worlds.groups, World.clearance, xy)
 
 
 def _terrain(world: World) -> HeightField:

@@ -6,18 +6,18 @@ from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import Surface
-from dune_rl.worlds.appearance import scenery
+from dune_rl.rendering.beam_surface import BeamSurface
+from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.world import World
 
 
-def solid_look(world: World) -> Surface:
+def beam_surface(world: World) -> BeamSurface:
     """Segments and luminances of the faces of `world.solid_mesh()`, in their order; kept with the world."""
-    return world.kept("solid look", lambda: _solid_look(world))
+    return world.memoize("solid look", lambda: _solid_look(world))
 
 
-def _solid_look(world: World) -> Surface:
-    look = scenery(world)
+def _solid_look(world: World) -> BeamSurface:
+    look = build_scenery(world)
     albedo = _ground_albedo(world.terrain, look.ground.albedo)
     solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])
     if len(solid) != len(look.things.faces):
@@ -27,7 +27,7 @@ def _solid_look(world: World) -> Surface:
         )
     ground = np.full(len(albedo), Segment.GROUND, np.uint8)
     solid = solid.astype(bool)
-    return Surface.of(
+    return BeamSurface.of(
         np.concatenate([ground, look.things.segments[solid]]),
         np.concatenate([albedo, look.things.albedo[solid]]),
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.topology import joined_faces, open_edges, welded
+from dune_rl.worlds.importing.topology import joined_faces, open_edges, weld_vertices
 from dune_rl.worlds.world import Prop, World
 
 
@@ -65,7 +65,7 @@ def _mesh_faults(prop: Prop) -> list[str]:
 
 
 def _weakness(prop: Prop) -> str | None:
-    ids = welded(prop.vertices, prop.faces)
+    ids = weld_vertices(prop.vertices, prop.faces)
     _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
     ids = ids.reshape(-1, 3)
     gaps = len(open_edges(ids)[0])

@@ -14,8 +14,8 @@ from typing import Any
 from dune_rl.errors import ConfigError
 from dune_rl.paths import cache_folder, package_folder
 from dune_rl.worlds import registry
-from dune_rl.worlds.appearance import is_worked_out
-from dune_rl.worlds.cache_folder import CacheFolder, Shelf
+from dune_rl.worlds.appearance import is_appearance_cached
+from dune_rl.worlds.cache_folder import CacheFolder, DiskCache
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.heightmap import HeightmapConf
@@ -65,7 +65,7 @@ class WorldStore:
         key = world_key(conf)
         if not isinstance(conf, _KEPT):
             world = registry.build(conf)
-            world.shelf = _shelf(self.cache, key, {}, [])
+            world.disk_cache = _shelf(self.cache, key, {}, [])
             return world
         return self._kept(self.cache, key) or self._built(self.cache, key, conf)
 
@@ -89,7 +89,7 @@ class WorldStore:
         if isinstance(conf, _KEPT) and not self.cache.entry(key).exists():
             return False
         # Which shelf is an imported world's can only be told with the world.
-        return not seen or isinstance(conf, _IMPORTED) or is_worked_out(_shelf(self.cache, key, {}, []))
+        return not seen or isinstance(conf, _IMPORTED) or is_appearance_cached(_shelf(self.cache, key, {}, []))
 
     @property
     def preparing(self) -> int | None:
@@ -115,7 +115,7 @@ class WorldStore:
         except Exception as error:
             cache.warn("damaged", f"{cache.entry(key)} is foreign ({type(error).__name__}) and made anew")
             return None
-        world.shelf = _shelf(cache, key, text["files"], text["absent"])
+        world.disk_cache = _shelf(cache, key, text["files"], text["absent"])
         for said in told:
             warnings.warn(said, WorldWarning, stacklevel=3)
         return world
@@ -130,7 +130,7 @@ class WorldStore:
         if sources.complete and len(told) == len(caught):
             self._keep(cache, key, conf, world, sources, told)
         if sources.complete:
-            world.shelf = _shelf(cache, key, sources.read, sorted(sources.absent))
+            world.disk_cache = _shelf(cache, key, sources.read, sorted(sources.absent))
         for warning in caught:
             warnings.warn(warning.message, stacklevel=3)
         return world
@@ -160,10 +160,10 @@ class WorldStore:
         cache.write(key, text, arrays)
 
 
-def _shelf(cache: CacheFolder, key: str, files: dict[str, str], absent: list[str]) -> Shelf:
+def _shelf(cache: CacheFolder, key: str, files: dict[str, str], absent: list[str]) -> DiskCache:
     # An imported world is told from what it was before a texture of it changed.
     known = json.dumps([key, sorted(files.items()), absent])
-    return Shelf(cache, hashlib.sha256(known.encode()).hexdigest())
+    return DiskCache(cache, hashlib.sha256(known.encode()).hexdigest())
 
 
 def request(conf: WorldSettings, seen: bool) -> str:

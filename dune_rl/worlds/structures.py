@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, beam, bearing, merge, slab, tube, upright_box
+from dune_rl.worlds.props import Mesh, beam, unit_vector, merge_meshes, slab, tube, upright_box
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
 
     Its low edge, on the right of `yaw`, passes 0.18 m above the highest ground under it.
     """
-    along, across = bearing(yaw), bearing(yaw + np.pi / 2)
+    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     low_edge = np.asarray(xy) - ARRAY_DEPTH_M / 2 * across
     s, t, ground = _under_array(terrain, xy, yaw)
     pitch, level = np.polyfit(s, ground[:, 0], 1)
@@ -72,7 +72,7 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
         frame.append(upright_box(top[:2], yaw, bottom, max(top[2], bottom + 0.1), ARRAY_LENGTH_M / 6, 0.1))
     return (
         Prop(f"{name} panel", "solar array", *panel, colour=_PANEL),
-        Prop(f"{name} frame", "solar array", *merge(frame), colour=_STEEL),
+        Prop(f"{name} frame", "solar array", *merge_meshes(frame), colour=_STEEL),
     )
 
 
@@ -84,7 +84,7 @@ def array_gap(terrain: HeightField, xy: ArrayLike, yaw: float) -> float:
 
 def _under_array(terrain: HeightField, xy: ArrayLike, yaw: float) -> tuple[Array, Array, Array]:
     # Places along (S,) and across (T,) from the middle of the low edge, and the ground there (S, T).
-    along, across = bearing(yaw), bearing(yaw + np.pi / 2)
+    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     s = np.linspace(-ARRAY_LENGTH_M / 2, ARRAY_LENGTH_M / 2, 25)
     t = np.linspace(0.0, ARRAY_DEPTH_M, 9)
     low_edge = np.asarray(xy) - ARRAY_DEPTH_M / 2 * across
@@ -95,7 +95,7 @@ def bridge(
     terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, width: float
 ) -> tuple[Prop, Prop]:
     """A wooden bridge along `yaw`, its ends flush with the ground: the drivable deck, and piers and rails."""
-    centre, along, across = np.asarray(xy), bearing(yaw), bearing(yaw + np.pi / 2)
+    centre, along, across = np.asarray(xy), unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     ends_xy = np.array([centre - length / 2 * along, centre + length / 2 * along])
     ends = np.column_stack([ends_xy, terrain.height(ends_xy) + 0.03])
     thickness = 0.16
@@ -123,7 +123,7 @@ def bridge(
         frame.append(beam(on_deck(u, -edge, -0.24), on_deck(u, edge, -0.24), 0.18, 0.2))
     return (
         Prop(f"{name} deck", "bridge", *deck, drivable=True, colour=_WOOD, surface="wood"),
-        Prop(f"{name} frame", "bridge", *merge(frame), colour=(0.38, 0.25, 0.14)),
+        Prop(f"{name} frame", "bridge", *merge_meshes(frame), colour=(0.38, 0.25, 0.14)),
     )
 
 
@@ -171,7 +171,7 @@ def pipe_run(
             tube(stem, stem + 0.05 * up, 0.24, bore=0.19),
             slab(stem + 0.025 * up, np.eye(3), [0.4, 0.04, 0.03]),
         ]
-    return Prop(name, "pipeline", *merge(parts), colour=_PIPE)
+    return Prop(name, "pipeline", *merge_meshes(parts), colour=_PIPE)
 
 
 def _clear_of_ground(terrain: HeightField, nodes: Array, z: Array, room: float) -> Array:
@@ -187,7 +187,7 @@ def _clear_of_ground(terrain: HeightField, nodes: Array, z: Array, room: float) 
 def culvert(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """A concrete ring 2.8 m wide and 0.8 m long, its axis along `yaw`, its foot in the ground."""
     radius, half = 1.4, 0.4
-    axis = bearing(yaw)
+    axis = unit_vector(yaw)
     along = np.asarray(xy) + np.linspace(-half, half, 5)[:, None] * axis
     centre = np.array([*np.asarray(xy), terrain.height(along).min() - 0.3 + radius])
     step = half * np.array([*axis, 0.0])
@@ -198,13 +198,13 @@ def culvert(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
 def wall(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, height: float) -> Prop:
     """A wall 0.3 m thick along `yaw`, in steps of about a metre that follow the ground."""
     count = max(1, round(length))
-    step, along = length / count, bearing(yaw)
+    step, along = length / count, unit_vector(yaw)
     blocks = []
     for i in range(count):
         middle = np.asarray(xy) + ((i + 0.5) * step - length / 2) * along
         ground = float(terrain.height(middle))
         blocks.append(upright_box(middle, yaw, ground - 2 * _SUNK_M, ground + height, step, 0.3))
-    return Prop(name, "wall", *merge(blocks), colour=_PLASTER)
+    return Prop(name, "wall", *merge_meshes(blocks), colour=_PLASTER)
 
 
 def post(terrain: HeightField, name: str, xy: ArrayLike, radius: float, height: float) -> Prop:
@@ -233,4 +233,4 @@ def stand(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     ground = float(terrain.height(xy))
     plinth = upright_box(xy, yaw, ground - _SUNK_M, ground + 0.15, 0.6, 0.6)
     box = upright_box(xy, yaw, ground + 0.1, ground + 1.3, 0.5, 0.35)
-    return Prop(name, "stand", *merge([plinth, box]), colour=(0.35, 0.50, 0.38))
+    return Prop(name, "stand", *merge_meshes([plinth, box]), colour=(0.35, 0.50, 0.38))

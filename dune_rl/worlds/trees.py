@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
-from dune_rl.worlds.props import Mesh, bearing, level_axes, merge
+from dune_rl.worlds.props import Mesh, unit_vector, level_axes, merge_meshes
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ def broadleaf(
         yaw = turn + 2 * np.pi / 3 * bough + float(rng.uniform(-0.4, 0.4))
         reach = 0.30 * size.crown_m
         end = fork + float(rng.uniform(0.14, 0.26)) * up
-        end[:2] += reach * bearing(yaw)
+        end[:2] += reach * unit_vector(yaw)
         wood.append(_limb(np.array([fork - [0.0, 0.0, 0.1], end]), size.radius_m * np.array([0.5, 0.2])))
         ends.append(end)
     leaves: list[list[Mesh]] = [[], [], []]
@@ -66,7 +66,7 @@ def broadleaf(
             shade.append(mesh)
     bark = _BARK[int(rng.integers(len(_BARK)))]
     return [
-        Prop(f"{name} trunk", "tree", *merge(wood), colour=bark),
+        Prop(f"{name} trunk", "tree", *merge_meshes(wood), colour=bark),
         *_foliage(f"{name} leaves", leaves, _LEAVES),
     ]
 
@@ -102,7 +102,7 @@ def _foliage(name: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colo
         Prop(
             f"{name} {number + 1}",
             "leaves",
-            *merge(shade),
+            *merge_meshes(shade),
             solid=False,
             colour=colour,
             segment=Segment.VEGETATION,
@@ -113,7 +113,7 @@ def _foliage(name: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colo
 
 def log(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, radius: float) -> Prop:
     """A fallen trunk along `yaw`, a third of it in the ground where that is lowest."""
-    along = bearing(yaw)
+    along = unit_vector(yaw)
     s = np.linspace(-length / 2, length / 2, 9)
     ground = terrain.height(np.asarray(xy) + s[:, None] * along)
     pitch, level = np.polyfit(s, ground, 1)
@@ -136,7 +136,7 @@ def undergrowth(terrain: HeightField, places: Array, rng: np.random.Generator) -
         Prop(
             f"undergrowth {number + 1}",
             "undergrowth",
-            *merge(shade),
+            *merge_meshes(shade),
             solid=False,
             colour=colour,
             segment=Segment.VEGETATION,
@@ -147,7 +147,7 @@ def undergrowth(terrain: HeightField, places: Array, rng: np.random.Generator) -
 
 
 def _foot(terrain: HeightField, xy: ArrayLike, radius: float) -> Array:
-    around = 1.25 * radius * np.stack([bearing(yaw) for yaw in np.linspace(-np.pi, np.pi, 9)])
+    around = 1.25 * radius * np.stack([unit_vector(yaw) for yaw in np.linspace(-np.pi, np.pi, 9)])
     ground = terrain.height(np.asarray(xy) + around).min()
     return np.array([*np.asarray(xy, dtype=np.float64), ground - _SUNK_M])
 

@@ -12,8 +12,8 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.skin import Skin
-from dune_rl.worlds.cache_folder import Shelf
+from dune_rl.rendering.texture import MeshTexture
+from dune_rl.worlds.cache_folder import DiskCache
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground import MEADOW, Ground, GroundPicture
@@ -37,7 +37,7 @@ class Prop:
     `solid=False` is to look at only (water): neither physics nor rays meet it.
     `drivable=True` (a bridge's deck) counts as ground: touching it is no
     collision. `colour` is red, green, blue in [0, 1], and `face_colours` (F, 3)
-    are those of its faces where they differ; `skin` is the pictures on them. A
+    are those of its faces where they differ; `texture` is the pictures on them. A
     solid prop is made of closed surfaces whose faces run counter-clockwise seen
     from outside.
     `segment` is what it is shown as where that does not follow from the rest.
@@ -55,10 +55,10 @@ class Prop:
     segment: Segment | None = None
     surface: SurfaceName | None = None
     face_colours: NDArray[np.float32] | None = None
-    skin: Skin | None = None
+    skin: MeshTexture | None = None
 
     @property
-    def shown_as(self) -> Segment:
+    def segment_class(self) -> Segment:
         """What segmentations call it: `segment` where that is given."""
         if self.segment is not None:
             return self.segment
@@ -85,11 +85,11 @@ class World:
     on it. `surfaces`, where given, is what the ground and what lies drivable on
     it are made of: wheels take it in place of `friction`, which is then that of
     other things alone. `light` is its own sun, for weathers that do not say
-    where theirs is. `shelf` is where a `WorldStore` keeps what is worked out
+    where theirs is. `disk_cache` is where a `WorldStore` keeps what is worked out
     from it.
     """
 
-    shelf: Shelf | None = None
+    shelf: DiskCache | None = None
 
     def __init__(
         self,
@@ -122,7 +122,7 @@ class World:
     def _kept(self) -> dict[Hashable, Any]:
         return {}
 
-    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+    def memoize(self, key: Hashable, make: Callable[[], T]) -> T:
         """What `make` gives, made at the first call with `key` and kept as long as the world.
 
         For what follows from the world, and from the settings in `key`, alone.
@@ -133,9 +133,9 @@ class World:
         found: T = self._kept[key]
         return found
 
-    def lasting(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """What `make` gives, read back from `shelf` if there is one: what follows from the world alone."""
-        return make() if self.shelf is None else self.shelf.keep(name, make)
+    def disk_cached(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """What `make` gives, read back from `disk_cache` if there is one: what follows from the world alone."""
+        return make() if self.disk_cache is None else self.disk_cache.keep(name, make)
 
     @property
     def extent(self) -> Rectangle:
@@ -169,7 +169,7 @@ class World:
         ]
         return Decks(decks, self.terrain, self.surfaces) if decks else None
 
-    def underfoot(self, points_w: Array) -> tuple[NDArray[np.uint8], Array]:
+    def surface_below(self, points_w: Array) -> tuple[NDArray[np.uint8], Array]:
         """What is under the bottoms of wheels (..., 3) [m]: its number in `surfaces`, and its height [m].
 
         Each is of shape (...). One over a deck is on it unless it is well

@@ -19,16 +19,16 @@ from dune_rl.env.motion import Motion
 from dune_rl.env.pictures import Pictures
 from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf
-from dune_rl.rendering.picture import Viewpoint
-from dune_rl.worlds.appearance import baked
-from dune_rl.worlds.sites import Sites
+from dune_rl.rendering.renderer import Viewpoint
+from dune_rl.worlds.appearance import bake_world
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 
 def pictures_in(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Pictures:
     """Of a rover that stands at (`x`, `y`) in `world`, alone."""
     batch = copy(flat_batch())
-    batch.sites, batch.rovers = Sites([(world, batch.weather)]), (copy(batch.rovers[0]),)
+    batch.sites, batch.rovers = BatchedWorlds([(world, batch.weather)]), (copy(batch.rovers[0]),)
     batch.rovers[0].motion = Motion(1, batch.robot)
     batch.rovers[0].goals_w = np.array([[3.0, 0.0]])
     stand(batch, x, y, yaw)
@@ -60,7 +60,7 @@ def eye_behind(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> np.ndarra
 
 def in_sight(pictures: Pictures, eye: np.ndarray, position: np.ndarray) -> bool:
     """Whether nothing stands between `eye` and what is a little over the rover."""
-    rays = baked(pictures._batch.world, LightConf()).rays
+    rays = bake_world(pictures._batch.world, LightConf()).rays
     towards = eye - position
     length = float(np.linalg.norm(towards))
     return bool(rays.first_hit(position[None], (towards / length)[None], length)[0][0] >= length - 1e-4)

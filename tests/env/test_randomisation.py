@@ -274,7 +274,7 @@ def test_worlds_and_weather_are_those_drawn() -> None:
         seed = int(batch.drawn["world_seed"][scene])
         expected = build_world(IslandConf(seed=seed, grass_cover=0.3))
         assert np.array_equal(batch.sites.worlds[scene].terrain.heights, expected.terrain.heights)
-        light = batch.sites.looks[scene].weather.light
+        light = batch.sites.appearances[scene].weather.light
         assert light.sun_bearing_rad == batch.drawn["sun_bearing_rad"][scene]
     batch.close()
 

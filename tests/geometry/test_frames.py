@@ -14,7 +14,7 @@ from dune_rl.geometry.frames import (
     rotation_matrices,
     to_body,
     to_world,
-    within,
+    clip,
     wrap_angle,
 )
 
@@ -113,4 +113,4 @@ def test_batches_are_their_members(many):
 
 @given(st.floats(-10, 10), st.floats(-3, 0), st.floats(0, 3))
 def test_within_moves_no_more_than_it_must(value, low, high):
-    assert within(np.asarray(value), low, high) == np.clip(value, low, high)
+    assert clip(np.asarray(value), low, high) == np.clip(value, low, high)

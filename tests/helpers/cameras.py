@@ -4,12 +4,12 @@ import numpy as np
 from mounted import camera_conf
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera, CameraConf
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
@@ -44,7 +44,7 @@ def with_boxes(*boxes: Box) -> World:
 
 def camera_in(world: World, actors: tuple[ActorConf, ...] = (), light=None, **settings) -> Camera:
     conf = camera_conf(**({"outputs": EVERYTHING, "width": 32, "height": 24} | settings))
-    return Camera(conf, baked(world, light or LightConf()), figures(actors))
+    return Camera(conf, bake_world(world, light or LightConf()), actor_moving_meshes(actors))
 
 
 def look(camera: Camera, position=STANDING, rotation=LEVEL, actors=()) -> dict[str, np.ndarray]:

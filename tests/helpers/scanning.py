@@ -6,7 +6,7 @@ from scenes import about
 from states import group_state, measure
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.lidar import Lidar, LidarConf
@@ -30,7 +30,7 @@ def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
 def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
     solid = world.solid_mesh()
     return Lidar(
-        conf or lidar_conf(), RayScene(solid.vertices, solid.faces), [each.rays for each in figures(actors)]
+        conf or lidar_conf(), RayScene(solid.vertices, solid.faces), [each.rays for each in actor_moving_meshes(actors)]
     )
 
 

@@ -8,7 +8,7 @@ import torch
 from point_mass import PointMass, make_point_mass
 
 from dune_rl.errors import CheckpointError
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import find, read, write
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
@@ -62,7 +62,7 @@ def test_a_full_disk_is_a_message(saved: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_file_appears_only_when_whole(tmp_path: Path) -> None:
     path = tmp_path / "result"
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         temporary.write_text("all")
         assert not path.exists()
     assert path.read_text() == "all"

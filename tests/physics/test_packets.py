@@ -65,7 +65,7 @@ def compare(vertices, faces, origins, directions) -> int:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     np.testing.assert_allclose(found.normal[hit], normals, rtol=1e-3, atol=1e-4)
     assert (found.normal[found.face < 0] == 0.0).all()
-    np.testing.assert_array_equal(scene.blocked(origins, directions)[clear], np.isfinite(nearest)[clear])
+    np.testing.assert_array_equal(scene.any_hit(origins, directions)[clear], np.isfinite(nearest)[clear])
     return int(hit.sum())
 
 
@@ -99,8 +99,8 @@ def test_a_ray_finds_the_same_whatever_rays_go_beside_it(rays):
     found = scene.hits(origins[mixed], directions[mixed], np.full(rays, FAR_M, np.float32))
     for alone, together in zip(found, all_of_them, strict=True):
         assert alone.tobytes() == together[mixed].tobytes()
-    blocked = scene.blocked(origins, directions)
-    assert scene.blocked(origins[mixed], directions[mixed]).tobytes() == blocked[mixed].tobytes()
+    blocked = scene.any_hit(origins, directions)
+    assert scene.any_hit(origins[mixed], directions[mixed]).tobytes() == blocked[mixed].tobytes()
 
 
 def test_no_rays_find_nothing():
@@ -109,7 +109,7 @@ def test_no_rays_find_nothing():
         nothing = np.zeros((origins, 3), np.float32), np.zeros((0, 3), np.float32)
         found = scene.hits(*nothing, np.zeros(0, np.float32))
         assert [part.shape for part in found] == [(0,), (0,), (0, 3)]
-        assert scene.blocked(*nothing).shape == (0,)
+        assert scene.any_hit(*nothing).shape == (0,)
 
 
 @pytest.mark.parametrize(("origins", "each"), [(1, 50), (3, 16), (4, 7), (50, 1)])
@@ -124,7 +124,7 @@ def test_an_origin_serves_its_own_rays(origins, each):
     for one, other in zip(shared, own, strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(
-        scene.blocked(starts, directions), scene.blocked(np.repeat(starts, each, axis=0), directions)
+        scene.any_hit(starts, directions), scene.any_hit(np.repeat(starts, each, axis=0), directions)
     )
 
 
@@ -144,11 +144,11 @@ def test_arrays_of_any_layout_are_read_and_left_as_they_are():
         found = scene.hits(start, along, np.full(40, FAR_M, np.float32))
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_array_equal(one, other)
-        np.testing.assert_array_equal(scene.blocked(start, along), scene.blocked(origins, directions))
+        np.testing.assert_array_equal(scene.any_hit(start, along), scene.any_hit(origins, directions))
         assert (start.tobytes(), along.tobytes()) == before
     single = np.broadcast_to(np.float32([0.0, 0.0, -1.0]), (40, 3))
     np.testing.assert_array_equal(
-        scene.blocked(origins, single), scene.blocked(origins, np.ascontiguousarray(single))
+        scene.any_hit(origins, single), scene.any_hit(origins, np.ascontiguousarray(single))
     )
 
 
@@ -171,11 +171,11 @@ def test_a_shorter_range_is_kept():
     assert found.range is ranges
     np.testing.assert_array_equal(ranges, np.minimum(limits, 5.0))
     np.testing.assert_array_equal(found.face, np.where(limits > 5.0, 0, -1))
-    near.shorten(origins, directions, ranges)
+    near.shorten_ranges(origins, directions, ranges)
     np.testing.assert_array_equal(ranges, np.minimum(limits, 2.0))
     # Asked the other way round, it comes to the same.
     again = limits.copy()
-    near.shorten(origins, directions, again)
+    near.shorten_ranges(origins, directions, again)
     assert (far.hits(origins, directions, again).face[limits > 2.0] == -1).all()
     np.testing.assert_array_equal(again, ranges)
     assert limits[0] == 1.0
@@ -214,7 +214,7 @@ def test_rain_does_not_leak_through_the_ground_s_edges_and_vertices(spacing, cor
         found = scene.hits(origins, directions, np.full(len(origins), FAR_M, np.float32))
         assert (found.face >= 0).all()
         np.testing.assert_allclose(found.range, 2.0, rtol=1e-6)
-        assert scene.blocked(origins, directions).all()
+        assert scene.any_hit(origins, directions).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -237,7 +237,7 @@ def test_nothing_is_seen_through_the_edges_of_rough_ground(seed):
         # Embree closes edges. Round a vertex rounding can shut a ray out of all its triangles, rarely.
         assert 1.0 - met.mean() <= slip
         np.testing.assert_allclose(found.range[met], length[met], atol=1e-4)
-        assert scene.blocked(eye, directions)[met].all()
+        assert scene.any_hit(eye, directions)[met].all()
 
 
 def well_inside(points: np.ndarray) -> np.ndarray:

@@ -7,28 +7,28 @@ from hypothesis import strategies as st
 from painting import SIZE, box, plain
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.rendering.body import Body, Solid
-from dune_rl.rendering.light import LightConf, linear
-from dune_rl.rendering.picture import Painter, Viewpoint
-from dune_rl.rendering.scenery import Segment, Shape
-from dune_rl.worlds.appearance import baked
+from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.light import LightConf, srgb_to_linear
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.scenery import Segment, ColouredMesh
+from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.props import slab
 from dune_rl.worlds.world import Prop
 
 
-def painter(*props: Prop, **light) -> Painter:
-    return Painter(baked(plain(*props), LightConf(**light)))
+def painter(*props: Prop, **light) -> Renderer:
+    return Renderer(bake_world(plain(*props), LightConf(**light)))
 
 
-def block(colour=(0.8, 0.2, 0.2), size=(0.5, 0.5, 1.0)) -> Solid:
+def block(colour=(0.8, 0.2, 0.2), size=(0.5, 0.5, 1.0)) -> RayMesh:
     """A box about its own origin."""
     vertices, faces = slab([0.0, 0.0, 0.0], np.eye(3), size)
-    albedo = np.tile(linear(np.array(colour)), (len(faces), 1))
-    return Solid(Shape(vertices, faces, albedo, np.full(len(faces), Segment.ROBOT, np.uint8)))
+    albedo = np.tile(srgb_to_linear(np.array(colour)), (len(faces), 1))
+    return RayMesh(ColouredMesh(vertices, faces, albedo, np.full(len(faces), Segment.ROBOT, np.uint8)))
 
 
-def body(x: float, y: float, z: float, **shape) -> Body:
-    return Body(block(**shape), np.array([x, y, z]), np.eye(3))
+def body(x: float, y: float, z: float, **shape) -> PosedMesh:
+    return PosedMesh(block(**shape), np.array([x, y, z]), np.eye(3))
 
 
 def brightness_at(picture: np.ndarray, view: Viewpoint, point) -> float:
@@ -72,7 +72,7 @@ def test_a_picture_has_the_size_asked_for(size, samples):
 
 def test_a_picture_of_the_same_scene_is_the_same():
     props, bodies = [box(0.0, 0.0, 1.0, 1.0, 1.0)], [body(-1.0, 1.0, 0.5)]
-    one, other = painter(*props), Painter(baked(plain(*props), LightConf()))
+    one, other = painter(*props), Renderer(bake_world(plain(*props), LightConf()))
     first = one.paint(ASLANT, *SIZE, bodies)
     one.paint(ABOVE, *SIZE)
     assert one.paint(ASLANT, *SIZE, bodies).tobytes() == first.tobytes()
@@ -83,7 +83,7 @@ def test_a_picture_of_the_same_scene_is_the_same():
 def test_a_picture_painted_in_parts_is_the_same(monkeypatch):
     one, bodies = painter(box(0.0, 0.0, 1.0, 1.0, 1.0)), [body(-1.0, 1.0, 0.5)]
     whole = one.paint(ASLANT, *SIZE, bodies)
-    monkeypatch.setattr("dune_rl.rendering.picture._RAYS_AT_ONCE", 1000)
+    monkeypatch.setattr("dune_rl.rendering.renderer._RAYS_AT_ONCE", 1000)
     assert one.paint(ASLANT, *SIZE, bodies).tobytes() == whole.tobytes()
 
 
@@ -177,7 +177,7 @@ def test_a_body_is_where_it_stands_and_hides_behind_walls():
 )
 def test_no_ray_and_no_shadow_of_a_body_is_left_out(position, quaternion, eye):
     rotation = rotation_matrices(np.array(quaternion) / np.linalg.norm(quaternion))
-    one = Body(BLOCK, np.array(position), rotation)
+    one = PosedMesh(BLOCK, np.array(position), rotation)
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(300, 3))
     # Half of them toward it.

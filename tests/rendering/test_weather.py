@@ -11,15 +11,15 @@ from states import episode_state, measure
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.air import Air
-from dune_rl.rendering.light import Light, LightConf, srgb
-from dune_rl.rendering.light import linear as decoded
-from dune_rl.rendering.picture import Painter, Viewpoint
-from dune_rl.rendering.weather import Haze, WeatherConf, light_in, sun_at
+from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.light import Light, LightConf, tone_map_to_srgb
+from dune_rl.rendering.light import srgb_to_linear as decoded
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.weather import Haze, WeatherConf, weather_light, sun_position
 from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.medium import InHaze, effects_of
 from dune_rl.sensors.scanner import Scanner
-from dune_rl.worlds.appearance import baked, in_weather
+from dune_rl.worlds.appearance import bake_world, bake_in_weather
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
@@ -60,7 +60,7 @@ def test_fog_and_dust_add_up():
 
 
 def test_haze_takes_the_sun_and_covers_the_sky():
-    clear, thin, fog = (light_in(weather) for weather in (CLEAR, WeatherConf(fog_visibility_m=5_000.0), FOG))
+    clear, thin, fog = (weather_light(weather) for weather in (CLEAR, WeatherConf(fog_visibility_m=5_000.0), FOG))
     plain = Light.of(LightConf())
     for name in ("to_sun", "sun", "zenith", "horizon"):
         np.testing.assert_array_equal(getattr(clear, name), getattr(plain, name))
@@ -78,10 +78,10 @@ def test_haze_takes_the_sun_and_covers_the_sky():
 )
 def test_the_sun_goes_from_east_over_south(hour, bearing, elevation):
     # At nine the hour angle is 45 degrees: east and up are sin 45° and cos² 45°.
-    found = sun_at(hour)
+    found = sun_position(hour)
     near = 0.08 if hour == 6.25 else 1e-9
     assert found == pytest.approx((bearing, elevation), abs=near)
-    evening = sun_at(24.0 - hour)
+    evening = sun_position(24.0 - hour)
     assert evening[1] == pytest.approx(found[1])
     assert np.sin(evening[0]) == pytest.approx(np.sin(found[0]))
     assert np.cos(evening[0]) == pytest.approx(-np.cos(found[0]), abs=1e-9)
@@ -89,7 +89,7 @@ def test_the_sun_goes_from_east_over_south(hour, bearing, elevation):
 
 def test_the_hour_moves_the_sun_and_nothing_else():
     weather = WeatherConf(time_of_day_h=17.0, light=LightConf(shadows=False))
-    light = light_in(weather)
+    light = weather_light(weather)
     assert light.to_sun[0] < -0.9
     assert not light.shadows
     assert light.sun[2] / light.sun[0] < 0.8 * Light.of(LightConf()).sun[2] / Light.of(LightConf()).sun[0]
@@ -111,14 +111,14 @@ def world() -> World:
 OUTPUTS = ("rgb", "grey", "depth", "segmentation", "normals")
 
 
-def pictures(look, air: Air) -> dict[str, np.ndarray]:
+def pictures(look, air: ParticipatingMedia) -> dict[str, np.ndarray]:
     camera = Camera(camera_conf(width=24, height=24, outputs=OUTPUTS, range_m=60.0), look, (), air)
     return camera.frames(STANDING, LEVEL, NOBODY)
 
 
 def test_a_camera_sees_through_haze_by_beer_and_lambert(world):
-    haze, look = haze_of(FOG), baked(world, LightConf())
-    clear, seen = pictures(look, Air()), pictures(look, Air(haze))
+    haze, look = haze_of(FOG), bake_world(world, LightConf())
+    clear, seen = pictures(look, ParticipatingMedia()), pictures(look, ParticipatingMedia(haze))
     for name in ("depth", "segmentation", "normals"):
         np.testing.assert_array_equal(seen[name], clear[name])
     # The depth is along the axis: the range is longer toward the edges.
@@ -130,7 +130,7 @@ def test_a_camera_sees_through_haze_by_beer_and_lambert(world):
     # Up to a half in linear light, the screen's bytes tell it without compression.
     dark = (decoded(colours) < 0.5).all(axis=-1) & (clear["depth"][0, ..., 0] < 60.0)
     assert dark.sum() > 150
-    expected = srgb((decoded(colours) * passed + haze.colour * (1.0 - passed)).astype(np.float32)) * 255.0
+    expected = tone_map_to_srgb((decoded(colours) * passed + haze.colour * (1.0 - passed)).astype(np.float32)) * 255.0
     np.testing.assert_allclose(seen["rgb"][0][dark], expected[dark], atol=2.0)
     assert np.abs(seen["rgb"][0][dark].astype(int) - clear["rgb"][0][dark]).mean() > 10.0
     sky = clear["depth"][0, ..., 0] == 60.0
@@ -139,21 +139,21 @@ def test_a_camera_sees_through_haze_by_beer_and_lambert(world):
 
 def test_the_sky_of_a_weather_has_its_haze(world):
     fog, clear = (
-        pictures(in_weather(world, weather), Air(Haze.of(weather)))["rgb"][0, 0, 0].astype(int)
+        pictures(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather)))["rgb"][0, 0, 0].astype(int)
         for weather in (FOG, CLEAR)
     )
     assert np.ptp(fog) < 0.5 * np.ptp(clear)
 
 
 def test_clear_air_keeps_the_bytes(world):
-    look = in_weather(world, CLEAR)
-    assert look is baked(world, LightConf())
+    look = bake_in_weather(world, CLEAR)
+    assert look is bake_world(world, LightConf())
     plain = Camera(camera_conf(width=24, height=24, outputs=OUTPUTS, range_m=60.0), look, ())
     for name, picture in plain.frames(STANDING, LEVEL, NOBODY).items():
-        np.testing.assert_array_equal(picture, pictures(look, Air())[name])
+        np.testing.assert_array_equal(picture, pictures(look, ParticipatingMedia())[name])
     view = Viewpoint((0.0, 0.0, 1.0), (10.0, 0.0, 0.8))
-    np.testing.assert_array_equal(Painter(look).paint(view, 48, 32), Painter(look, Air()).paint(view, 48, 32))
-    assert effects_of(Air(), "lidar", np.eye(3), (0.0, 0.0, 0.0), (0.1, 12.0)) == []
+    np.testing.assert_array_equal(Renderer(look).paint(view, 48, 32), Renderer(look, ParticipatingMedia()).paint(view, 48, 32))
+    assert effects_of(ParticipatingMedia(), "lidar", np.eye(3), (0.0, 0.0, 0.0), (0.1, 12.0)) == []
 
 
 def test_large_pictures_fade(world):
@@ -161,7 +161,7 @@ def test_large_pictures_fade(world):
     contrast = []
     for visibility in (None, 200.0, 15.0):
         weather = WeatherConf(fog_visibility_m=visibility)
-        picture = Painter(in_weather(world, weather), Air(Haze.of(weather))).paint(view, 48, 32)
+        picture = Renderer(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather))).paint(view, 48, 32)
         contrast.append(float(picture.std()))
     assert contrast[0] > contrast[1] > contrast[2] > 0.0
     assert contrast[2] < 0.5 * contrast[0]

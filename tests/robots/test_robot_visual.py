@@ -8,8 +8,8 @@ import pytest
 from scenes import about
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.rendering.body import Body
-from dune_rl.rendering.light import linear
+from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.visual import RobotVisual
 
@@ -81,7 +81,7 @@ def test_links_are_where_pybullet_has_them(urdf):
         _same_shape(nearest, [shape for shape in shapes if shape[1] == link])
 
 
-def _same_shape(drawn: Body, shapes: list[tuple]) -> None:
+def _same_shape(drawn: PosedMesh, shapes: list[tuple]) -> None:
     """The drawn link is as large as PyBullet's visual shapes say, in its own frame, and of their colours."""
     if any(shape[2] == pybullet.GEOM_MESH for shape in shapes):
         # PyBullet tells the scale of a mesh, and no size.
@@ -106,7 +106,7 @@ def _same_shape(drawn: Body, shapes: list[tuple]) -> None:
     np.testing.assert_allclose(vertices.min(axis=0), low, atol=2e-3)
     np.testing.assert_allclose(vertices.max(axis=0), high, atol=2e-3)
     # What has no colour is grey here and white there.
-    colours = {tuple(np.round(linear(np.array(shape[7][:3])), 4)) for shape in shapes}
+    colours = {tuple(np.round(srgb_to_linear(np.array(shape[7][:3])), 4)) for shape in shapes}
     drawn_in = {tuple(np.round(colour, 4)) for colour in drawn.shape.albedo.astype(float)}
     if (1.0, 1.0, 1.0) not in colours:
         np.testing.assert_allclose(sorted(drawn_in), sorted(colours), atol=2e-4)

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.sensors.lens import Lens
 
@@ -115,7 +115,7 @@ def test_no_pixel_of_an_actor_is_left_out(lens, x, y, z, quaternion):
     found = look(camera, STANDING, rotation, [(x, y, z, 1.0)])
     nobody = look(camera_in(PLAIN, **conf), STANDING, rotation)
     # Every pixel's ray cast at the actor, instead of those near it.
-    figure = figures((PERSON,))[0]
+    figure = actor_moving_meshes((PERSON,))[0]
     rays = Lens(camera.conf).directions.reshape(-1, 3) @ rotation.T
     origin = np.tile(camera.origin(STANDING[None], rotation[None]), (len(rays), 1))
     ranges = np.full(len(rays), 100.0, np.float32)

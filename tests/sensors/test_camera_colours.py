@@ -7,13 +7,13 @@ from mounted import camera_conf
 from PIL import Image
 from scanning import turned
 
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.config.build import build_world
-from dune_rl.rendering.baked import Baked
+from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.light import Light, LightConf
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera
-from dune_rl.worlds.appearance import scenery
+from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.inspection.build import InspectionConf
 
 
@@ -119,7 +119,7 @@ def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
         light = Light.of(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
         camera = Camera(
-            camera_conf(width=16, height=12), Baked(scenery(with_boxes(WALL)), light), figures(())
+            camera_conf(width=16, height=12), BakedScenery(build_scenery(with_boxes(WALL)), light), actor_moving_meshes(())
         )
         red, _, blue = look(camera)["rgb"][6].mean(axis=0)
         return red / blue

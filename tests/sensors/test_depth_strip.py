@@ -11,7 +11,7 @@ from scenes import about
 from states import begin, measure, state_at
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
@@ -30,7 +30,7 @@ BEARINGS = 1.5 * ((np.arange(32) + 0.5) / 32 - 0.5)
 def strip_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 1, **conf: object) -> DepthStrip:
     solid = world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    return DepthStrip(depth_strip_conf(**conf), rays, figures(actors), scenes)
+    return DepthStrip(depth_strip_conf(**conf), rays, actor_moving_meshes(actors), scenes)
 
 
 def depths(

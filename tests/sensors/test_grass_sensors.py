@@ -7,19 +7,19 @@ from mounted import camera_conf, depth_strip_conf, lidar_3d_conf
 from states import begin, episode_state
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.air import Air
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.light import LightConf
-from dune_rl.rendering.picture import Painter, Viewpoint
+from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.depth_strip import DepthStrip
 from dune_rl.sensors.lidar_3d import Lidar3d
 from dune_rl.sensors.medium import InGrass
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 # Full grass where x > 2, from 2 cells before it on interpolated.
@@ -68,10 +68,10 @@ def test_rings_tell_grass_from_ground():
     lidar = Lidar3d(
         conf,
         RayScene(solid.vertices, solid.faces),
-        solid_look(world),
+        beam_surface(world),
         (),
         1,
-        Air(foliage=world.grass.foliage),
+        ParticipatingMedia(foliage=world.grass.foliage),
     )
     begin(lidar, np.array([True]), standing([0], 0))
     found = {name.removeprefix("lidar_3d_"): value[0, ..., 0] for name, value in lidar.read().items()}
@@ -84,16 +84,16 @@ def test_rings_tell_grass_from_ground():
     assert (found["intensity"][green] > 0.0).all()
 
 
-def camera_in(world: World, air: Air, actors: tuple[ActorConf, ...] = ()) -> Camera:
+def camera_in(world: World, air: ParticipatingMedia, actors: tuple[ActorConf, ...] = ()) -> Camera:
     conf = camera_conf(width=16, height=16, range_m=50.0, outputs=("rgb", "depth", "segmentation", "normals"))
-    return Camera(conf, baked(world, LightConf()), figures(actors), air)
+    return Camera(conf, bake_world(world, LightConf()), actor_moving_meshes(actors), air)
 
 
 def test_pixels_show_the_grass_that_takes_half_their_light():
     world = ahead_world()
     person = np.array([[[8.0, -0.26, 0.0, 0.0]]])
-    bare = camera_in(world, Air(), (ActorConf(),)).frames(STANDING, LEVEL, person)
-    seen = camera_in(world, Air(foliage=world.grass.foliage), (ActorConf(),)).frames(STANDING, LEVEL, person)
+    bare = camera_in(world, ParticipatingMedia(), (ActorConf(),)).frames(STANDING, LEVEL, person)
+    seen = camera_in(world, ParticipatingMedia(foliage=world.grass.foliage), (ActorConf(),)).frames(STANDING, LEVEL, person)
     level = (0, 7, 8, 0)
     assert bare["segmentation"][level] == Segment.ACTOR
     assert seen["segmentation"][level] == Segment.VEGETATION
@@ -120,7 +120,7 @@ def test_a_depth_strip_ends_in_it():
     conf = depth_strip_conf(fov_rad=6.28, columns=32)
     bare, seen = (
         DepthStrip(conf, static, (), 1, air).depths(STANDING, LEVEL, NOBODY)[0]
-        for air in (Air(), Air(foliage=world.grass.foliage))
+        for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
     )
     assert (seen[12:20] < 3.0).all()
     np.testing.assert_array_equal(seen[:6], bare[:6])
@@ -128,12 +128,12 @@ def test_a_depth_strip_ends_in_it():
 
 def test_a_picture_shows_it():
     world = ahead_world()
-    look = baked(world, LightConf())
+    look = bake_world(world, LightConf())
     view = Viewpoint((-1.0, 0.0, 0.8), (3.0, 0.0, 0.5))
     bare, grown = (
-        Painter(look, air).paint(view, 80, 60) for air in (Air(), Air(foliage=world.grass.foliage))
+        Renderer(look, air).paint(view, 80, 60) for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
     )
-    np.testing.assert_array_equal(Painter(look).paint(view, 80, 60), bare)
+    np.testing.assert_array_equal(Renderer(look).paint(view, 80, 60), bare)
     assert (grown[:4] == bare[:4]).all()
     # It stands over the horizon.
     assert (grown[20:30, 20:60] != bare[20:30, 20:60]).all(axis=-1).mean() > 0.8

@@ -11,19 +11,19 @@ from scenes import STEP_S, about
 from states import group_state, joints_from, motion_of, state_of
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.env.sensing import sensor_context
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.per_scene import PerScene
-from dune_rl.rendering.air import BeamAir
-from dune_rl.rendering.foliage import Foliages
+from dune_rl.geometry.shared_per_scene import SharedPerScene
+from dune_rl.rendering.participating_media import BeamMedia
+from dune_rl.rendering.foliage import BatchedFoliage
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.context import SensorCarrier, SensorContext
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state import GroupState
-from dune_rl.worlds.sites import Sites
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 AGENTS, SCENES, WHEELS = 3, 2, 4
@@ -87,16 +87,16 @@ FAULTS = {
 }
 
 
-def context(worlds: tuple, rows: int, air: Callable[[int], BeamAir] | None = None) -> SensorContext:
-    sites = Sites([(world, WeatherConf()) for world in worlds])
-    found = sensor_context(sites, CARRIER, figures(WALKERS), num_rows=rows, step_s=STEP_S)
+def context(worlds: tuple, rows: int, air: Callable[[int], BeamMedia] | None = None) -> SensorContext:
+    sites = BatchedWorlds([(world, WeatherConf()) for world in worlds])
+    found = sensor_context(sites, CARRIER, actor_moving_meshes(WALKERS), num_rows=rows, step_s=STEP_S)
     return found if air is None else replace(found, air=air(len(worlds)))
 
 
-def thick_air(scenes: int) -> BeamAir:
+def thick_air(scenes: int) -> BeamMedia:
     """Haze, and grass in every second scene of the group."""
     grass = [EVERYWHERE if scene < scenes // 2 else None for scene in range(scenes)]
-    return BeamAir(Haze.of(WeatherConf(fog_visibility_m=15.0)), Foliages(PerScene(grass)))
+    return BeamMedia(Haze.of(WeatherConf(fog_visibility_m=15.0)), BatchedFoliage(SharedPerScene(grass)))
 
 
 def states(step: int, rng: np.random.Generator) -> tuple[GroupState, GroupState]:
@@ -130,7 +130,7 @@ def test_agents_of_a_scene_share_its_air(enabled):
     assert_same(SensorsConf.model_validate({**SMALL, "enabled": enabled}), thick_air)
 
 
-def assert_same(conf: SensorsConf, air: Callable[[int], BeamAir] | None) -> None:
+def assert_same(conf: SensorsConf, air: Callable[[int], BeamMedia] | None) -> None:
     """Two scenes of three agents, and six of one agent, read the same at each begin and step."""
     scenes = SensorSuite(conf, context(WORLDS, ROWS, air))
     singles = SensorSuite(conf, context(tuple(np.repeat(np.array(WORLDS, object), AGENTS)), ROWS, air))

@@ -11,17 +11,17 @@ from scenes import about
 from states import begin, measure, state_at
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.light import linear
+from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.surface import luminance
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.props import upright_box
-from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import Prop, World
 
 EVERYTHING = ("range", "intensity", "segmentation")
@@ -37,7 +37,7 @@ def lidar_3d_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 
     solid = world.solid_mesh()
     settings = lidar_3d_conf(**{"outputs": EVERYTHING, **conf})
     return Lidar3d(
-        settings, RayScene(solid.vertices, solid.faces), solid_look(world), figures(actors), scenes
+        settings, RayScene(solid.vertices, solid.faces), beam_surface(world), actor_moving_meshes(actors), scenes
     )
 
 
@@ -119,7 +119,7 @@ def test_intensity_is_albedo_by_incidence_by_range():
         )
         world = World("test", build_flat(FlatConf()).terrain, [box], region=(-4, 4, -4, 4))
         found = scan(lidar_3d_in(world, n_rings=3, half_intensity_m=6.0))
-        r, g, b = linear(np.array(colour))
+        r, g, b = srgb_to_linear(np.array(colour))
         albedo = 0.2126 * r + 0.7152 * g + 0.0722 * b
         for beam in (256, 256 + 20):
             bearing = 2 * np.pi / 512 * (beam - 256)
@@ -152,7 +152,7 @@ def test_decks_obstacles_and_water_have_their_segments():
 def test_a_world_s_look_follows_its_solid_faces():
     world = build_inspection(InspectionConf(seed=1))
     owner = world.solid_mesh().owner
-    look = solid_look(world)
+    look = beam_surface(world)
     assert len(look.segments) == len(look.luminance) == len(owner) + 1
     assert look.segments[-1] == Segment.SKY
     assert look.luminance[-1] == 0.0
@@ -160,7 +160,7 @@ def test_a_world_s_look_follows_its_solid_faces():
     for index in np.unique(owner[owner >= 0]):
         prop, of = world.props[index], np.flatnonzero(owner == index)
         assert (look.segments[of] == (Segment.DECK if prop.drivable else Segment.OBSTACLE)).all()
-        np.testing.assert_allclose(look.luminance[of], luminance(linear(np.array(prop.colour))), rtol=1e-5)
+        np.testing.assert_allclose(look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5)
     ground = look.luminance[:-1][owner < 0]
     # Grass and earth differ, and neither is black or white.
     assert 0.05 < ground.min() < 0.9 * ground.max() < 0.5

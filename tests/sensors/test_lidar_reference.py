@@ -9,7 +9,7 @@ from scanning import lidar_in, turned
 from scenes import about
 
 from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import figures
+from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.config.build import build_world
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
@@ -18,9 +18,9 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.inspection.build import InspectionConf
-from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 PEOPLE = (ActorConf(), ActorConf(radius_m=0.4, height_m=1.6), ActorConf())
@@ -199,7 +199,7 @@ def test_the_rings_are_pybullet_s(site):
     conf = lidar_3d_conf(outputs=("range", "segmentation"))
     solid = site.world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    lidar = Lidar3d(conf, rays, solid_look(site.world), figures(PEOPLE), 1)
+    lidar = Lidar3d(conf, rays, beam_surface(site.world), actor_moving_meshes(PEOPLE), 1)
     elevation, bearing = np.meshgrid(
         np.linspace(0.262, -0.262, 16), -np.pi + 2 * np.pi / 512 * np.arange(512), indexing="ij"
     )
@@ -223,14 +223,14 @@ def test_the_rings_are_pybullet_s(site):
 
 def test_the_camera_s_depths_are_pybullet_s(site):
     conf = camera_conf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_rad=0.1)
-    look = baked(site.world, LightConf())
-    camera = Camera(conf, look, figures(PEOPLE))
+    look = bake_world(site.world, LightConf())
+    camera = Camera(conf, look, actor_moving_meshes(PEOPLE))
     upward = np.array([[0.0, 0.0, 1.0]], np.float32)
     errors, people_errors = [], []
     while len(errors) < 12:
         position, rotation, people = site.draw()
         # TinyRenderer leaves out faces seen from behind, as from inside a deck or under water.
-        if look.rays.blocked(position[None].astype(np.float32), upward)[0]:
+        if look.rays.any_hit(position[None].astype(np.float32), upward)[0]:
             continue
         frames = camera.frames(position[None], rotation[None], people[None])
         found, segments = (frames[name][0, ..., 0] for name in ("depth", "segmentation"))

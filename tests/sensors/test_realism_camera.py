@@ -6,7 +6,7 @@ from instruments import ScriptedSensor, limits
 from pydantic import ValidationError
 from states import begin, episode_state, measure
 
-from dune_rl.rendering.light import linear
+from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.sensors.realism.camera import CameraFaults, CameraRealismConf, realistic_camera
 
 STEP_S = 0.05
@@ -50,7 +50,7 @@ def gradient() -> np.ndarray:
 
 
 def light(pictures: np.ndarray) -> np.ndarray:
-    return linear(pictures / np.float32(255.0)).astype(float)
+    return srgb_to_linear(pictures / np.float32(255.0)).astype(float)
 
 
 def test_without_faults_every_byte_stays():

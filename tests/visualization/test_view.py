@@ -15,7 +15,7 @@ import dune_rl
 from dune_rl import view
 from dune_rl.config.compose import compose, compose_view
 from dune_rl.errors import ConfigError
-from dune_rl.files import replaced
+from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import write
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
@@ -368,19 +368,19 @@ def test_a_film_that_fails_leaves_the_old_one_alone(error: type[BaseException], 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         temporary.write_text("first")
         assert not path.exists()
         assert temporary.parent == tmp_path
     assert path.read_text() == "first"
-    with pytest.raises(RuntimeError), replaced(path) as temporary:
+    with pytest.raises(RuntimeError), write_atomically(path) as temporary:
         temporary.write_text("half")
         raise RuntimeError
     assert path.read_text() == "first"
-    with replaced(path) as temporary:
+    with write_atomically(path) as temporary:
         temporary.write_text("second")
         assert path.read_text() == "first"
     assert path.read_text() == "second"
     assert [each.name for each in tmp_path.iterdir()] == ["file.txt"]
-    with pytest.raises(FileNotFoundError), replaced(tmp_path / "nowhere" / "file.txt"):
+    with pytest.raises(FileNotFoundError), write_atomically(tmp_path / "nowhere" / "file.txt"):
         pass

@@ -11,7 +11,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage
 from dune_rl.worlds.flat import FlatConf, build_flat
-from dune_rl.worlds.grass import Grass, grow
+from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 
 
@@ -48,7 +48,7 @@ def test_from_above_the_path_begins_at_the_tips(down):
 
 def test_rays_over_the_tips_pass():
     origins, directions = rays([0.0, 0.0, TALL_M + 0.01], [[1, 0, 0], [1, 0, 0.3], [0, 0, 1]])
-    assert (EVERYWHERE.veil(origins, directions, far(3)).passed == 1.0).all()
+    assert (EVERYWHERE.transmission(origins, directions, far(3)).passed == 1.0).all()
     assert np.isinf(EVERYWHERE.beam_ranges(origins, directions, far(3), far(3, 1e-3))).all()
 
 
@@ -85,7 +85,7 @@ def test_leaping_over_what_is_bare_misses_no_patch():
     yaw, up = rng.uniform(-np.pi, np.pi, 400), rng.uniform(-0.4, 0.2, 400)
     origins, directions = rays([0.3, -0.2, 1.2], np.stack([np.cos(yaw), np.sin(yaw), up], axis=1))
     ranges = far(400, 12.0)
-    solid.shorten(origins, directions, ranges)
+    solid.shorten_ranges(origins, directions, ranges)
     expected = slow_depths(terrain, density, origins, directions, ranges)
     foliage = Foliage(terrain, density, TALL_M, 1.0, 1.0)
     for depth in (0.2, 0.6):
@@ -98,7 +98,7 @@ def test_leaping_over_what_is_bare_misses_no_patch():
         assert (expected[~reached] < depth + 0.08).all()
         assert (expected[reached] > depth - 0.08).all()
         assert 40 < reached.sum() < 360
-    passed = foliage.veil(origins, directions, ranges).passed
+    passed = foliage.transmission(origins, directions, ranges).passed
     assert np.abs(-np.log(passed) - expected)[passed > 0.02].mean() < 0.03
 
 
@@ -107,7 +107,7 @@ def test_a_veil_lets_light_pass_by_its_path(tufts):
     origins, directions = rays(
         [0.2, 0.1, 0.2], np.stack([np.ones(64), np.linspace(-1, 1, 64), np.zeros(64)], 1)
     )
-    veil = EVERYWHERE.veil(origins, directions, far(64, 0.4), tufts=tufts)
+    veil = EVERYWHERE.transmission(origins, directions, far(64, 0.4), tufts=tufts)
     # Single tufts hide more or less; their mean is that of the whole.
     assert -np.log(veil.passed).mean() == pytest.approx(0.4 * EXTINCTION, rel=0.15 if tufts else 1e-4)
     assert np.ptp(veil.passed) > 0.05 if tufts else np.ptp(veil.passed) < 1e-5
@@ -118,22 +118,22 @@ def test_a_veil_lets_light_pass_by_its_path(tufts):
 
 def test_a_ray_from_nowhere_meets_nothing():
     origins = np.full((1, 3), np.nan, np.float32)
-    veil = EVERYWHERE.veil(origins, np.eye(3, dtype=np.float32), far(3))
+    veil = EVERYWHERE.transmission(origins, np.eye(3, dtype=np.float32), far(3))
     assert (veil.passed == 1.0).all()
 
 
 @pytest.mark.parametrize("cover", [0.05, 0.3, 0.8])
 def test_it_covers_the_share_that_is_asked_for(cover):
-    grass = grow(PLAIN, (), cover, 0.4, seed=2)
+    grass = grow_grass(PLAIN, (), cover, 0.4, seed=2)
     assert (grass.density > 0.0).mean() == pytest.approx(cover, abs=1e-3)
     assert grass.density.max() <= 1.0
-    again, other = (grow(PLAIN, (), cover, 0.4, seed=seed) for seed in (2, 3))
+    again, other = (grow_grass(PLAIN, (), cover, 0.4, seed=seed) for seed in (2, 3))
     np.testing.assert_array_equal(again.density, grass.density)
     assert (other.density != grass.density).any()
 
 
 def test_none_is_none():
-    assert grow(PLAIN, (), 0.0, 0.4, seed=2) is None
+    assert grow_grass(PLAIN, (), 0.0, 0.4, seed=2) is None
     assert build_inspection(InspectionConf()).grass is None
 
 

@@ -23,7 +23,7 @@ from world_measures import (
 
 from dune_rl.errors import WorldError
 from dune_rl.rendering.scenery import Segment
-from dune_rl.worlds.appearance import scenery
+from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.world import World
@@ -80,7 +80,7 @@ def test_land_is_in_the_middle_and_sea_all_round(seed):
     assert len(sea) == 1
     assert not sea[0].solid
     assert (sea[0].vertices[:, 2] == 0.0).all()
-    assert (scenery(world).things.segments == Segment.WATER).sum() == len(sea[0].faces)
+    assert (build_scenery(world).things.segments == Segment.WATER).sum() == len(sea[0].faces)
     # It begins under the land on all sides, and goes beyond the world's edge.
     inner, outer = sea[0].vertices[:96, :2], sea[0].vertices[96:, :2]
     assert (world.terrain.height(inner) > 0.0).all()

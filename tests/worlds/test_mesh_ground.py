@@ -15,7 +15,7 @@ from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.imported import ImportedWorld
 from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
-from dune_rl.worlds.importing.topology import boundary, welded
+from dune_rl.worlds.importing.topology import boundary_edges, weld_vertices
 
 
 def build(tmp_path, named, **settings) -> ImportedWorld:
@@ -74,7 +74,7 @@ def test_a_block_that_is_one_piece_with_the_ground_is_still_a_thing(tmp_path):
     assert world.clearance(np.array([3.0, 3.0])) == 0.0
     assert world.clearance(np.array([6.0, 3.0])) == pytest.approx(2.0, abs=0.4)
     (prop,) = world.props
-    assert not len(boundary(welded(prop.vertices, prop.faces))[0])
+    assert not len(boundary_edges(weld_vertices(prop.vertices, prop.faces))[0])
 
 
 def test_open_sheets_are_made_closed_and_block(tmp_path):
@@ -84,7 +84,7 @@ def test_open_sheets_are_made_closed_and_block(tmp_path):
     shed.update_faces(shed.face_normals[:, 2] > -0.5)
     world = build(tmp_path, {"Terrain": bumpy_ground(), "wall": wall, "awning": awning, "shed": shed})
     for prop in world.props:
-        assert not len(boundary(welded(prop.vertices, prop.faces))[0]), prop.name
+        assert not len(boundary_edges(weld_vertices(prop.vertices, prop.faces))[0]), prop.name
     assert world.clearance(np.array([2.0, 0.0])) < 0.05
     # Under the awning is free, and a box without a bottom is solid all the same.
     assert world.clearance(np.array([-6.0, 0.0])) > 1.0

@@ -24,7 +24,7 @@ from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.imported import ImportedWorld
 from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
-from dune_rl.worlds.importing.topology import boundary, welded
+from dune_rl.worlds.importing.topology import boundary_edges, weld_vertices
 
 _built: dict[str, ImportedWorld] = {}
 
@@ -68,7 +68,7 @@ def test_names_in_the_file_become_names_and_kinds(built, kind):
 @pytest.mark.parametrize("kind", FORMATS)
 def test_props_are_closed_and_face_outward(built, kind):
     for prop in built(kind).props:
-        start, _ = boundary(welded(prop.vertices, prop.faces))
+        start, _ = boundary_edges(weld_vertices(prop.vertices, prop.faces))
         assert not len(start)
         a, b, c = np.moveaxis(prop.vertices[prop.faces], 1, 0)
         volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6

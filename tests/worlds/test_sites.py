@@ -8,16 +8,16 @@ import pytest
 
 from dune_rl.config.build import build_world
 from dune_rl.env.encounters import Encounters
-from dune_rl.geometry.per_scene import PerScene, asked
-from dune_rl.geometry.several import HeightFields, RayScenes
-from dune_rl.rendering.foliage import Foliage, Foliages
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.rendering.foliage import Foliage, BatchedFoliage
 from dune_rl.rendering.light import Light, LightConf
-from dune_rl.rendering.surface import Surfaces
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.worlds.appearance import baked
+from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.island import IslandConf, build_island
-from dune_rl.worlds.sites import Sites
-from dune_rl.worlds.solid_look import solid_look
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 CLEAR, LOW_SUN = WeatherConf(), WeatherConf(light=LightConf(sun_elevation_rad=0.2))
@@ -31,8 +31,8 @@ def islands() -> list[World]:
 
 
 @pytest.fixture(scope="module")
-def sites(islands: list[World]) -> Sites:
-    return Sites([(islands[which], CLEAR) for which in ORDER])
+def sites(islands: list[World]) -> BatchedWorlds:
+    return BatchedWorlds([(islands[which], CLEAR) for which in ORDER])
 
 
 def rays(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,7 +49,7 @@ def rays(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def test_groups_are_of_equal_things_in_the_order_of_their_scenes() -> None:
     first, second = object(), object()
-    things = PerScene([first] * 3)
+    things = SharedPerScene([first] * 3)
     assert things.groups == ((first, slice(None)),)
     things.put(1, second)
     (one, rows), (other, others) = things.groups
@@ -57,7 +57,7 @@ def test_groups_are_of_equal_things_in_the_order_of_their_scenes() -> None:
     before = things.groups
     things.put(1, second)
     assert things.groups is before
-    (one, rows), (other, others) = things.among(np.array([1, 2]))
+    (one, rows), (other, others) = things.select_scenes(np.array([1, 2]))
     assert (one, rows.tolist(), other, others.tolist()) == (second, [0], first, [1])
 
 
@@ -69,7 +69,7 @@ def test_what_is_made_of_a_thing_is_made_once_and_forgotten_with_it() -> None:
         return text.upper()
 
     a, b = "a", "b"
-    things = PerScene([a, b, a])
+    things = SharedPerScene([a, b, a])
     upper = things.map(make)
     assert [upper[scene] for scene in range(3)] == ["A", "B", "A"]
     assert [(name, rows.tolist()) for name, rows in upper.groups] == [("A", [0, 2]), ("B", [1])]
@@ -83,7 +83,7 @@ def test_what_is_made_of_a_thing_is_made_once_and_forgotten_with_it() -> None:
 
 def test_a_world_goes_when_no_scene_is_in_it() -> None:
     worlds = [build_island(IslandConf(seed=seed)) for seed in (7, 8)]
-    sites = Sites([(worlds[0], CLEAR), (worlds[1], CLEAR)])
+    sites = BatchedWorlds([(worlds[0], CLEAR), (worlds[1], CLEAR)])
     sites.clearance(np.zeros((2, 1, 2)))
     gone = weakref.ref(worlds[1])
     sites.put(1, worlds[0], CLEAR)
@@ -96,10 +96,10 @@ def test_a_world_goes_when_no_scene_is_in_it() -> None:
 # -- queries ---------------------------------------------------------------------------------------
 
 
-def test_ground_and_clearance_are_those_of_each_world(sites: Sites) -> None:
+def test_ground_and_clearance_are_those_of_each_world(sites: BatchedWorlds) -> None:
     xy = np.random.default_rng(1).uniform(-8, 8, (5, 40, 2))
     height, clearance = sites.height(xy), sites.clearance(xy)
-    terrain = HeightFields(sites.worlds.map(lambda world: world.terrain)).height(xy)
+    terrain = BatchedHeightFields(sites.worlds.map(lambda world: world.terrain)).height(xy)
     for scene in range(5):
         world = sites.worlds[scene]
         assert np.array_equal(height[scene], world.terrain.height(xy[scene]))
@@ -110,21 +110,21 @@ def test_ground_and_clearance_are_those_of_each_world(sites: Sites) -> None:
 
 
 @pytest.mark.parametrize("scenes", [None, [3, 0], [2]])
-def test_rays_meet_what_is_in_their_own_world(sites: Sites, scenes: list[int] | None) -> None:
+def test_rays_meet_what_is_in_their_own_world(sites: BatchedWorlds, scenes: list[int] | None) -> None:
     origins, directions, ranges = rays(37)
-    everywhere = RayScenes(sites.worlds.map(lambda world: world.rays))
-    looks = Surfaces(sites.worlds.map(solid_look))
+    everywhere = BatchedRayScenes(sites.worlds.map(lambda world: world.rays))
+    looks = BatchedBeamSurfaces(sites.worlds.map(beam_surface))
     if scenes is not None:
         rows = np.array(scenes)
-        everywhere, looks = everywhere.among(rows), looks.among(rows)
+        everywhere, looks = everywhere.select_scenes(rows), looks.select_scenes(rows)
         origins = origins[rows]
         directions, ranges = directions.reshape(5, 37, 3)[rows].reshape(-1, 3), ranges.reshape(5, 37)[rows]
     ranges = ranges.ravel()
     shortened = ranges.copy()
-    everywhere.shorten(origins, directions, shortened)
+    everywhere.shorten_ranges(origins, directions, shortened)
     hits = everywhere.hits(origins, directions, ranges.copy())
-    blocked = everywhere.blocked(origins, directions)
-    segments, luminance = looks.met(hits.face)
+    blocked = everywhere.any_hit(origins, directions)
+    segments, luminance = looks.look_up(hits.face)
     assert 0.2 < (shortened < ranges).mean() < 1.0
     for place, scene in enumerate(scenes or range(5)):
         world, part = sites.worlds[scene], slice(37 * place, 37 * place + 37)
@@ -133,16 +133,16 @@ def test_rays_meet_what_is_in_their_own_world(sites: Sites, scenes: list[int] | 
         for found, own in zip(hits, alone, strict=True):
             assert np.array_equal(found[part], own)
         assert np.array_equal(shortened[part], alone.range)
-        assert np.array_equal(blocked[part], world.rays.blocked(origin, towards))
-        surface = solid_look(world).met(alone.face)
+        assert np.array_equal(blocked[part], world.rays.any_hit(origin, towards))
+        surface = beam_surface(world).look_up(alone.face)
         assert np.array_equal(segments[part], surface[0]) and np.array_equal(luminance[part], surface[1])
 
 
-def test_grass_is_that_of_the_own_world_or_none(sites: Sites) -> None:
+def test_grass_is_that_of_the_own_world_or_none(sites: BatchedWorlds) -> None:
     def foliage(world: World) -> Foliage | None:
         return None if world.grass is None else world.grass.foliage
 
-    grown = Foliages(sites.worlds.map(foliage))
+    grown = BatchedFoliage(sites.worlds.map(foliage))
     origins, directions, ranges = rays(50)
     origins[:, 2] = 1.2
     depths = np.full(len(directions), 0.4, np.float32)
@@ -167,7 +167,7 @@ def test_one_answer_for_all_is_asked_once() -> None:
         return values * 2
 
     values = np.arange(6.0).reshape(3, 2)
-    assert asked(PerScene(["a"] * 3).groups, ask, values).tolist() == (values * 2).tolist()
+    assert query_grouped(SharedPerScene(["a"] * 3).groups, ask, values).tolist() == (values * 2).tolist()
     assert calls == ["a"]
 
 
@@ -176,24 +176,24 @@ def test_one_answer_for_all_is_asked_once() -> None:
 
 def test_scenes_that_look_alike_share_a_look(islands: list[World]) -> None:
     first, second = islands[:2]
-    sites = Sites([(first, CLEAR), (second, CLEAR), (first, LOW_SUN), (first, WeatherConf())])
-    looks = [sites.looks[scene] for scene in range(4)]
+    sites = BatchedWorlds([(first, CLEAR), (second, CLEAR), (first, LOW_SUN), (first, WeatherConf())])
+    looks = [sites.appearances[scene] for scene in range(4)]
     assert looks[0] is looks[3]
     assert len({id(look) for look in looks}) == 3
     assert [len(np.arange(4)[rows]) for _, rows in sites.worlds.groups] == [3, 1]
     sites.put(2, first, CLEAR)
-    assert sites.looks[2] is looks[0]
+    assert sites.appearances[2] is looks[0]
 
 
 def test_another_light_on_a_known_world_is_that_of_a_new_one() -> None:
     light = LightConf(sun_bearing_rad=-1.0, sun_elevation_rad=0.3, brightness=0.8)
     known, new = (build_island(IslandConf(seed=4)) for _ in range(2))
-    before = baked(known, LightConf()).ground.copy()
-    relit, fresh = baked(known, light), baked(new, light)
+    before = bake_world(known, LightConf()).ground.copy()
+    relit, fresh = bake_world(known, light), bake_world(new, light)
     for name in ("ground", "faces", "sky"):
         assert np.array_equal(getattr(relit, name), getattr(fresh, name)), name
-    assert relit.rays is baked(known, LightConf()).rays
-    assert np.array_equal(baked(known, LightConf()).ground, before)
+    assert relit.rays is bake_world(known, LightConf()).rays
+    assert np.array_equal(bake_world(known, LightConf()).ground, before)
     assert (relit.ground != before).any()
 
 

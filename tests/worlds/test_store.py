@@ -20,7 +20,7 @@ from dune_rl.paths import cache_folder
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds import registry
 from dune_rl.worlds import store as module
-from dune_rl.worlds.appearance import baked, work_out
+from dune_rl.worlds.appearance import bake_world, precompute_appearance
 from dune_rl.worlds.cache_folder import CacheFolder, CacheWarning
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
@@ -124,14 +124,14 @@ def test_looks_are_kept_beside_worlds(
     tmp_path: Path, conf: WorldSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     light = LightConf(sun_bearing_rad=1.0)
-    fresh = baked(build(conf), light)
+    fresh = bake_world(build(conf), light)
     store = WorldStore(tmp_path)
     assert not store.is_kept(conf, seen=True)
-    work_out(store.get(conf))
+    precompute_appearance(store.get(conf))
     assert store.is_kept(conf, seen=True)
-    monkeypatch.setattr("dune_rl.rendering.baked.sky_share", None)
+    monkeypatch.setattr("dune_rl.rendering.baked_scenery.sky_share", None)
     monkeypatch.setattr("dune_rl.worlds.appearance.ground_texture", None)
-    kept = baked(store.get(conf), light)
+    kept = bake_world(store.get(conf), light)
     for name in ("sky_share", "things_sky_share", "ground", "faces", "segments"):
         assert list(parts(getattr(kept, name))) == list(parts(getattr(fresh, name)))
 
@@ -310,9 +310,9 @@ def test_an_imported_world_follows_its_files(tmp_path: Path, counted: list[World
         (tmp_path / "crate.stl").write_bytes(data[:-2] + b"\1\1")
         other = store.get(conf)
         assert len(counted) == 3
-        assert full.lasting("look", lambda: np.zeros(1)) == 0.0
-        assert other.lasting("look", lambda: np.ones(1)) == 1.0
-        assert store.get(conf).lasting("look", lambda: np.zeros(1)) == 1.0
+        assert full.disk_cached("look", lambda: np.zeros(1)) == 0.0
+        assert other.disk_cached("look", lambda: np.ones(1)) == 1.0
+        assert store.get(conf).disk_cached("look", lambda: np.zeros(1)) == 1.0
         key = world_key(conf)
         (tmp_path / "w.sdf").write_text(SDF.format(shape=BOX))
         store.get(conf)

@@ -15,7 +15,7 @@ from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.paths import assets_folder
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.worlds.appearance import scenery
+from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.surface_map import SurfaceMap
@@ -158,11 +158,11 @@ def test_the_bridge_is_of_wood_and_stones_are_rock():
         tops[:, :2] += (
             0.05 * (middles - tops)[:, :2] / np.linalg.norm((middles - tops)[:, :2], axis=1)[:, None]
         )
-        numbers, height = world.underfoot(tops)
+        numbers, height = world.surface_below(tops)
         over = height > world.terrain.height(tops[:, :2]) + 0.01
         assert over.any()
         assert {SURFACE_NAMES[number] for number in numbers[over]} == {surface}
-        below, _ = world.underfoot(tops - [0.0, 0.0, 3.0])
+        below, _ = world.surface_below(tops - [0.0, 0.0, 3.0])
         assert {SURFACE_NAMES[number] for number in below} == {"mud"}
 
 
@@ -176,7 +176,7 @@ def test_the_buried_part_of_a_stone_is_ground():
     ]
     surfaces = SurfaceMap([[SURFACE_NAMES.index("mud")]], terrain.extent)
     world = World("stones", terrain, props, region=(-1, 1, -1, 1), surfaces=surfaces)
-    numbers, height = world.underfoot(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    numbers, height = world.surface_below(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     assert [SURFACE_NAMES[number] for number in numbers] == ["mud", "rock", "mud"]
     np.testing.assert_allclose(height, [0.0, 0.05, 0.0], atol=1e-6)
 
@@ -192,9 +192,9 @@ def test_sinkage_needs_surfaces():
 
 
 def test_ground_shows_its_surfaces():
-    plain = scenery(world_of("flat", size_m=20.0)).ground.albedo.mean(axis=(0, 1))
+    plain = build_scenery(world_of("flat", size_m=20.0)).ground.albedo.mean(axis=(0, 1))
     shown = {
-        name: scenery(world_of("flat", size_m=20.0, surfaces=name)).ground.albedo.mean(axis=(0, 1))
+        name: build_scenery(world_of("flat", size_m=20.0, surfaces=name)).ground.albedo.mean(axis=(0, 1))
         for name in SURFACE_NAMES
     }
     means = np.array([plain, *shown.values()])

@@ -12,14 +12,14 @@ from textured_files import SIGN, quadrants, textured_yard, write_textured_yard
 from world_files import ground_height
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.light import LightConf, linear
-from dune_rl.rendering.picture import Painter, Viewpoint
-from dune_rl.rendering.skin import Skin, SkinLook
+from dune_rl.rendering.light import LightConf, srgb_to_linear
+from dune_rl.rendering.renderer import Renderer, Viewpoint
+from dune_rl.rendering.texture import MeshTexture, TextureSampler
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.camera import Camera
-from dune_rl.worlds.appearance import baked, in_weather, scenery, under_own_sun
+from dune_rl.worlds.appearance import bake_world, bake_in_weather, build_scenery, with_own_sun
 from dune_rl.worlds.importing import import_files
-from dune_rl.worlds.importing.import_files import Report, WorldWarning
+from dune_rl.worlds.importing.import_files import ImportReport, WorldWarning
 from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 from dune_rl.worlds.world import Prop, World
@@ -43,22 +43,22 @@ def yard(request, tmp_path_factory):
 def nearest(colour: np.ndarray) -> str:
     """Which of the four hues is meant, whatever the light."""
     hues = {"red": RED, "green": GREEN, "blue": BLUE, "yellow": YELLOW}
-    unit = {name: linear(hue) / np.linalg.norm(linear(hue)) for name, hue in hues.items()}
-    seen = linear(np.asarray(colour) / 255.0)
+    unit = {name: srgb_to_linear(hue) / np.linalg.norm(srgb_to_linear(hue)) for name, hue in hues.items()}
+    seen = srgb_to_linear(np.asarray(colour) / 255.0)
     return max(unit, key=lambda name: float(unit[name] @ seen))
 
 
 def test_a_picture_shows_a_sign_upright_and_the_right_way_round(yard):
     # Seen from lower x, left is greater y.
     view = Viewpoint((-3.0, 0.0, SIGN_FOOT + 1.0), (*SIGN, SIGN_FOOT + 1.0), 0.6)
-    found = Painter(baked(yard, BEHIND)).paint(view, 64, 48)
+    found = Renderer(bake_world(yard, BEHIND)).paint(view, 64, 48)
     corners = [found[row, column] for row in (18, 30) for column in (20, 44)]
     assert [nearest(colour) for colour in corners] == ["red", "green", "blue", "yellow"]
 
 
 def test_a_camera_shows_it_too(yard):
     conf = camera_conf(outputs=("rgb",), width=64, height=48, fov_rad=0.6, mount_b=(0.0, 0.0, 0.0))
-    camera = Camera(conf, baked(yard, BEHIND), ())
+    camera = Camera(conf, bake_world(yard, BEHIND), ())
     # Of two scenes, the first looks away.
     turned = np.stack([np.diag([-1.0, -1.0, 1.0]), np.eye(3)])
     eye = np.tile([-3.0, 0.0, SIGN_FOOT + 1.0], (2, 1))
@@ -69,14 +69,14 @@ def test_a_camera_shows_it_too(yard):
 
 
 def test_the_ground_shows_its_picture_where_it_lies(yard):
-    albedo = scenery(yard).ground.albedo
+    albedo = build_scenery(yard).ground.albedo
     source = np.asarray(textured_yard()["Terrain"].visual.material.baseColorTexture, np.float32) / 255.0
     rows, columns = albedo.shape[:2]
     assert rows > 400 and columns > 500
     # Means over the same sixteenths of the ground, its first row being that of the lowest y.
     blocks = [(slice(r * rows // 4, (r + 1) * rows // 4), slice(c * columns // 4, (c + 1) * columns // 4))
               for r in range(4) for c in range(4)]  # fmt: skip
-    south_first = linear(source[::-1])
+    south_first = srgb_to_linear(source[::-1])
     side = len(source) // 4
     for number, block in enumerate(blocks):
         r, c = divmod(number, 4)
@@ -89,21 +89,21 @@ def test_the_ground_shows_its_picture_where_it_lies(yard):
 
 def test_pictures_and_plain_faces_stand_side_by_side():
     triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    skin = Skin.of(np.asarray(quadrants()), triangle[None], triangle[None, :, :2])
+    skin = MeshTexture.of(np.asarray(quadrants()), triangle[None], triangle[None, :, :2])
     settings = {"vertices": triangle, "faces": np.array([[0, 1, 2]], np.int32)}
     shown = Prop("a", "sign", **settings, skin=skin)
     coloured = Prop("b", "box", **settings, face_colours=np.array([[0.0, 1.0, 0.0]], np.float32))
     flat = HeightField(np.zeros((3, 3)), 1.0, (-1.0, -1.0))
-    look = scenery(World("w", flat, [coloured, shown, coloured], region=(0, 1, 0, 1))).things
-    np.testing.assert_array_equal(look.skin.picture, [-1, 0, -1])
-    np.testing.assert_allclose(look.albedo, [[0, 1, 0], linear([0.6] * 3), [0, 1, 0]], atol=1e-6)
-    assert scenery(World("w", flat, [coloured], region=(0, 1, 0, 1))).things.skin is None
+    look = build_scenery(World("w", flat, [coloured, shown, coloured], region=(0, 1, 0, 1))).things
+    np.testing.assert_array_equal(look.texture.picture, [-1, 0, -1])
+    np.testing.assert_allclose(look.albedo, [[0, 1, 0], srgb_to_linear([0.6] * 3), [0, 1, 0]], atol=1e-6)
+    assert build_scenery(World("w", flat, [coloured], region=(0, 1, 0, 1))).things.texture is None
 
 
-def square(uv, picture=None) -> SkinLook:
+def square(uv, picture=None) -> TextureSampler:
     corners = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]])
     picture = np.asarray(quadrants()) if picture is None else picture
-    return SkinLook(Skin.of(picture, corners, np.asarray(uv, float)[None]))
+    return TextureSampler(MeshTexture.of(picture, corners, np.asarray(uv, float)[None]))
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -113,7 +113,7 @@ def test_a_skin_is_looked_up_by_place_repeats_and_blurs_with_distance(smooth):
         [[0.05, 0.05, 0], [0.05 + 1 / 3, 0.05, 0], [0.29, 0.29, 0], [0.05, 0.29, 0]], np.float32
     )
     found = look.albedo(np.zeros(4, int), points, 1e-4, smooth=smooth)
-    np.testing.assert_allclose(found, linear(np.array([BLUE, BLUE, GREEN, RED])), atol=0.01)
+    np.testing.assert_allclose(found, srgb_to_linear(np.array([BLUE, BLUE, GREEN, RED])), atol=0.01)
     far = look.albedo(np.zeros(4, int), points, 10.0, smooth=smooth)
     np.testing.assert_allclose(far, np.tile(far[0], (4, 1)), atol=0.01)
 
@@ -134,18 +134,18 @@ def test_coordinates_beyond_reason_leave_the_plain_colour(uv):
 def test_pictures_together_are_held_to_a_size():
     look = square([[0, 0], [1, 0], [1, 1]], np.full((600, 900, 3), 90, np.uint8))
     assert look.textured.all()
-    small = SkinLook(
-        Skin.of(np.full((600, 900, 3), 90, np.uint8), np.eye(3)[None], np.zeros((1, 3, 2))), most_texels=1000
+    small = TextureSampler(
+        MeshTexture.of(np.full((600, 900, 3), 90, np.uint8), np.eye(3)[None], np.zeros((1, 3, 2))), most_texels=1000
     )
     assert len(small._texels) <= 2000
     np.testing.assert_allclose(
-        small.albedo(np.zeros(1, int), np.eye(3)[:1], 1e-3), linear(90 / 255.0), atol=1e-3
+        small.albedo(np.zeros(1, int), np.eye(3)[:1], 1e-3), srgb_to_linear(90 / 255.0), atol=1e-3
     )
 
 
 def test_textures_beyond_the_room_for_them_are_coarse_and_warned_of(monkeypatch):
     monkeypatch.setattr(import_files, "_MOST_TEXELS", 100_000)
-    report = Report("w.glb")
+    report = ImportReport("w.glb")
     large = np.zeros((300, 300, 3), np.uint8)
     assert report.kept(large).shape == (300, 300, 3)
     assert report.kept(large).shape == (32, 32, 3)
@@ -168,17 +168,17 @@ def test_a_damaged_texture_is_a_warning_and_the_rest_is_shown(tmp_path, spoilt, 
         world = build_mesh(MeshConf(path=str(path)))
     assert len([w for w in caught if re.search("paving", str(w.message))]) == 1
     assert world.picture is None
-    assert scenery(world).things.skin is not None
+    assert build_scenery(world).things.texture is not None
 
 
 def test_transparent_and_sixteen_bit_pictures_have_sound_colours():
     cut = np.zeros((8, 8, 4), np.uint8)
     cut[:4] = (60, 160, 40, 255)
     np.testing.assert_array_equal(
-        import_files.shrunk(Image.fromarray(cut)), np.tile((60, 160, 40), (8, 8, 1))
+        import_files.downscale_image(Image.fromarray(cut)), np.tile((60, 160, 40), (8, 8, 1))
     )
     grey = Image.fromarray(np.full((8, 8), 40_000, np.uint16))
-    assert set(import_files.shrunk(grey).ravel().tolist()) == {40_000 >> 8}
+    assert set(import_files.downscale_image(grey).ravel().tolist()) == {40_000 >> 8}
 
 
 SUN = '<light name="sun" type="directional"><direction>{}</direction><diffuse>{}</diffuse></light>'
@@ -191,14 +191,14 @@ def in_sun(folder, direction="-1 0 -1", colour="1 0.5 0.25 1"):
 
 def test_a_file_s_sun_shines_unless_the_weather_says_where_its_own_is(tmp_path):
     world = in_sun(tmp_path)
-    light = in_weather(world, WeatherConf()).light
+    light = bake_in_weather(world, WeatherConf()).light
     np.testing.assert_allclose(light.to_sun, [0.5**0.5, 0.0, 0.5**0.5], atol=1e-6)
-    plain = baked(world, LightConf(sun_bearing_rad=0.0, sun_elevation_rad=np.pi / 4)).light
+    plain = bake_world(world, LightConf(sun_bearing_rad=0.0, sun_elevation_rad=np.pi / 4)).light
     np.testing.assert_allclose(light.sun, plain.sun * [1.0, 0.5, 0.25], rtol=1e-5)
-    fog = under_own_sun(world, WeatherConf(fog_visibility_m=20.0))
+    fog = with_own_sun(world, WeatherConf(fog_visibility_m=20.0))
     assert fog.light == world.light
     for own in (WeatherConf(time_of_day_h=9.0), WeatherConf(light=BEHIND)):
-        assert under_own_sun(world, own) is own
+        assert with_own_sun(world, own) is own
     with pytest.warns(WorldWarning, match="is no colour of a light"):
         assert in_sun(tmp_path, colour="bright").light.sun_colour == (1.0, 1.0, 1.0)
 
@@ -215,7 +215,7 @@ def test_a_height_map_s_picture_is_laid_in_tiles_from_the_north_west(tmp_path):
 
     def hues(size: float) -> list[str]:
         (tmp_path / "w.sdf").write_text(text.format(size))
-        albedo = scenery(build_sdf(SdfConf(path=str(tmp_path / "w.sdf")))).ground.albedo
+        albedo = build_scenery(build_sdf(SdfConf(path=str(tmp_path / "w.sdf")))).ground.albedo
         n = len(albedo)
         encoded = np.sqrt(albedo) * 255
         return [nearest(encoded[r * n // 8, c * n // 8]) for r in (7, 5, 3, 1) for c in (1, 3, 5, 7)]

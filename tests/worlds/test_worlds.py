@@ -11,7 +11,7 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
-from dune_rl.worlds.props import beam, merge, slab, tube, upright_box
+from dune_rl.worlds.props import beam, merge_meshes, slab, tube, upright_box
 from dune_rl.worlds.world import Prop, World
 
 inspection = cached(lambda seed: build_inspection(InspectionConf(seed=seed)))
@@ -94,7 +94,7 @@ def test_only_what_stands_in_the_band_is_an_obstacle(bottom, top, counts):
 def test_an_obstacle_inside_a_roof_is_still_one():
     # The post's top lies within the roof, so that a ray up the post meets the roof's face first.
     roof, post = upright_box([0, 0], 0.0, 2.0, 2.2, 4.0, 4.0), upright_box([0, 0], 0.0, -0.4, 2.1, 0.2, 0.2)
-    world = level_world(prop(merge([roof, post])))
+    world = level_world(prop(merge_meshes([roof, post])))
     assert world.clearance(np.zeros(2)) == 0.0
     assert world.clearance(np.array([1.0, 0.0])) == pytest.approx(0.9, abs=0.08)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Leg:
         hip = (hip + np.pi) % (2 * np.pi) - np.pi
         reach2 = ahead**2 + down**2
         bend = (reach2 - self.upper_m**2 - self.lower_m**2) / (2 * self.upper_m * self.lower_m)
-        knee = within(np.arccos(within(bend, -1.0, 1.0)), *self.knee_rad)
+        knee = clip(np.arccos(clip(bend, -1.0, 1.0)), *self.knee_rad)
         upper = np.arctan2(ahead, down) - np.arctan2(
             self.lower_m * np.sin(knee), self.upper_m + self.lower_m * np.cos(knee)
         )

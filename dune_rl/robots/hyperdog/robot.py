@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.paths import assets_folder
 from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
@@ -152,22 +152,22 @@ class HyperDog(RectangularHull):
         """Angle of each joint [rad], (M, 12), to be reached at the end of the step."""
         if self.conf.action == "joints":
             low, high = _LIMITS_OF_ALL
-            return low + (within(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+            return low + (clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         tilt = motion.roll_pitch_yaw[:, :2]
         twist = self._twist(action, self._trot.careful(tilt), motion, step_s)
         feet = self._trot.feet(twist, tilt, step_s)
         angles = _LEG.angles(feet - _HIPS_B, _SIDE)
-        return within(angles, *_LIMITS_RAD.T).reshape(len(action), 12)
+        return clip(angles, *_LIMITS_RAD.T).reshape(len(action), 12)
 
     def _twist(self, action: Array, careful: Array, motion: BodyMotion, step_s: float) -> Array:
         """Speed [m/s] and yaw rate [rad/s] for the gait (M, 2)."""
         conf = self.conf
         most = conf.max_speed_mps
-        speed = careful * within(action[:, 0], -most, most)
-        turn = self._heading.yaw_rate(within(action[:, 1], -np.pi, np.pi), step_s)
+        speed = careful * clip(action[:, 0], -most, most)
+        turn = self._heading.yaw_rate(clip(action[:, 1], -np.pi, np.pi), step_s)
         gain = step_s * np.array([conf.max_acceleration_mps2, conf.max_yaw_acceleration_radps2])
         wanted = np.column_stack([speed, turn])
-        self._wanted = within(wanted, self._wanted - gain, self._wanted + gain)
+        self._wanted = clip(wanted, self._wanted - gain, self._wanted + gain)
         # Feet slip: what is missing of the motion is added up.
         # The turn from one step to the next: the body sways, and the rates at steps' ends are no mean.
         yaw = motion.roll_pitch_yaw[:, 2]
@@ -175,7 +175,7 @@ class HyperDog(RectangularHull):
         self._yaw = yaw.copy()
         told = np.column_stack([motion.velocity_b[:, 0], turned / step_s])
         missing = step_s * np.array([conf.speed_ki_per_s, conf.yaw_rate_ki_per_s]) * (self._wanted - told)
-        self._correction = within(self._correction + missing, -_MAX_CORRECTION, _MAX_CORRECTION)
+        self._correction = clip(self._correction + missing, -_MAX_CORRECTION, _MAX_CORRECTION)
         # Told to stand still it does, whatever the sum.
         still = (speed == 0.0) & (turn == 0.0)
         self._correction[still] = 0.0

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.frames import within
+from dune_rl.geometry.frames import clip
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Trot:
         """Share of the wanted speed (M,) that is walked at, by roll and pitch (M, 2) [rad]."""
         conf = self._conf
         steep = np.hypot(tilt[:, 0], tilt[:, 1]) - conf.careful_from_rad
-        share = within(steep / (conf.careful_to_rad - conf.careful_from_rad), 0.0, 1.0)
+        share = clip(steep / (conf.careful_to_rad - conf.careful_from_rad), 0.0, 1.0)
         return 1.0 - (1.0 - conf.careful_share) * share
 
     def feet(self, twist: Array, tilt: Array, step_s: float) -> Array:
@@ -106,7 +106,7 @@ class Trot:
 
     def _plumb(self, tilt: Array) -> Array:
         """Where feet stand plumb under their hips (M, 4, 3) [m]."""
-        lean = self._conf.height_m * within(np.tan(tilt), -_STEEPEST, _STEEPEST)
+        lean = self._conf.height_m * clip(np.tan(tilt), -_STEEPEST, _STEEPEST)
         aside = np.stack([lean[:, 1], -lean[:, 0], np.zeros(len(tilt))], axis=-1)
         return np.asarray(self.rest_b + aside[:, None])
 

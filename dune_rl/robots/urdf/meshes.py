@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dune_rl.errors import RobotError, WorldError
-from dune_rl.worlds.importing.import_files import Folder, Report, shown
+from dune_rl.worlds.importing.import_files import WorldFiles, ImportReport, printable
 from dune_rl.worlds.importing.mesh_files import FORMATS, mesh_parts
-from dune_rl.worlds.importing.parts import Part
+from dune_rl.worlds.importing.parts import MeshPart
 
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"
@@ -39,10 +39,10 @@ class UrdfMeshes:
                     f"{PACKAGE_VARIABLE}; put the folder {shown(package)} beside the file, or set "
                     f"{PACKAGE_VARIABLE}."
                 )
-            searched = [Folder(folder) for folder in folders]
+            searched = [WorldFiles(folder) for folder in folders]
         else:
             rest = name
-            searched = [Folder(self._root(), self._beside)]
+            searched = [WorldFiles(self._root(), self._beside)]
         for folder in searched:
             try:
                 return folder.find(rest)
@@ -53,7 +53,7 @@ class UrdfMeshes:
         where = ", ".join(str(folder.base) for folder in searched)
         raise RobotError(f"the mesh {shown(name)} is not in {where}; copy it there, or mend the name.")
 
-    def parts(self, name: str) -> list[Part]:
+    def parts(self, name: str) -> list[MeshPart]:
         """The mesh as coloured parts in metres, in the axes of the file."""
         path = self.find(name)
         if path.suffix.lower() not in FORMATS:
@@ -63,7 +63,7 @@ class UrdfMeshes:
             )
         try:
             # URDF reads files as they are: their own idea of up does not count.
-            return mesh_parts(path, Folder(path.resolve().parent), Report(path.name), up="z")
+            return mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
         except WorldError as error:
             raise RobotError(_for_robots(error)) from None
 

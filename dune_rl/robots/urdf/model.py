@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import euler_matrix
 
 from dune_rl.errors import RobotError, WorldError
-from dune_rl.worlds.importing.import_files import read_bytes, read_xml, shown
+from dune_rl.worlds.importing.import_files import read_bytes, read_xml, printable
 
 Array = NDArray[np.float64]
 JointKind = Literal["fixed", "continuous", "revolute", "prismatic"]
@@ -217,7 +217,7 @@ def _base_of(links: dict[str, Link], joints: Sequence[Joint]) -> str:
     if not bases:
         raise _FaultError("its joints run in a loop, so that no link is the base; remove one of them.")
     if len(bases) > 1:
-        listed = ", ".join(shown(name) for name in bases[:6])
+        listed = ", ".join(printable(name) for name in bases[:6])
         raise _FaultError(f"{len(bases)} links have no parent ({listed}); join all but the base by joints.")
     for name in links:
         seen = {name}

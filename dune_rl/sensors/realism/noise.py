@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import within, wrap_angle
+from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.draws import normal
 from dune_rl.sensors.sensor import Bounds, Counts, Reading
 from dune_rl.settings import Settings
@@ -122,4 +122,4 @@ class Faults:
             value[:, self._turning] = wrap_angle(value[:, self._turning])
         if np.issubdtype(self._type, np.integer):
             np.rint(value, out=value)
-        return within(value, self._low, self._high).astype(self._type).reshape(reading.shape)
+        return clip(value, self._low, self._high).astype(self._type).reshape(reading.shape)

@@ -146,12 +146,12 @@ def over_ground(props: Iterable[Prop], ground: Ground) -> Flags:
 
 def water(world: World) -> list[Prop]:
     """Props that are water."""
-    return [prop for prop in world.props if prop.shown_as == Segment.WATER]
+    return [prop for prop in world.props if prop.segment_class == Segment.WATER]
 
 
 def greenery(world: World) -> list[Prop]:
     """Crowns of trees and bushes, which a robot does not meet."""
-    return [prop for prop in world.props if prop.shown_as == Segment.VEGETATION and not prop.solid]
+    return [prop for prop in world.props if prop.segment_class == Segment.VEGETATION and not prop.solid]
 
 
 def spawn_mask(spawner: Spawner) -> Flags:

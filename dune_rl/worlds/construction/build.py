@@ -11,7 +11,7 @@ from dune_rl.seeding import stream
 from dune_rl.worlds.construction.layout import place_things
 from dune_rl.worlds.construction.walls import build_storey
 from dune_rl.worlds.ground import Ground
-from dune_rl.worlds.natural_surfaces import Part, surface_map
+from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
@@ -29,7 +29,7 @@ _CONCRETE = Ground(
     low=(0.52, 0.51, 0.49), high=(0.60, 0.59, 0.56), bare=(0.47, 0.40, 0.32), bare_from_rad=0.16, contrast=0.5
 )
 
-_SURFACES = (Part("concrete", 0.7), Part("sand", 0.15, high=1.0), Part("gravel", 0.15))
+_SURFACES = (SurfaceShare("concrete", 0.7), SurfaceShare("sand", 0.15, high=1.0), SurfaceShare("gravel", 0.15))
 
 
 class ConstructionConf(SeededConf):

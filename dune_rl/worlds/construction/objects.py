@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, beam, bearing, merge, tube, upright_box
+from dune_rl.worlds.props import Mesh, beam, unit_vector, merge_meshes, tube, upright_box
 from dune_rl.worlds.world import Colour, Prop
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def stud_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> list[Me
     ]
     edge = (length - _STUD_M) / 2
     for s in np.linspace(-edge, edge, 1 + max(1, round(length / _STUD_SPACING_M))):
-        at = middle + s * bearing(yaw)
+        at = middle + s * unit_vector(yaw)
         parts.append(upright_box(at, yaw, low, top - _STUD_M / 2, _STUD_M, WALL_THICKNESS_M - 0.004))
     return parts
 
@@ -69,27 +69,27 @@ def bricks(
         turn = yaw + float(rng.uniform(-0.09, 0.09))
         at = np.asarray(xy) + rng.uniform(-0.03, 0.03, 2)
         parts.append(upright_box(at, turn, bottom, high + (layer + 1) * _LAYER_M, _BRICK_M, _BRICK_M))
-    return Prop(name, "bricks", *merge(parts), colour=_BRICK)
+    return Prop(name, "bricks", *merge_meshes(parts), colour=_BRICK)
 
 
 def beams(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float) -> Prop:
     """Nine beams on each other, in rows of four, three and two."""
     _, high = _ground(terrain, xy, yaw, length, 0.7)
     low, _ = _ground(terrain, xy, yaw, length, 0.7)
-    across = bearing(yaw + np.pi / 2)
+    across = unit_vector(yaw + np.pi / 2)
     parts = []
     for row, count in enumerate((4, 3, 2)):
         for place in np.arange(count) - (count - 1) / 2:
             bottom = low - _SUNK_M if row == 0 else high + 0.13 * row
-            at = np.asarray(xy) + 0.17 * place * across + 0.04 * (row - 1) * bearing(yaw) * np.sign(place)
+            at = np.asarray(xy) + 0.17 * place * across + 0.04 * (row - 1) * unit_vector(yaw) * np.sign(place)
             parts.append(upright_box(at, yaw, bottom, high + 0.13 * row + 0.125, length, 0.14))
-    return Prop(name, "beams", *merge(parts), colour=_PLANK)
+    return Prop(name, "beams", *merge_meshes(parts), colour=_PLANK)
 
 
 def trestle(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """Two sawhorses 0.95 m high under a board of 1.5 by 1.3 m."""
     low, high = _ground(terrain, xy, yaw, 1.5, 1.3)
-    along, across = bearing(yaw), bearing(yaw + np.pi / 2)
+    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     top = high + 0.95
     parts = [upright_box(xy, yaw, top - 0.04, top, 1.5, 1.3)]
     for u in (-0.5, 0.5):
@@ -103,7 +103,7 @@ def trestle(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
         for lean in (-0.16, 0.16):
             bar = [[*(ridge + v * across + lean * along), high + 0.22] for v in (-0.5, 0.5)]
             parts.append(beam(bar[0], bar[1], 0.03, 0.08))
-    return Prop(name, "sawhorse", *merge(parts), colour=TIMBER)
+    return Prop(name, "sawhorse", *merge_meshes(parts), colour=TIMBER)
 
 
 def container(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, rng: np.random.Generator) -> Prop:
@@ -112,17 +112,17 @@ def container(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, rng: n
     parts = [upright_box(xy, yaw, low - _SUNK_M, high + 2.4, 1.14, 0.94)]
     for u in np.linspace(-0.54, 0.54, 5):
         parts.append(
-            upright_box(np.asarray(xy) + u * bearing(yaw), yaw, low - _SUNK_M, high + 2.36, 0.08, 1.0)
+            upright_box(np.asarray(xy) + u * unit_vector(yaw), yaw, low - _SUNK_M, high + 2.36, 0.08, 1.0)
         )
     for bottom, top in ((0.0, 0.12), (2.28, 2.42)):
         parts.append(upright_box(xy, yaw, high + bottom, high + top, 1.2, 1.0))
-    return Prop(name, "container", *merge(parts), colour=_BOXES[int(rng.integers(len(_BOXES)))])
+    return Prop(name, "container", *merge_meshes(parts), colour=_BOXES[int(rng.integers(len(_BOXES)))])
 
 
 def crate(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """A wooden crate 2.3 by 1.6 m and 1.15 m high, with battens."""
     low, high = _ground(terrain, xy, yaw, 2.3, 1.6)
-    along, across = bearing(yaw), bearing(yaw + np.pi / 2)
+    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     parts = [upright_box(xy, yaw, low - _SUNK_M, high + 1.12, 2.24, 1.54)]
     for u in (-1.1, 0.0, 1.1):
         for v in (-0.76, 0.76):
@@ -132,14 +132,14 @@ def crate(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
         for bottom in (0.0, 1.05):
             at = np.asarray(xy) + v * across
             parts.append(upright_box(at, yaw, high + bottom, high + bottom + 0.1, 2.3, 0.07))
-    return Prop(name, "crate", *merge(parts), colour=_CRATE)
+    return Prop(name, "crate", *merge_meshes(parts), colour=_CRATE)
 
 
 def scaffold(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tuple[Prop, Prop]:
     """A scaffold 4.7 by 4.3 m under whose boards, 2 m up, a robot can drive: the tubes, and the boards."""
     length, width = SCAFFOLD_M
     low, high = _ground(terrain, xy, yaw, length, width)
-    along, across = bearing(yaw), bearing(yaw + np.pi / 2)
+    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     half_u, half_v = length / 2 - 0.1, width / 2 - 0.1
 
     def at(u: float, v: float, above: float) -> list[float]:
@@ -164,8 +164,8 @@ def scaffold(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tupl
         v = (number - (count - 1) / 2) * (width - 0.3) / count
         boards.append(upright_box(at(0.0, v, 0.0)[:2], yaw, high + 1.96, high + 2.01, length - 0.1, 0.36))
     return (
-        Prop(f"{name} tubes", "scaffold", *merge(tubes), colour=_STEEL),
-        Prop(f"{name} boards", "scaffold", *merge(boards), colour=_PLANK),
+        Prop(f"{name} tubes", "scaffold", *merge_meshes(tubes), colour=_STEEL),
+        Prop(f"{name} boards", "scaffold", *merge_meshes(boards), colour=_PLANK),
     )
 
 
@@ -181,7 +181,7 @@ def _ground(
     # The lowest and the highest ground under a rectangle.
     u = np.linspace(-length / 2, length / 2, 2 + int(length / 0.4))
     v = np.linspace(-width / 2, width / 2, 2 + int(width / 0.4))
-    axes = np.stack([bearing(yaw), bearing(yaw + np.pi / 2)])
+    axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])
     local = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     height = terrain.height(np.asarray(xy) + local @ axes)
     return float(height.min()), float(height.max())

@@ -16,7 +16,7 @@ from dune_rl.worlds.construction.objects import (
     plastered_wall,
     stud_wall,
 )
-from dune_rl.worlds.props import Mesh, merge
+from dune_rl.worlds.props import Mesh, merge_meshes
 from dune_rl.worlds.world import Prop, Rectangle
 
 Array = NDArray[np.float64]
@@ -105,9 +105,9 @@ def build_storey(
                 boards = pairwise(sorted({first, *ends, last}))
                 finished += [plastered_wall(terrain, wall.at(u), wall.at(v)) for u, v in boards]
         if finished:
-            props.append(Prop(f"wall {number} plaster", "wall", *merge(finished), colour=PLASTER))
+            props.append(Prop(f"wall {number} plaster", "wall", *merge_meshes(finished), colour=PLASTER))
         if frame:
-            props.append(Prop(f"wall {number} frame", "wall", *merge(frame), colour=TIMBER))
+            props.append(Prop(f"wall {number} frame", "wall", *merge_meshes(frame), colour=TIMBER))
     return Storey(tuple(rooms), tuple(doors), tuple(props), tuple(stretches))
 
 

@@ -14,18 +14,18 @@ from collada.triangleset import TriangleSet
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
-from dune_rl.rendering.skin import Skin
+from dune_rl.rendering.texture import MeshTexture
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
-    Folder,
-    Report,
+    WorldFiles,
+    ImportReport,
     first_line,
     read_image,
     read_xml,
-    shown,
-    unreadable,
+    printable,
+    raise_unreadable,
 )
-from dune_rl.worlds.importing.parts import Part, texture_colours
+from dune_rl.worlds.importing.parts import MeshPart, texture_colours
 
 Array = NDArray[np.float64]
 
@@ -34,8 +34,8 @@ _DEEPEST = 100
 
 
 def collada_parts(
-    data: bytes, name: str, folder: Folder, report: Report
-) -> tuple[list[Part], float, str | None]:
+    data: bytes, name: str, folder: WorldFiles, report: ImportReport
+) -> tuple[list[MeshPart], float, str | None]:
     """Parts in the file's own unit and axes; that unit [m]; and the axis that is up: "x", "y" or "z".
 
     Each node's geometry is a part for each of its materials. Textures are looked for in `folder`.
@@ -57,7 +57,7 @@ def collada_parts(
     except WorldError:
         raise
     except Exception as error:
-        unreadable(name, ".dae mesh", error)
+        raise_unreadable(name, ".dae mesh", error)
     if document.errors:
         report.warn(
             f"{len(document.errors)} things in it are not supported, "
@@ -74,13 +74,13 @@ def _nothing(name: str) -> bytes:
 
 
 class _Reader:
-    def __init__(self, name: str, folder: Folder, report: Report) -> None:
+    def __init__(self, name: str, folder: WorldFiles, report: ImportReport) -> None:
         self._name, self._folder, self._report = name, folder, report
         self._looks: dict[str, Any] = {}
         self._pictures: dict[str, NDArray[np.uint8]] = {}
         self._nodes = self._faces = 0
 
-    def parts(self, node: Any, matrix: Array, name: str, depth: int) -> Iterator[Part]:
+    def parts(self, node: Any, matrix: Array, name: str, depth: int) -> Iterator[MeshPart]:
         """Parts of a node and all under it; instances of instances are counted, as they may be very many."""
         self._nodes += 1
         if depth > _DEEPEST or self._nodes > _MOST_NODES:
@@ -98,7 +98,7 @@ class _Reader:
         else:
             self._report.warn(f"{type(node).__name__.removesuffix('Node').lower()}s in it are left out")
 
-    def _geometry(self, node: Any, matrix: Array, name: str) -> Iterator[Part]:
+    def _geometry(self, node: Any, matrix: Array, name: str) -> Iterator[MeshPart]:
         materials = {bound.symbol: bound.target for bound in node.materials}
         for primitive in node.geometry.primitives:
             if isinstance(primitive, Polygons | Polylist):
@@ -112,10 +112,10 @@ class _Reader:
             if primitive.vertex is None or primitive.vertex_index is None or not len(primitive.vertex_index):
                 continue
             material = materials.get(primitive.material)
-            about = shown(str(getattr(material, "name", None) or primitive.material or ""))
+            about = printable(str(getattr(material, "name", None) or primitive.material or ""))
             colours, skin = self._colours(primitive, material)
-            yield Part.of(
-                shown(name or str(node.geometry.name)),
+            yield MeshPart.of(
+                printable(name or str(node.geometry.name)),
                 primitive.vertex,
                 primitive.vertex_index,
                 colours,
@@ -130,7 +130,7 @@ class _Reader:
                 f"{self._name} has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece."
             )
 
-    def _colours(self, primitive: Any, material: Any) -> tuple[Any, Skin | None]:
+    def _colours(self, primitive: Any, material: Any) -> tuple[Any, MeshTexture | None]:
         if material is None:
             return None, None
         if material.id not in self._looks:
@@ -142,7 +142,7 @@ class _Reader:
             return look.mean(axis=(0, 1)) / 255.0, None
         uv = np.asarray(primitive.texcoordset[0], np.float64)[primitive.texcoord_indexset[0]][..., :2]
         corners = np.asarray(primitive.vertex, np.float64)[primitive.vertex_index]
-        return texture_colours(look, uv), Skin.of(look, corners, uv)
+        return texture_colours(look, uv), MeshTexture.of(look, corners, uv)
 
     def _look(self, material: Any) -> NDArray[Any] | None:
         """A picture in bytes (rows, columns, 3), one colour in [0, 1] (3,), or None if it has neither."""

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.skin import joined_skins
+from dune_rl.rendering.texture import join_textures
 from dune_rl.worlds.ground import GroundPicture
 from dune_rl.worlds.importing.ground_pictures import ground_picture
 from dune_rl.worlds.importing.height_grid import (
     Triangles,
     cast_down,
     extent_of,
-    filled,
+    fill_gaps,
     grid_axes,
     grid_spacing,
 )
-from dune_rl.worlds.importing.import_files import Report
-from dune_rl.worlds.importing.parts import Part
-from dune_rl.worlds.importing.topology import joined_faces, open_edges, welded
+from dune_rl.worlds.importing.import_files import ImportReport
+from dune_rl.worlds.importing.parts import MeshPart
+from dune_rl.worlds.importing.topology import joined_faces, open_edges, weld_vertices
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -53,7 +53,7 @@ class Ground(NamedTuple):
     picture: GroundPicture | None
 
 
-def find_ground(parts: Sequence[Part], spacing_m: float | None, report: Report) -> Ground:
+def find_ground(parts: Sequence[MeshPart], spacing_m: float | None, report: ImportReport) -> Ground:
     """The ground of the `parts`, sampled by rays straight down every `spacing_m`; None: chosen by its size.
 
     Connected triangles that face up and are not steep make a surface. The widest that nothing as wide lies
@@ -76,15 +76,15 @@ def find_ground(parts: Sequence[Part], spacing_m: float | None, report: Report) 
     known = face >= 0
     colours = np.where(known[..., None], soup.colours[face], 0.0).astype(np.float32)
     _warn_of_holes(soup, is_ground, known, x, y, report)
-    ground_heights = filled(heights, known)
-    smooth = [filled(colours[..., channel].astype(np.float64), known) for channel in range(3)]
+    ground_heights = fill_gaps(heights, known)
+    smooth = [fill_gaps(colours[..., channel].astype(np.float64), known) for channel in range(3)]
     colours = np.stack(smooth, axis=-1).astype(np.float32)
     terrain = HeightField(ground_heights, step, origin)
     picture = ground_picture(soup, is_ground, terrain, colours)
     return Ground(terrain, known, colours, is_ground, picture)
 
 
-def _soup(parts: Sequence[Part]) -> Triangles:
+def _soup(parts: Sequence[MeshPart]) -> Triangles:
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
@@ -102,7 +102,7 @@ def _soup(parts: Sequence[Part]) -> Triangles:
         np.concatenate(claims),
         doubled / np.maximum(length, 1e-30)[:, None],
         length / 2,
-        joined_skins([part.skin for part in parts], [len(part.faces) for part in parts]),
+        join_textures([part.texture for part in parts], [len(part.faces) for part in parts]),
     )
 
 
@@ -115,11 +115,11 @@ def _surfaces(soup: Triangles) -> NDArray[np.int64]:
     surface = np.full(len(soup.faces), -1, np.int64)
     chosen = np.flatnonzero(upward)
     if len(chosen):
-        surface[chosen] = joined_faces(welded(soup.vertices, soup.faces)[chosen])
+        surface[chosen] = joined_faces(weld_vertices(soup.vertices, soup.faces)[chosen])
     return surface
 
 
-def _grown(soup: Triangles, surface: NDArray[np.int64], report: Report) -> Mask:
+def _grown(soup: Triangles, surface: NDArray[np.int64], report: ImportReport) -> Mask:
     """Which triangles (F,) are ground."""
     if (soup.claim > 0).any():
         return soup.claim > 0
@@ -178,7 +178,7 @@ class _Probes(NamedTuple):
 
 def _rim_probes(soup: Triangles, surface: NDArray[np.int64]) -> _Probes:
     chosen = np.flatnonzero(surface >= 0)
-    ids = welded(soup.vertices, soup.faces)[chosen]
+    ids = weld_vertices(soup.vertices, soup.faces)[chosen]
     edge_face, edge_side = open_edges(ids)
     face = chosen[edge_face]
     start = soup.vertices[soup.faces[face, edge_side]]
@@ -232,7 +232,7 @@ def _over(soup: Triangles, ground: Mask, surface: NDArray[np.int64], count: int)
     return over
 
 
-def _warn_of_holes(soup: Triangles, ground: Mask, known: Mask, x: Array, y: Array, report: Report) -> None:
+def _warn_of_holes(soup: Triangles, ground: Mask, known: Mask, x: Array, y: Array, report: ImportReport) -> None:
     if known.all():
         return
     rows, columns = np.nonzero(~known)

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.light import srgb_exact
-from dune_rl.rendering.skin import SkinLook
+from dune_rl.rendering.light import linear_to_srgb
+from dune_rl.rendering.texture import TextureSampler
 from dune_rl.worlds.ground import GroundPicture, texels
 from dune_rl.worlds.importing.height_grid import Triangles, cast_down
 
@@ -24,10 +24,10 @@ def ground_picture(
 
     Where there is no texture, it is the `colours` (rows, columns, 3) of the terrain's points.
     """
-    if soup.skin is None or not (soup.skin.picture[is_ground] >= 0).any():
+    if soup.texture is None or not (soup.texture.picture[is_ground] >= 0).any():
         return None
     ground = np.flatnonzero(is_ground)
-    look = SkinLook(soup.skin.picked(ground))
+    look = TextureSampler(soup.texture.select_faces(ground))
     rows, columns = texels(terrain, _TEXEL_M)
     xmin, xmax, ymin, ymax = terrain.extent
     x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
@@ -41,7 +41,7 @@ def ground_picture(
     places = np.concatenate([at, heights[..., None]], axis=-1).reshape(-1, 3)[shown]
     picture = on_texels(colours, (rows, columns))
     texel_m = (xmax - xmin) / columns
-    picture.reshape(-1, 3)[shown] = srgb_exact(look.albedo(face[shown], places.astype(np.float32), texel_m))
+    picture.reshape(-1, 3)[shown] = linear_to_srgb(look.albedo(face[shown], places.astype(np.float32), texel_m))
     detailed = np.zeros(rows * columns, bool)
     detailed[shown] = True
     return GroundPicture(picture, detailed.reshape(rows, columns))

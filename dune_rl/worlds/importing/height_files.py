@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import Report, first_line, open_image, read_bytes, unreadable
+from dune_rl.worlds.importing.import_files import ImportReport, first_line, open_image, read_bytes, raise_unreadable
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Heights(NamedTuple):
     pixel_m: tuple[float, float] | None
 
 
-def read_heights(path: Path, report: Report) -> Heights:
+def read_heights(path: Path, report: ImportReport) -> Heights:
     """The heights in a file, of a kind told by its ending; `WorldError` where there are none to be read."""
     kind = path.suffix.lower()
     if kind not in FORMATS:
@@ -56,7 +56,7 @@ def read_heights(path: Path, report: Report) -> Heights:
     except WorldError:
         raise
     except Exception as error:
-        unreadable(path.name, "height map", error)
+        raise_unreadable(path.name, "height map", error)
     samples = np.where(np.isfinite(found.samples), found.samples, np.nan)
     if samples.ndim != 2 or min(samples.shape) < 2:
         raise WorldError(
@@ -85,13 +85,13 @@ def load_npy(data: bytes) -> Array:
     return np.asarray(np.load(file, allow_pickle=False), np.float64)
 
 
-def _picture(data: bytes, report: Report) -> Heights:
+def _picture(data: bytes, report: ImportReport) -> Heights:
     image = open_image(data)
     _check_size(image.size)
     return Heights(_grey(image, report), False, None)
 
 
-def _grey(image: Image.Image, report: Report) -> Array:
+def _grey(image: Image.Image, report: ImportReport) -> Array:
     if image.mode in ("I;16", "I;16B", "I;16L", "I"):
         return np.asarray(image, np.float64) / 65535.0
     if image.mode not in ("L", "1"):
@@ -101,7 +101,7 @@ def _grey(image: Image.Image, report: Report) -> Array:
     return np.asarray(image.convert("L"), np.float64) / 255.0
 
 
-def _tiff(data: bytes, report: Report) -> Heights:
+def _tiff(data: bytes, report: ImportReport) -> Heights:
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         if not len(file.pages):
             raise ValueError("it has no picture")

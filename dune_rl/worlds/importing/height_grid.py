@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from dune_rl.errors import WorldError
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.skin import Skin
+from dune_rl.rendering.texture import MeshTexture
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,7 +34,7 @@ class Triangles(NamedTuple):
     claim: NDArray[np.int8]
     normals: Array
     areas: Array
-    skin: Skin | None = None
+    skin: MeshTexture | None = None
 
 
 def extent_of(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
@@ -113,7 +113,7 @@ def _height_on(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:
     return np.clip(z, corner[..., 2].min(axis=1), corner[..., 2].max(axis=1))
 
 
-def filled(values: Array, known: Mask) -> Array:
+def fill_gaps(values: Array, known: Mask) -> Array:
     """`values` (rows, columns) with what is not `known` replaced by a smooth surface."""
     if known.all():
         return np.asarray(values, np.float64)

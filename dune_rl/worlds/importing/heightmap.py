@@ -11,8 +11,8 @@ from scipy import ndimage
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.importing.height_files import Heights, read_heights
-from dune_rl.worlds.importing.height_grid import MAX_POINTS, filled
-from dune_rl.worlds.importing.import_files import Report, existing
+from dune_rl.worlds.importing.height_grid import MAX_POINTS, fill_gaps
+from dune_rl.worlds.importing.import_files import ImportReport, resolve_world_path
 from dune_rl.worlds.importing.imported import ImportedWorld, checked_region, with_region
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.world import Rectangle
@@ -61,8 +61,8 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
 
     Samples without a height are filled smoothly, which is a `WorldWarning`.
     """
-    path = existing(conf.path)
-    report = Report(path.name)
+    path = resolve_world_path(conf.path)
+    report = ImportReport(path.name)
     heights = read_heights(path, report)
     size = _size(conf, heights, path)
     samples = _in_metres(conf, heights, path)
@@ -75,7 +75,7 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
 
 
 def grid_of(
-    samples: Array, size_m: tuple[float, float], spacing_m: float | None, report: Report
+    samples: Array, size_m: tuple[float, float], spacing_m: float | None, report: ImportReport
 ) -> tuple[HeightField, NDArray[np.bool_]]:
     """Terrain of samples (rows, columns; north first) [m] over `size_m` round the origin; where it is known.
 
@@ -86,7 +86,7 @@ def grid_of(
     known = np.isfinite(south_first)
     if not known.all():
         report.warn(f"{1.0 - known.mean():.1%} of its samples have no height; they are filled smoothly")
-        south_first = filled(np.where(known, south_first, 0.0), known)
+        south_first = fill_gaps(np.where(known, south_first, 0.0), known)
     rows, columns = south_first.shape
     width, depth = size_m
     step_x, step_y = width / (columns - 1), depth / (rows - 1)

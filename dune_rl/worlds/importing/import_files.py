@@ -35,7 +35,7 @@ class WorldWarning(DuneWarning):
     """What of an imported world is missing, or is not taken over."""
 
 
-class Report:
+class ImportReport:
     """What is to be warned of about one import: each text is given once, however often it is met.
 
     It is kept until `tell`, since the libraries that read files have their own warnings silenced meanwhile.
@@ -76,7 +76,7 @@ class OutsideFolderError(WorldError):
         note_untraced()
 
 
-class Folder:
+class WorldFiles:
     """The files of a world: those under `root`, wherever links lead; names are seen from `base` in it."""
 
     def __init__(self, root: Path, base: Path | None = None) -> None:
@@ -85,7 +85,7 @@ class Folder:
 
     def at(self, base: Path) -> "Folder":
         """The same files, named from another folder."""
-        return Folder(self.root, base)
+        return WorldFiles(self.root, base)
 
     def find(self, name: str) -> Path:
         """The path of a file; `OutsideFolderError` if it leads out, `FileNotFoundError` if not there."""
@@ -114,7 +114,7 @@ class Folder:
         return read_bytes(self.find(name))
 
 
-def existing(path: str | Path) -> Path:
+def resolve_world_path(path: str | Path) -> Path:
     """`path` as given in settings, `~` expanded; `WorldError` where there is nothing."""
     found = Path(path).expanduser()
     if not found.exists():
@@ -183,7 +183,7 @@ def read_xml(data: bytes, name: str) -> Element:
 
 def read_image(data: bytes) -> Bytes:
     """RGB (rows, columns, 3) of a picture, smaller where large; `ValueError` for no picture."""
-    return shrunk(open_image(data))
+    return downscale_image(open_image(data))
 
 
 def open_image(data: bytes) -> Image.Image:
@@ -205,7 +205,7 @@ def _check_size(image: Image.Image) -> None:
         raise ValueError(f"it has {image.width} by {image.height} pixels, more than {_MAX_PIXELS:,}")
 
 
-def shrunk(image: Image.Image) -> Bytes:
+def downscale_image(image: Image.Image) -> Bytes:
     """RGB (rows, columns, 3) of a picture, at most 1,024 pixels a side; `ValueError` where it is damaged.
 
     Where it is transparent it has the mean colour of what is not.
@@ -229,7 +229,7 @@ def shrunk(image: Image.Image) -> Bytes:
         raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
 
 
-def unreadable(name: str, kind: str, error: BaseException) -> NoReturn:
+def raise_unreadable(name: str, kind: str, error: BaseException) -> NoReturn:
     """Raises the `WorldError` for a file that a library could not read."""
     raise WorldError(
         f"{name} is no {kind} that can be read ({type(error).__name__}: {first_line(error)}): "
@@ -240,10 +240,10 @@ def unreadable(name: str, kind: str, error: BaseException) -> NoReturn:
 def first_line(error: BaseException | str) -> str:
     """The first line of a message, cut to a readable length."""
     text = str(error).strip()
-    return shown(text.splitlines()[0]) if text else "no reason given"
+    return printable(text.splitlines()[0]) if text else "no reason given"
 
 
-def shown(name: str, longest: int = 120) -> str:
+def printable(name: str, longest: int = 120) -> str:
     """A text out of a file as messages show it: printable and not too long."""
     text = "".join(letter if letter.isprintable() else "?" for letter in name)
     return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -15,9 +15,9 @@ from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.ground import Ground, GroundPicture
 from dune_rl.worlds.importing.ground_from_mesh import find_ground
 from dune_rl.worlds.importing.ground_pictures import coloured_ground
-from dune_rl.worlds.importing.import_files import Report
+from dune_rl.worlds.importing.import_files import ImportReport
 from dune_rl.worlds.importing.objects import ImportedProp, things_on
-from dune_rl.worlds.importing.parts import GREY, Part
+from dune_rl.worlds.importing.parts import GREY, MeshPart
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.world import Rectangle, World
 
@@ -38,7 +38,7 @@ class ImportedWorld(World):
 
     `ground_colours` (rows, columns, 3) are the ground's colours (sRGB) at the points of its grid, None where
     the file has none; `picture` is what it shows between them; `light` is the file's sun, None where it has
-    none. The colours of each prop's faces are in its `face_colours`, the pictures on them in its `skin`.
+    none. The colours of each prop's faces are in its `face_colours`, the pictures on them in its `texture`.
     """
 
     def __init__(
@@ -84,8 +84,8 @@ class ImportedWorld(World):
 
 def assembled(
     name: str,
-    parts: Sequence[Part],
-    report: Report,
+    parts: Sequence[MeshPart],
+    report: ImportReport,
     *,
     spacing_m: float | None,
     friction: float,
@@ -115,7 +115,7 @@ def assembled(
 def with_region(
     world: ImportedWorld,
     region: Rectangle | None,
-    report: Report,
+    report: ImportReport,
     known: NDArray[np.bool_] | None = None,
 ) -> ImportedWorld:
     """The same world with `region`, or with one of up to 8 by 8 m that has most free and level ground.
@@ -133,7 +133,7 @@ def checked_region(region: Rectangle | None) -> Rectangle | None:
     return region
 
 
-def best_region(world: World, report: Report, known: NDArray[np.bool_] | None = None) -> Rectangle:
+def best_region(world: World, report: ImportReport, known: NDArray[np.bool_] | None = None) -> Rectangle:
     """The square of 8 m (less in a small world) with the most ground that a robot can stand on."""
     xmin, xmax, ymin, ymax = world.extent
     edge = min(_EDGE_M, 0.15 * min(xmax - xmin, ymax - ymin))

@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import Folder, Report, existing
+from dune_rl.worlds.importing.import_files import WorldFiles, ImportReport, resolve_world_path
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region
 from dune_rl.worlds.importing.mesh_files import UpAxis, mesh_parts
-from dune_rl.worlds.importing.parts import Part
+from dune_rl.worlds.importing.parts import MeshPart
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.world import Rectangle
 
@@ -47,9 +47,9 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
 
     Nothing outside the file's folder is read. What is missing or not taken over is a `WorldWarning`.
     """
-    path = existing(conf.path)
-    report = Report(path.name)
-    folder = Folder(path.resolve().parent, path.resolve().parent)
+    path = resolve_world_path(conf.path)
+    report = ImportReport(path.name)
+    folder = WorldFiles(path.resolve().parent, path.resolve().parent)
     parts = mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
     parts = _near_origin(_claimed(parts, conf.ground), report)
     world = assembled(
@@ -65,7 +65,7 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
     return world
 
 
-def _claimed(parts: list[Part], patterns: tuple[str, ...]) -> list[Part]:
+def _claimed(parts: list[MeshPart], patterns: tuple[str, ...]) -> list[MeshPart]:
     if not patterns:
         return parts
     known = [any(fnmatch(part.name, pattern) for pattern in patterns) for part in parts]
@@ -75,7 +75,7 @@ def _claimed(parts: list[Part], patterns: tuple[str, ...]) -> list[Part]:
     return [replace(part, ground=claim) for part, claim in zip(parts, known, strict=True)]
 
 
-def _near_origin(parts: list[Part], report: Report) -> list[Part]:
+def _near_origin(parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
     """The parts, moved so that their middle is the origin if they lie very far from it."""
     low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
     high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)

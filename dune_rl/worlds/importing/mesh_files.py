@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 from trimesh.resolvers import Resolver
 
 from dune_rl.errors import WorldError
-from dune_rl.rendering.skin import Skin
+from dune_rl.rendering.texture import MeshTexture
 from dune_rl.worlds.importing.collada_file import collada_parts
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
     Bytes,
-    Folder,
-    Report,
+    WorldFiles,
+    ImportReport,
     first_line,
     open_image,
     read_bytes,
-    shown,
-    shrunk,
-    unreadable,
+    printable,
+    downscale_image,
+    raise_unreadable,
 )
-from dune_rl.worlds.importing.parts import Part, texture_colours, without_faults
+from dune_rl.worlds.importing.parts import MeshPart, texture_colours, without_faults
 
 Array = NDArray[np.float64]
 UpAxis = Literal["y", "z"]
@@ -46,8 +46,8 @@ _ITEM_NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3"
 
 
 def mesh_parts(
-    path: Path, folder: Folder, report: Report, *, unit_m: float | None = None, up: UpAxis | None = None
-) -> list[Part]:
+    path: Path, folder: WorldFiles, report: ImportReport, *, unit_m: float | None = None, up: UpAxis | None = None
+) -> list[MeshPart]:
     """The parts of the mesh file at `path`, in metres and z up, without faulty triangles.
 
     `unit_m` and `up` stand in for what the file says of itself; .obj, .stl and .ply say nothing, and are
@@ -85,7 +85,7 @@ def mesh_parts(
 
 class _Files(Resolver):
     # What trimesh asks for beside a mesh: material libraries, pictures, buffers.
-    def __init__(self, folder: Folder, report: Report) -> None:
+    def __init__(self, folder: WorldFiles, report: ImportReport) -> None:
         self._folder, self._report = folder, report
 
     def get(self, key: str) -> bytes:
@@ -115,7 +115,7 @@ class _Files(Resolver):
         raise PermissionError("nothing is written into a world's folder")
 
 
-def _loaded(data: bytes, name: str, kind: str, folder: Folder, report: Report) -> list[Part]:
+def _loaded(data: bytes, name: str, kind: str, folder: WorldFiles, report: ImportReport) -> list[MeshPart]:
     options: dict[str, Any] = {"process": False}
     if kind == ".obj":
         options |= {"split_objects": True, "group_material": True}
@@ -130,10 +130,10 @@ def _loaded(data: bytes, name: str, kind: str, folder: Folder, report: Report) -
     except WorldError:
         raise
     except Exception as error:
-        unreadable(name, f"{kind} mesh", error)
+        raise_unreadable(name, f"{kind} mesh", error)
 
 
-def _parts(scene: Any, kind: str, report: Report) -> Iterator[Part]:
+def _parts(scene: Any, kind: str, report: ImportReport) -> Iterator[MeshPart]:
     count = 0
     pictures: Pictures = {}
     for node in scene.graph.nodes_geometry:
@@ -148,11 +148,11 @@ def _parts(scene: Any, kind: str, report: Report) -> Iterator[Part]:
         own_name = str(mesh.metadata.get("name") or geometry)
         name = str(node) if kind == ".glb" else own_name
         colours, about, skin = _colours(mesh, pictures, report)
-        part = Part.of(shown(name), mesh.vertices, faces, colours, f"{own_name} {shown(about)}", skin=skin)
+        part = MeshPart.of(printable(name), mesh.vertices, faces, colours, f"{own_name} {shown(about)}", skin=skin)
         yield part.moved(np.asarray(matrix, np.float64))
 
 
-def _colours(mesh: Any, pictures: Pictures, report: Report) -> tuple[Any, str, Skin | None]:
+def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, str, MeshTexture | None]:
     """Colours, None for a guess; the material's name; and the pictures on the faces."""
     visual = mesh.visual
     if visual.kind == "texture":
@@ -173,7 +173,7 @@ def _colours(mesh: Any, pictures: Pictures, report: Report) -> tuple[Any, str, S
             else:
                 uv = np.asarray(visual.uv, np.float64)[mesh.faces]
                 corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-                return texture_colours(found, uv), name, Skin.of(found, corners, uv)
+                return texture_colours(found, uv), name, MeshTexture.of(found, corners, uv)
         has_default = tint is None or np.allclose(tint, 0.4, atol=0.01) or np.allclose(tint, 1.0)
         return (None if has_default else tint), name, None
     if visual.kind in ("vertex", "face"):
@@ -181,11 +181,11 @@ def _colours(mesh: Any, pictures: Pictures, report: Report) -> tuple[Any, str, S
     return None, "", None
 
 
-def _picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report: Report) -> Bytes:
+def _picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report: ImportReport) -> Bytes:
     """A picture in bytes, each colour darkened by its shade; once for all who have the same."""
     key = (id(image), *shades.tolist())
     if key not in pictures:
-        pictures[key] = report.kept((shrunk(image) * shades + 0.5).astype(np.uint8))
+        pictures[key] = report.kept((downscale_image(image) * shades + 0.5).astype(np.uint8))
     return pictures[key]
 
 
@@ -213,7 +213,7 @@ def _check_ply(data: bytes, name: str) -> None:
             continue
         # The smallest item takes a byte.
         if not words[2].isdigit() or len(words[2]) > 12 or int(words[2]) > len(data):
-            kind, count = (shown(word.decode("latin-1"), 20) for word in words[1:])
+            kind, count = (printable(word.decode("latin-1"), 20) for word in words[1:])
             raise WorldError(
                 f"{name} claims {count} items of {kind!r} in {len(data):,} bytes: "
                 "it is damaged; export it again."

@@ -9,10 +9,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.skin import Skin, joined_skins
-from dune_rl.worlds.importing.import_files import Report
-from dune_rl.worlds.importing.parts import Part
-from dune_rl.worlds.importing.topology import closed, joined_faces, welded
+from dune_rl.rendering.texture import MeshTexture, join_textures
+from dune_rl.worlds.importing.import_files import ImportReport
+from dune_rl.worlds.importing.parts import MeshPart
+from dune_rl.worlds.importing.topology import closed, joined_faces, weld_vertices
 from dune_rl.worlds.world import Prop
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ class ImportedProp(Prop):
 
 
 def things_on(
-    parts: Sequence[Part], is_ground: NDArray[np.bool_], terrain: HeightField, report: Report
+    parts: Sequence[MeshPart], is_ground: NDArray[np.bool_], terrain: HeightField, report: ImportReport
 ) -> list[ImportedProp]:
     """Props of the triangles that are not ground; `is_ground` (F,) runs over all parts in their order.
 
@@ -48,7 +48,7 @@ def things_on(
     with it, is left out.
     """
     starts = np.cumsum([0, *(len(part.faces) for part in parts)])
-    found: list[tuple[Part, list[_Piece]]] = []
+    found: list[tuple[MeshPart, list[_Piece]]] = []
     for part, start in zip(parts, starts[:-1], strict=True):
         rest = np.flatnonzero(~is_ground[start : start + len(part.faces)])
         far = _far_out(part, rest, terrain)
@@ -63,7 +63,7 @@ def things_on(
     return _named(found)
 
 
-def _far_out(part: Part, faces: NDArray[np.intp], terrain: HeightField) -> NDArray[np.bool_]:
+def _far_out(part: MeshPart, faces: NDArray[np.intp], terrain: HeightField) -> NDArray[np.bool_]:
     """Triangles of a backdrop, such as a dome for the sky: pictures and clearance would be made of it."""
     xmin, xmax, ymin, ymax = terrain.extent
     reach = max(_BACKDROP_M, 0.5 * max(xmax - xmin, ymax - ymin))
@@ -78,10 +78,10 @@ class _Piece:
     vertices: Array
     faces: NDArray[np.int32]
     colours: Floats
-    skin: Skin | None
+    skin: MeshTexture | None
 
 
-def _pieces(part: Part, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
+def _pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
     """The connected pieces of some faces of a part, each made closed."""
     if not len(rest):
         return
@@ -91,19 +91,19 @@ def _pieces(part: Part, rest: NDArray[np.intp], terrain: HeightField) -> Iterato
         rest = rest[~_within_ground(part, rest, over, terrain)]
         if not len(rest):
             return
-    number = joined_faces(welded(part.vertices, part.faces[rest]))
+    number = joined_faces(weld_vertices(part.vertices, part.faces[rest]))
     order = np.argsort(number, kind="stable")
     for piece in np.split(rest[order], np.flatnonzero(np.diff(number[order])) + 1):
         faces = part.faces[piece]
         if part.solid and (over[faces] < _FLUSH_M).all():
             continue
         vertices, corners, source = closed(part.vertices, faces, height)
-        skin = None if part.skin is None else part.skin.picked(piece[source])
+        skin = None if part.texture is None else part.texture.select_faces(piece[source])
         yield _Piece(vertices, corners, part.colours[piece][source], skin)
 
 
 def _within_ground(
-    part: Part, faces: NDArray[np.intp], over: Array, terrain: HeightField
+    part: MeshPart, faces: NDArray[np.intp], over: Array, terrain: HeightField
 ) -> NDArray[np.bool_]:
     """Steep faces of the terrain itself: all of them lies on its surface, within what its grid can tell."""
     reach = max(_FLUSH_M, 0.5 * terrain.spacing_m)
@@ -116,7 +116,7 @@ def _within_ground(
     return near & (part.ground is not False) & is_single_sheet(part)
 
 
-def is_single_sheet(part: Part) -> bool:
+def is_single_sheet(part: MeshPart) -> bool:
     # A terrain has as good as nothing that faces down; a closed thing has as much as faces up.
     corners = part.vertices[part.faces]
     upward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
@@ -152,9 +152,9 @@ def _overlapping(pieces: list[_Piece]) -> Ids:
     return np.stack(np.nonzero(overlap & overlap.T)).astype(np.int64)
 
 
-def _by_part(found: list[tuple[Part, list[_Piece]]]) -> list[tuple[Part, list[_Piece]]]:
+def _by_part(found: list[tuple[MeshPart, list[_Piece]]]) -> list[tuple[MeshPart, list[_Piece]]]:
     # By kind where the file has too many parts even so.
-    together: dict[object, tuple[Part, list[_Piece]]] = {}
+    together: dict[object, tuple[MeshPart, list[_Piece]]] = {}
     for by in (lambda part: id(part), lambda part: (part.kind, part.solid)):
         together = {}
         for part, pieces in found:
@@ -164,7 +164,7 @@ def _by_part(found: list[tuple[Part, list[_Piece]]]) -> list[tuple[Part, list[_P
     return list(together.values())
 
 
-def _named(found: list[tuple[Part, list[_Piece]]]) -> list[ImportedProp]:
+def _named(found: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
     props: list[ImportedProp] = []
     taken: dict[str, int] = {}
     for part, pieces in found:
@@ -190,13 +190,13 @@ def _named(found: list[tuple[Part, list[_Piece]]]) -> list[ImportedProp]:
     return props
 
 
-def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32], Floats, Skin | None]]:
+def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32], Floats, MeshTexture | None]]:
     """The pieces as one mesh, or as several where an engine would not take it; together these are closed."""
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     vertices = np.concatenate([piece.vertices for piece in pieces])
     faces = np.concatenate([piece.faces + s for piece, s in zip(pieces, starts, strict=True)])
     colours = np.concatenate([piece.colours for piece in pieces])
-    skin = joined_skins([piece.skin for piece in pieces], [len(piece.faces) for piece in pieces])
+    skin = join_textures([piece.texture for piece in pieces], [len(piece.faces) for piece in pieces])
     if len(faces) <= _MOST_FACES:
         yield vertices, faces, colours, skin
         return
@@ -204,5 +204,5 @@ def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32],
     order = np.argsort(vertices[faces, along].mean(axis=1), kind="stable")
     for chosen in np.array_split(order, int(np.ceil(len(faces) / _MOST_FACES))):
         used, index = np.unique(faces[chosen], return_inverse=True)
-        own = None if skin is None else skin.picked(chosen)
+        own = None if skin is None else skin.select_faces(chosen)
         yield vertices[used], index.reshape(-1, 3).astype(np.int32), colours[chosen], own

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dune_rl.rendering.skin import Skin
-from dune_rl.worlds.importing.import_files import Report
+from dune_rl.rendering.texture import MeshTexture
+from dune_rl.worlds.importing.import_files import ImportReport
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -45,11 +45,11 @@ _SHAPELESS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class MeshPart:
     """Triangles of one thing in a file: `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3) in sRGB.
 
     `about` holds further words on what it is, such as its material. `ground` says whether it is ground, None
-    where that has yet to be found out. What is not `solid` can only be seen. `skin` is the pictures on it.
+    where that has yet to be found out. What is not `solid` can only be seen. `texture` is the pictures on it.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Part:
     about: str = ""
     ground: bool | None = None
     solid: bool = True
-    skin: Skin | None = None
+    skin: MeshTexture | None = None
 
     @classmethod
     def of(
@@ -72,7 +72,7 @@ class Part:
         *,
         ground: bool | None = None,
         solid: bool = True,
-        skin: Skin | None = None,
+        skin: MeshTexture | None = None,
     ) -> "Part":
         """A part; `colours` is one (3,) for all, one a face (F, 3), or None for a guess by name."""
         corners = np.asarray(faces, np.int32).reshape(-1, 3)
@@ -87,7 +87,7 @@ class Part:
             return self
         vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         faces = self.faces[:, ::-1].copy() if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
-        skin = None if self.skin is None else self.skin.moved(matrix)
+        skin = None if self.texture is None else self.texture.moved(matrix)
         return replace(self, vertices=vertices, faces=faces, skin=skin)
 
     @property
@@ -119,9 +119,9 @@ def likely_colour(text: str) -> tuple[float, float, float]:
     return next((colour for word, colour in _COLOURS if word in low), GREY)
 
 
-def without_faults(parts: Sequence[Part], report: Report) -> list[Part]:
+def without_faults(parts: Sequence[MeshPart], report: ImportReport) -> list[MeshPart]:
     """The parts without triangles that have no area or wrong numbers, which are warned of."""
-    kept: list[Part] = []
+    kept: list[MeshPart] = []
     for part in parts:
         inside = np.all((part.faces >= 0) & (part.faces < len(part.vertices)), axis=1)
         good: NDArray[np.bool_] = np.array(inside, bool)
@@ -141,7 +141,7 @@ def without_faults(parts: Sequence[Part], report: Report) -> list[Part]:
     return kept
 
 
-def _used(part: Part, faces: NDArray[np.bool_]) -> Part:
+def _used(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
     # Only the vertices in use: others may be NaN, or far away.
     used, index = np.unique(part.faces[faces], return_inverse=True)
     return replace(
@@ -149,7 +149,7 @@ def _used(part: Part, faces: NDArray[np.bool_]) -> Part:
         vertices=part.vertices[used],
         faces=index.reshape(-1, 3).astype(np.int32),
         colours=part.colours[faces],
-        skin=None if part.skin is None else part.skin.picked(faces),
+        skin=None if part.texture is None else part.texture.select_faces(faces),
     )
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.height_files import load_npy
-from dune_rl.worlds.importing.import_files import open_image, read_bytes, unreadable
+from dune_rl.worlds.importing.import_files import open_image, read_bytes, raise_unreadable
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.surface_map import Rectangle, SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceName
@@ -75,7 +75,7 @@ def _numbers(name: str) -> NDArray[np.integer]:
     except WorldError:
         raise
     except Exception as error:
-        unreadable(path.name, "map of surfaces", error)
+        raise_unreadable(path.name, "map of surfaces", error)
     whole = found.dtype.kind in "iu" or bool((found == np.round(found)).all())
     if found.ndim != 2 or not found.size or not whole:
         raise WorldError(

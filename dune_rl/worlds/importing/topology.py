@@ -14,7 +14,7 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np
 SHELL_M = 0.02
 
 
-def welded(vertices: Array, faces: Faces) -> Ids:
+def weld_vertices(vertices: Array, faces: Faces) -> Ids:
     """Faces (F, 3) as numbers of places: vertices within a tenth of a millimetre or so are one."""
     cells = np.round(vertices / _WELD_M).astype(np.int64).view(np.uint64)
     # A number for each cell: two of a million cells share one with a chance of 1 in 10 million.
@@ -54,7 +54,7 @@ def _edges(ids: Ids) -> tuple[Ids, Ids]:
     return np.minimum(start, end), np.maximum(start, end)
 
 
-def boundary(ids: Ids) -> tuple[Ids, Ids]:
+def boundary_edges(ids: Ids) -> tuple[Ids, Ids]:
     """Start and end places (N,) of the directed edges that no face runs along the other way; may repeat."""
     start, end = ids.T.reshape(-1), np.roll(ids, -1, axis=1).T.reshape(-1)
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -75,12 +75,12 @@ def closed(vertices: Array, faces: Faces, ground_height: Array) -> tuple[Array, 
     there, and so is solid. Any other open one is a sheet: it gets a back `SHELL_M` behind it.
     """
     # Numbered anew, so that vertices in one place are one.
-    ids = welded(vertices, faces)
+    ids = weld_vertices(vertices, faces)
     _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
     ids = ids.reshape(-1, 3)
     origin = faces.reshape(-1)[index]
     points, ground = vertices[origin], ground_height[origin]
-    start, end = boundary(ids)
+    start, end = boundary_edges(ids)
     source = np.arange(len(faces))
     if not len(start):
         if _volume(points, ids) < 0:

@@ -4,15 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from dune_rl.worlds.grass import grow
+from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.inspection.layout import place_props
 from dune_rl.worlds.inspection.terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
-from dune_rl.worlds.natural_surfaces import Part, surface_map
+from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.seeded import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
-_SURFACES = (Part("grass", 0.6), Part("gravel", 0.25, steep=0.5), Part("mud", 0.15, steep=-0.5, high=-1.0))
+_SURFACES = (SurfaceShare("grass", 0.6), SurfaceShare("gravel", 0.25, steep=0.5), SurfaceShare("mud", 0.15, steep=-0.5, high=-1.0))
 
 
 class InspectionConf(SeededConf):
@@ -47,6 +47,6 @@ def build_inspection(conf: InspectionConf) -> World:
         region=region,
         friction=conf.friction,
         texture_seed=conf.seed,
-        grass=grow(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed),
+        grass=grow_grass(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed),
         surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )

@@ -19,7 +19,7 @@ from dune_rl.worlds.inspection.terrain import (
     Gully,
 )
 from dune_rl.worlds.plan import Plan
-from dune_rl.worlds.props import bearing
+from dune_rl.worlds.props import unit_vector
 from dune_rl.worlds.world import Prop
 
 Array = NDArray[np.float64]
@@ -192,7 +192,7 @@ def _build(
     if kind == "array":
         return structures.solar_array(terrain, name, xy, yaw)
     if kind == "pipe":
-        step = length / 2 * bearing(yaw)
+        step = length / 2 * unit_vector(yaw)
         return (structures.pipe_run(terrain, name, xy - step, xy + step, radius=0.2, lift=0.1, valve=True),)
     if kind == "culvert":
         return (structures.culvert(terrain, name, xy, yaw),)

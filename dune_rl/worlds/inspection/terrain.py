@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.props import bearing
+from dune_rl.worlds.props import unit_vector
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def build_terrain(seed: int) -> tuple[HeightField, Gully]:
         z = _dig(z, xy, axis, gully)
         level = (z * window).sum() / window.sum()
         slant, bump = yard_amplitudes
-        smooth = level + slant * ((xy - YARD_CENTRE) @ bearing(yard_tilt)) + bump * yard_bumps
+        smooth = level + slant * ((xy - YARD_CENTRE) @ unit_vector(yard_tilt)) + bump * yard_bumps
         return z + window * (smooth - z)
 
     def site_misfit(amplitudes: Array) -> Array:
@@ -108,7 +108,7 @@ def _yard_window(xy: Array) -> Array:
 
 def _dig(z: Array, xy: Array, axis: Array, gully: Gully) -> Array:
     # The ditch fades out 14 m from the bridge; at the bridge the banks are levelled to a straight line.
-    ahead, left = bearing(gully.yaw), bearing(gully.yaw + np.pi / 2)
+    ahead, left = unit_vector(gully.yaw), unit_vector(gully.yaw + np.pi / 2)
     u, v = (xy - gully.centre) @ ahead, (xy - gully.centre) @ left
     half = BRIDGE_LENGTH_M / 2
     ditch = GULLY_DEPTH_M * (1.0 - _smooth_step((np.abs(u) - 1.2) / (half - 2.2)))

@@ -8,10 +8,10 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.grass import grow
+from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.ground import Ground
-from dune_rl.worlds.natural_surfaces import Part, surface_map
-from dune_rl.worlds.props import merge
+from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
+from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.roughness import gradient, rough_field, smooth_step
 from dune_rl.worlds.rubicon.layout import place_props
 from dune_rl.worlds.seeded import SeededConf
@@ -35,7 +35,7 @@ FOREST_FLOOR = Ground(
     low=(0.30, 0.33, 0.17), high=(0.44, 0.41, 0.25), bare=(0.44, 0.36, 0.28), bare_from_rad=0.42
 )
 
-_SURFACES = (Part("grass", 0.6, steep=-0.5), Part("gravel", 0.2), Part("rock", 0.2, steep=1.0))
+_SURFACES = (SurfaceShare("grass", 0.6, steep=-0.5), SurfaceShare("gravel", 0.2), SurfaceShare("rock", 0.2, steep=1.0))
 
 
 class RubiconConf(SeededConf):
@@ -84,8 +84,8 @@ def build_rubicon(conf: RubiconConf) -> World:
         ground=FOREST_FLOOR,
         texture_seed=conf.seed,
         # As one mesh: hundreds of small ones take a hundred times as long.
-        grass=grow(
-            terrain, [merge(solid)] if solid else (), conf.grass_cover, conf.grass_height_m, conf.seed
+        grass=grow_grass(
+            terrain, [merge_meshes(solid)] if solid else (), conf.grass_cover, conf.grass_height_m, conf.seed
         ),
         surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )

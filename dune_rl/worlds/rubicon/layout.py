@@ -8,7 +8,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
 from dune_rl.worlds import trees
 from dune_rl.worlds.plan import Discs
-from dune_rl.worlds.props import bearing
+from dune_rl.worlds.props import unit_vector
 from dune_rl.worlds.rocks import SMALLEST_M, gathered, joined, rock, share_larger, widths
 from dune_rl.worlds.world import Prop
 
@@ -80,7 +80,7 @@ def _wood(terrain: HeightField, blocked: Discs, seed: int, count: int, per_100m2
             break
         yaw = float(rng.uniform(-np.pi, np.pi))
         for s in np.linspace(-length / 2, length / 2, 2 + int(length / radius)):
-            blocked.take(xy + s * bearing(yaw), radius)
+            blocked.take(xy + s * unit_vector(yaw), radius)
         props.append(trees.log(terrain, f"log {number + 1}", xy, yaw, length, radius))
     return props
 
@@ -116,7 +116,7 @@ def _stones(terrain: HeightField, blocked: Discs, rng: np.random.Generator, size
         stones = []
         for index, width in enumerate(patch.tolist()):
             reach = (_PATCH_M - width) / 2 * np.sqrt((index + 0.5) / len(patch))
-            stones.append(rock(terrain, "", xy + reach * bearing(turn + 2.4 * index), width, rng))
+            stones.append(rock(terrain, "", xy + reach * unit_vector(turn + 2.4 * index), width, rng))
         props.append(joined(f"stones {number}", "stones", stones, drivable=True))
     return props
 

@@ -10,10 +10,10 @@ from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.ground_pictures import tiled_ground
 from dune_rl.worlds.importing.height_files import read_heights
 from dune_rl.worlds.importing.heightmap import grid_of
-from dune_rl.worlds.importing.import_files import Folder, Report, existing
+from dune_rl.worlds.importing.import_files import WorldFiles, ImportReport, resolve_world_path
 from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region, with_region
 from dune_rl.worlds.importing.objects import is_single_sheet, things_on
-from dune_rl.worlds.importing.parts import Part, without_faults
+from dune_rl.worlds.importing.parts import MeshPart, without_faults
 from dune_rl.worlds.importing.sdf.files import Library
 from dune_rl.worlds.importing.sdf.reader import Found, HeightMap, SdfReader, mean_colour
 from dune_rl.worlds.importing.sdf.shapes import plane
@@ -49,9 +49,9 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
     Files are read beside the file and in GZ_SIM_RESOURCE_PATH alone. What is missing or not supported is a
     `WorldWarning`; what makes no world is a `WorldError`.
     """
-    path = existing(conf.path)
-    report = Report(path.name)
-    own = Folder(path.resolve() if path.is_dir() else path.resolve().parent)
+    path = resolve_world_path(conf.path)
+    report = ImportReport(path.name)
+    own = WorldFiles(path.resolve() if path.is_dir() else path.resolve().parent)
     library = Library(own.root, report)
     file = library.description(own.root, own) if path.is_dir() else path.resolve()
     found = SdfReader(library, report).read(file, own)
@@ -88,7 +88,7 @@ def _is_level(height_map: HeightMap) -> bool:
     return bool(np.allclose(height_map.matrix[:3, :3], np.eye(3), atol=1e-6))
 
 
-def _in_metres(height_map: HeightMap, report: Report) -> Array:
+def _in_metres(height_map: HeightMap, report: ImportReport) -> Array:
     """Samples (rows, columns) [m] over the map's own middle, as Gazebo scales them."""
     heights = read_heights(height_map.path, report)
     samples, top = heights.samples, float(height_map.size[2])
@@ -103,7 +103,7 @@ def _in_metres(height_map: HeightMap, report: Report) -> Array:
 
 
 def _on_height_map(
-    height_map: HeightMap, parts: list[Part], conf: SdfConf, friction: float, found: Found, report: Report
+    height_map: HeightMap, parts: list[MeshPart], conf: SdfConf, friction: float, found: Found, report: ImportReport
 ) -> ImportedWorld:
     # Its own grid, exactly: nothing is sampled anew.
     size = (float(height_map.size[0]), float(height_map.size[1]))
@@ -132,7 +132,7 @@ def _on_height_map(
     return with_region(world, checked_region(conf.region), report, known)
 
 
-def _as_part(height_map: HeightMap, report: Report) -> Part:
+def _as_part(height_map: HeightMap, report: ImportReport) -> MeshPart:
     samples = _in_metres(height_map, report)
     size = (float(height_map.size[0]), float(height_map.size[1]))
     terrain, _ = grid_of(samples, size, None, report)
@@ -140,10 +140,10 @@ def _as_part(height_map: HeightMap, report: Report) -> Part:
     if colour is None and height_map.picture is not None:
         report.warn("the textures of several height maps are shown in their mean colours")
         colour = mean_colour(height_map.picture)
-    return Part.of("heightmap", *terrain.mesh(), colour, ground=True).moved(height_map.matrix)
+    return MeshPart.of("heightmap", *terrain.mesh(), colour, ground=True).moved(height_map.matrix)
 
 
-def _with_planes(found: Found, parts: list[Part], report: Report) -> list[Part]:
+def _with_planes(found: Found, parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
     """The parts and the planes, unless a mesh is the terrain: then a plane would be under or through it."""
     terrain = next((part for part in parts if _is_terrain(part)), None)
     if terrain is not None:
@@ -156,18 +156,18 @@ def _with_planes(found: Found, parts: list[Part], report: Report) -> list[Part]:
     return [
         *parts,
         *(
-            Part.of("ground plane", *plane(shape, least), colour).moved(matrix)
+            MeshPart.of("ground plane", *plane(shape, least), colour).moved(matrix)
             for shape, matrix, colour in found.planes
         ),
     ]
 
 
-def _is_terrain(part: Part) -> bool:
+def _is_terrain(part: MeshPart) -> bool:
     across = np.ptp(part.vertices[:, :2], axis=0)
     return part.solid and is_single_sheet(part) and across.min() > _TERRAIN_M and across.prod() > _TERRAIN_M2
 
 
-def _ground_friction(found: Found, parts: list[Part], report: Report) -> float:
+def _ground_friction(found: Found, parts: list[MeshPart], report: ImportReport) -> float:
     """The ground's friction; a warning where others differ, since a world has one."""
     if not found.frictions:
         return 1.0

@@ -7,12 +7,12 @@ from xml.etree.ElementTree import Element
 
 from dune_rl.errors import WorldError
 from dune_rl.worlds.importing.import_files import (
-    Folder,
+    WorldFiles,
     OutsideFolderError,
-    Report,
+    ImportReport,
     read_bytes,
     read_xml,
-    shown,
+    printable,
 )
 from dune_rl.worlds.importing.sources import note_absent, note_untraced
 
@@ -30,15 +30,15 @@ class Library:
     lead out of these are refused.
     """
 
-    def __init__(self, folder: Path, report: Report) -> None:
-        self.folder = Folder(folder)
+    def __init__(self, folder: Path, report: ImportReport) -> None:
+        self.folder = WorldFiles(folder)
         self._report = report
         self._resources = [
             Path(p).expanduser() for p in os.environ.get(RESOURCE_VARIABLE, "").split(":") if p
         ]
         self._xml: dict[Path, Element] = {}
 
-    def find(self, uri: str, beside: Folder) -> tuple[Path, Folder] | None:
+    def find(self, uri: str, beside: WorldFiles) -> tuple[Path, WorldFiles] | None:
         """A file or folder, and the folder that it may name files in; None, with a warning, if not there.
 
         `OutsideFolderError` where the URI leads out of where it may.
@@ -58,7 +58,7 @@ class Library:
             )
         return found
 
-    def _model(self, rest: str) -> tuple[Path, Folder] | None:
+    def _model(self, rest: str) -> tuple[Path, WorldFiles] | None:
         name, _, inner = rest.replace("\\", "/").partition("/")
         if name in ("", ".", "..") or "\0" in rest:
             raise OutsideFolderError(f"model://{shown(rest)} names no model: write model://NAME/FILE.")
@@ -69,13 +69,13 @@ class Library:
                     raise OutsideFolderError(
                         f"{root} is a link that leads out of {self.folder.root}: it is not read."
                     )
-                found = _inside(Folder(root), inner)
+                found = _inside(WorldFiles(root), inner)
                 if found is not None:
                     return found
         for resource in self._resources:
             # What a user put there may be a link itself.
             if _is_folder(resource / name):
-                found = _inside(Folder(resource / name), inner)
+                found = _inside(WorldFiles(resource / name), inner)
                 if found is not None:
                     return found
         return None
@@ -90,7 +90,7 @@ class Library:
             self._xml[real] = root
         return self._xml[real]
 
-    def description(self, folder: Path, within: Folder) -> Path:
+    def description(self, folder: Path, within: WorldFiles) -> Path:
         """The SDF file of a model's or world's folder: what model.config names last, or the usual names."""
         names: list[str] = []
         config = folder / "model.config"
@@ -116,7 +116,7 @@ class Library:
         )
 
 
-def _inside(folder: Folder, inner: str) -> tuple[Path, Folder] | None:
+def _inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | None:
     """A file, or the folder itself or one in it, where that lies in `folder`."""
     base = Path(os.path.abspath(folder.base / inner)) if inner else folder.base
     try:
@@ -127,7 +127,7 @@ def _inside(folder: Folder, inner: str) -> tuple[Path, Folder] | None:
                 "Copy what the world needs into that folder."
             )
         if real.is_dir():
-            return base, Folder(real)
+            return base, WorldFiles(real)
         if real.is_file():
             return base, folder
     except (OSError, ValueError):

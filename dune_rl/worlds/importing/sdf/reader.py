@@ -13,15 +13,15 @@ from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.importing.import_files import (
     MAX_FACES,
     Bytes,
-    Folder,
-    Report,
+    WorldFiles,
+    ImportReport,
     first_line,
     read_bytes,
     read_image,
-    shown,
+    printable,
 )
 from dune_rl.worlds.importing.mesh_files import mesh_parts
-from dune_rl.worlds.importing.parts import GREY, Part, likely_colour
+from dune_rl.worlds.importing.parts import GREY, MeshPart, likely_colour
 from dune_rl.worlds.importing.sdf.files import Library
 from dune_rl.worlds.importing.sdf.shapes import numbers, pose_of, simple_shape
 from dune_rl.worlds.importing.sdf.sun import sun_of
@@ -57,7 +57,7 @@ class HeightMap:
 class Found:
     """All that a file holds: solid and visible parts, planes with their places, height maps, the sun."""
 
-    parts: list[Part] = field(default_factory=list)
+    parts: list[MeshPart] = field(default_factory=list)
     planes: list[tuple[Element, Array, Colour]] = field(default_factory=list)
     height_maps: list[HeightMap] = field(default_factory=list)
     # Of a part's, a plane's ("plane") or a height map's ("heightmap") surface.
@@ -68,19 +68,19 @@ class Found:
 class SdfReader:
     """Reads a file and all that it includes into `found`."""
 
-    def __init__(self, library: Library, report: Report) -> None:
+    def __init__(self, library: Library, report: ImportReport) -> None:
         self.found = Found()
         self._library, self._report = library, report
         self._elements = self._includes = self._faces = 0
-        self._meshes: dict[Path, list[Part]] = {}
+        self._meshes: dict[Path, list[MeshPart]] = {}
         self._pictures: dict[Path, Bytes] = {}
 
-    def read(self, path: Path, folder: Folder) -> Found:
+    def read(self, path: Path, folder: WorldFiles) -> Found:
         """All of the file at `path`, which may name files in `folder`."""
         self._file(path, folder, np.eye(4), "", ())
         return self.found
 
-    def _file(self, path: Path, folder: Folder, matrix: Array, name: str, chain: tuple[Path, ...]) -> None:
+    def _file(self, path: Path, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]) -> None:
         real = path.resolve()
         if real in chain:
             loop = " > ".join(p.parent.name + "/" + p.name for p in (*chain[chain.index(real) :], real))
@@ -96,7 +96,7 @@ class SdfReader:
             raise WorldError(text if path.name in text or chain else f"{path.name}: {text}") from None
 
     def _children(
-        self, element: Element, folder: Folder, matrix: Array, name: str, chain: tuple[Path, ...]
+        self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
     ) -> None:
         for child in element:
             self._elements += 1
@@ -111,7 +111,7 @@ class SdfReader:
                 full = name if element.tag == "sdf" and name else _path(name, own)
                 self._children(child, folder, matrix @ self._pose(child), full, chain)
             elif child.tag == "link":
-                self._link(child, folder, matrix @ self._pose(child), name or shown(child.get("name") or ""))
+                self._link(child, folder, matrix @ self._pose(child), name or printable(child.get("name") or ""))
             elif child.tag == "include":
                 self._include(child, folder, matrix, name, chain)
             elif child.tag == "light":
@@ -133,7 +133,7 @@ class SdfReader:
         return pose_of(element)
 
     def _include(
-        self, element: Element, folder: Folder, matrix: Array, name: str, chain: tuple[Path, ...]
+        self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
     ) -> None:
         uri = (element.findtext("uri") or "").strip()
         if element.find("placement_frame") is not None:
@@ -150,7 +150,7 @@ class SdfReader:
         own = (element.findtext("name") or "").strip() or path.parent.name
         self._file(path, within, matrix @ self._pose(element), _path(name, own), chain)
 
-    def _link(self, link: Element, folder: Folder, matrix: Array, name: str) -> None:
+    def _link(self, link: Element, folder: WorldFiles, matrix: Array, name: str) -> None:
         for child in link:
             if child.tag == "light":
                 self._light(child, matrix)
@@ -168,7 +168,7 @@ class SdfReader:
     def _shape(
         self,
         holder: Element,
-        folder: Folder,
+        folder: WorldFiles,
         matrix: Array,
         name: str,
         look: Colour | None,
@@ -203,11 +203,11 @@ class SdfReader:
             self.found.frictions[name] = friction
 
     def _solids(
-        self, shape: Element, folder: Folder, matrix: Array, name: str, look: Colour | None, solid: bool
-    ) -> Iterator[Part]:
+        self, shape: Element, folder: WorldFiles, matrix: Array, name: str, look: Colour | None, solid: bool
+    ) -> Iterator[MeshPart]:
         mesh = simple_shape(shape)
         if mesh is not None:
-            yield Part.of(name, *mesh, look, shape.tag, ground=None, solid=solid).moved(matrix)
+            yield MeshPart.of(name, *mesh, look, shape.tag, ground=None, solid=solid).moved(matrix)
         elif shape.tag == "mesh":
             if shape.find("submesh") is not None:
                 self._report.warn("<submesh> is not supported; the whole mesh is taken")
@@ -225,15 +225,15 @@ class SdfReader:
             for part in self._meshes[real]:
                 about = f"{part.name} {path.stem} {part.about}"
                 colours = part.colours if look is None else look
-                skin = part.skin if look is None else None
-                yield Part.of(
+                skin = part.texture if look is None else None
+                yield MeshPart.of(
                     name, part.vertices, part.faces, colours, about, ground=None, solid=solid, skin=skin
                 ).moved(matrix @ scale)
         else:
             self._report.warn(f"<{shown(shape.tag, 40)}> as a shape is not supported and left out")
 
     def _height_map(
-        self, shape: Element, folder: Folder, matrix: Array, look: Colour | None, visuals: list[Element]
+        self, shape: Element, folder: WorldFiles, matrix: Array, look: Colour | None, visuals: list[Element]
     ) -> None:
         found = self._library.find((shape.findtext("uri") or "").strip(), folder)
         if found is None:
@@ -257,7 +257,7 @@ class SdfReader:
             raise WorldError("<size> of a <heightmap> must be above 0.")
         self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look, picture, tile_m))
 
-    def _look(self, visual: Element, folder: Folder) -> Colour | None:
+    def _look(self, visual: Element, folder: WorldFiles) -> Colour | None:
         """A visual's one colour; None where it says none, or is a mesh with its own."""
         material = visual.find("material")
         if material is None:
@@ -277,7 +277,7 @@ class SdfReader:
             found = likely_colour(script)
         return found
 
-    def _picture(self, uri: str, folder: Folder) -> Bytes | None:
+    def _picture(self, uri: str, folder: WorldFiles) -> Bytes | None:
         """A picture; None, with a warning, where it cannot be read."""
         found = self._library.find(uri, folder) if uri else None
         if found is None:
@@ -310,7 +310,7 @@ def mean_colour(picture: Bytes) -> Colour:
 
 
 def _path(name: str, own: str) -> str:
-    return shown("/".join(word for word in (name, own) if word))
+    return printable("/".join(word for word in (name, own) if word))
 
 
 def _friction(collision: Element) -> float | None:

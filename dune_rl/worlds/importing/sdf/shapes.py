@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import shown
+from dune_rl.worlds.importing.import_files import printable
 
 Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.int32]]

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.rendering.light import LightConf
-from dune_rl.worlds.importing.import_files import Report, shown
+from dune_rl.worlds.importing.import_files import ImportReport, printable
 from dune_rl.worlds.importing.sdf.shapes import numbers
 
 Colour = tuple[float, float, float]
 
 
-def sun_of(element: Element, turn: NDArray[np.float64], report: Report) -> LightConf | None:
+def sun_of(element: Element, turn: NDArray[np.float64], report: ImportReport) -> LightConf | None:
     """The sun of a <light> whose frame is turned by `turn` (3, 3); None, with a warning, if from below."""
     to_sun = -turn @ numbers(element.find("direction"), 3, (0, 0, -1))
     length = float(np.linalg.norm(to_sun))
@@ -27,7 +27,7 @@ def sun_of(element: Element, turn: NDArray[np.float64], report: Report) -> Light
     )
 
 
-def _colour(element: Element, report: Report) -> Colour:
+def _colour(element: Element, report: ImportReport) -> Colour:
     words = (element.findtext("diffuse") or "1 1 1").split()
     try:
         red, green, blue = (float(np.clip(float(word), 0.0, 1.0)) for word in words[:3])
