@@ -19,7 +19,7 @@ from dune_rl.robots.hyperdog.robot import HyperDogConf
 from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.robots.urdf.robot import UrdfConf
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.task import TaskConf
 

@@ -10,7 +10,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.worlds.props import upright_box
