@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.scenery import Segment, ColouredMesh
+from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.settings import Settings
 
 _SIDES = 24

@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 
-from dune_rl.config.schema import EnvConf, RobotConf, SingleAgentConf
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.bodies.person import PersonConf
+from dune_rl.config.actors import ActorConf
+from dune_rl.config.schema import EnvConf, RobotConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
@@ -35,8 +36,8 @@ def make_simulation(
 ) -> VectorSimulation:
     """The core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found.
 
-    `world_of` gives the worlds instead of `build_world`, and `prepare`, instead of `prepare_worlds`, is given the
-    settings of those that the next episodes will be in.
+    `world_of` gives the worlds instead of `build_world`, and `prepare`, instead of `prepare_worlds`, is
+    given the settings of those that the next episodes will be in.
     """
     world_of = build_world if world_of is None else world_of
     prepare = partial(prepare_worlds, seen="camera" in conf.sensors.enabled) if prepare is None else prepare

@@ -1,4 +1,6 @@
-"""An agent group: equal agents with one body, one controller, one sensor pass, one task and one set of metrics."""
+"""An agent group: equal agents with one body, one controller, one sensor pass, one task and one set of
+metrics.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,9 +49,10 @@ class Controller(Protocol):
 class GroupSetup:
     """What a group is made of.
 
-    `body` is a factory of N robots or the settings of a kinematic body, `controller` drives it, None from outside.
-    `paths` are those that kinematic agents start on and walk between; `follows_paths` has them walk there as
-    scripted. A group without `task` has no goals of its own, earns nothing and never ends an episode.
+    `body` is a factory of N robots or the settings of a kinematic body, `controller` drives it, None from
+    outside. `paths` are those that kinematic agents start on and walk between; `follows_paths` has them
+    walk there as scripted. A group without `task` has no goals of its own, earns nothing and never ends an
+    episode.
     """
 
     name: str
@@ -72,8 +75,8 @@ class GroupSetup:
 class GroupStep:
     """What a control step gives each agent of a group, rows (N,).
 
-    `terminated` and `truncated` are the agent's own ends: set in the step in which they happen, and from then on
-    until its scene is reset.
+    `terminated` and `truncated` are the agent's own ends: set in the step in which they happen, and from
+    then on until its scene is reset.
     """
 
     reward: Floats
@@ -92,8 +95,8 @@ class Evaluation:
 class AgentGroup:
     """The agents of one group in M scenes, rows scene after scene: N = M * G.
 
-    An agent that is done before the others of its scene waits: it stands still, earns nothing, and its metrics
-    are final.
+    An agent that is done before the others of its scene waits: it stands still, earns nothing, and its
+    metrics are final.
     """
 
     def __init__(
@@ -194,7 +197,9 @@ class AgentGroup:
     # -- a step -----------------------------------------------------------------------------------
 
     def act(self, actions: Array | None, state: State, engines: Sequence[PhysicsRobot]) -> None:
-        """Command the bodies for a control step: by `actions` (N, A), or as the group's controller decides."""
+        """Command the bodies for a control step: by `actions` (N, A), or as the group's controller
+        decides.
+        """
         now = state.groups[self.name]
         if self.setup.follows_paths and isinstance(self.body, KinematicBody):
             follower = self.goals.source
@@ -209,7 +214,7 @@ class AgentGroup:
         if isinstance(self.body, KinematicBody):
             self.body.drive(actions)
             return
-        known = now.motion if self.suite is None else self.suite.controller_motion(now)
+        known = now.motion
         self.body.command(actions, known, engines)
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
@@ -269,7 +274,9 @@ class AgentGroup:
         return (*self._metrics.names, *self.task.reward_names)
 
     def metrics(self) -> list[Array]:
-        """Running values of the present episodes, (N, n) when put side by side; final where an agent is done."""
+        """Running values of the present episodes, (N, n) when put side by side; final where an agent is
+        done.
+        """
         if self._metrics is None or self.task is None:
             return []
         return [self._metrics.values, self.task.reward_sums]

@@ -28,8 +28,9 @@ _FARTHEST_M = 1e5
 class ArticulatedBody:
     """N robots of one kind in physics, rows scene after scene.
 
-    Where `latency` is, commands reach the motors as late as each row's delay says. Engines are passed to each
-    call that needs them, one for each row: scenes, and with them their robots, may be built anew between episodes.
+    Where `latency` is, commands reach the motors as late as each row's delay says. Engines are passed to
+    each call that needs them, one for each row: scenes, and with them their robots, may be built anew
+    between episodes.
     """
 
     def __init__(
@@ -90,7 +91,8 @@ class ArticulatedBody:
     # -- a step -----------------------------------------------------------------------------------
 
     def command(self, actions: Array, known: BodyMotion, engines: Engines) -> None:
-        """Command the motors for `actions` (N, A); `known` is what the robots' controllers know of their motion.
+        """Command the motors for `actions` (N, A); `known` is what the robots' controllers know of their
+        motion.
 
         Forces of grass and soft ground are applied too.
         """

@@ -10,9 +10,10 @@ from dune_rl.env.goals import GoalTracker, PathGoals, RegionGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
-from dune_rl.env.sensing import build_suite
+from dune_rl.env.sensing import person_carrier, robot_carrier, sensor_context
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.sensors.suite import SensorSuite
 from dune_rl.tasks.spawn import SpawnConf
 
 # A new touch of the same body counts as a new collision after this long without one.
@@ -50,9 +51,7 @@ def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, first: int)
         measures_work=setup.metrics is not None and setup.metrics.energy,
     )
     spawners = Spawners(spawn, robot.footprint_radius_m, scenes.worlds.worlds)
-    goals = RegionGoals(
-        spawn, robot.footprint_radius_m, spawners, len(scenes.worlds), setup.count, first
-    )
+    goals = RegionGoals(spawn, robot.footprint_radius_m, spawners, len(scenes.worlds), setup.count, first)
     return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
 
 
@@ -71,7 +70,22 @@ def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: Sce
     for group in groups:
         if group.setup.sensors is not None:
             neighbours = [meshes[other.name] for other in builder.mesh_order(group)]
-            group.equip(build_suite(group, neighbours, scenes))
+            group.equip(_suite(group, neighbours, scenes))
+
+
+def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorSuite:
+    body = group.body
+    carrier = robot_carrier(body.robot) if isinstance(body, ArticulatedBody) else person_carrier(body.conf)
+    context = sensor_context(
+        scenes.worlds,
+        carrier,
+        neighbours,
+        num_rows=len(scenes.worlds) * group.count,
+        step_s=scenes.conf.control_step_s,
+        worlds_differ=scenes.randomizer.randomizes_worlds,
+    )
+    assert group.setup.sensors is not None
+    return SensorSuite(group.setup.sensors, context)
 
 
 def mesh_of(group: AgentGroup) -> MovingMesh:

@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 
 class EpisodeStart:
-    """Draws and places all agents of a scene for an episode: robots first, then those on paths, away from them."""
+    """Draws and places all agents of a scene for an episode: robots first, then those on paths, away
+    from them.
+    """
 
     def __init__(self, groups: Sequence[AgentGroup], scenes: SceneManager) -> None:
         self._groups, self._scenes = groups, scenes
@@ -29,7 +31,9 @@ class EpisodeStart:
         self._kinematic = [group for group in groups if isinstance(group.body, KinematicBody)]
 
     def check_room(self, seed: int, world: World) -> None:
-        """Raise `WorldError` where a robot or a path finds no room in `world`; the first use finds the paths."""
+        """Raise `WorldError` where a robot or a path finds no room in `world`; the first use finds the
+        paths.
+        """
         for group in self._robots:
             group.spawners.of(world)
         self.find_paths(seed, world)

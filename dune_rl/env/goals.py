@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.path_follower import PathFollower
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.geometry.shared_per_scene import SharedPerScene as SharedPerScene
+from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.seeding import stream
 from dune_rl.state import GoalState, Motion
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
@@ -52,8 +52,8 @@ class Spawners:
 class RegionGoals:
     """Starts and goals in a region of the world, drawn by a `Spawner` for each of M * G robots.
 
-    `first` is the number of the group's first robot among all robots of a scene: each robot has its own stream
-    of draws, so that robots behind it leave its starts and goals as they are.
+    `first` is the number of the group's first robot among all robots of a scene: each robot has its own
+    stream of draws, so that robots behind it leave its starts and goals as they are.
     """
 
     def __init__(
@@ -90,7 +90,9 @@ class RegionGoals:
         return [placement for placement, _ in found[len(taken) :]]
 
     def renew(self, mask: Flags, position_w: Array) -> None:
-        """Draw new goals for the agents in `mask` (N,), at least the least goal distance from where they are."""
+        """Draw new goals for the agents in `mask` (N,), at least the least goal distance from where
+        they are.
+        """
         goals = self.goals_w.copy()
         for row in np.flatnonzero(mask).tolist():
             draws = self._streams[row]

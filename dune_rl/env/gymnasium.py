@@ -43,7 +43,9 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         return observations[self.agent], infos[self.agent]
 
     def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, dict[str, float]]:
-        """Advance 1 / control_hz seconds with `action`, for most robots speed [m/s] and relative heading [rad]."""
+        """Advance 1 / control_hz seconds with `action`, for most robots speed [m/s] and relative
+        heading [rad].
+        """
         agent = self.agent
         observations, rewards, terminations, truncations, infos = self._parallel.step({agent: action})
         if not observations:

@@ -1,4 +1,6 @@
-"""Kinematic agents: N = M * G bodies that move as they are told, over the ground and not through obstacles."""
+"""Kinematic agents: N = M * G bodies that move as they are told, over the ground and not through
+obstacles.
+"""
 
 from typing import Protocol
 
@@ -28,8 +30,8 @@ class KinematicConf(Protocol):
 class KinematicBody:
     """N equal bodies that move as unicycles do, rows scene after scene.
 
-    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad]; `blocked` (N,) tells which bodies stood still in
-    the last step because an obstacle or the world's edge was in their way.
+    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad]; `blocked` (N,) tells which bodies stood
+    still in the last step because an obstacle or the world's edge was in their way.
     """
 
     def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
@@ -43,7 +45,9 @@ class KinematicBody:
         self.motion = self._at_rest()
 
     def action_bounds(self) -> tuple[Array, Array]:
-        """Bounds, each (2,), of speed [m/s], never backwards, and heading relative to the present one [rad]."""
+        """Bounds, each (2,), of speed [m/s], never backwards, and heading relative to the present one
+        [rad].
+        """
         return np.array([0.0, -np.pi]), np.array([self.conf.speed_mps, np.pi])
 
     def rest_action(self) -> Array:

@@ -24,12 +24,12 @@ def _box(bounds: Bounds) -> gymnasium.spaces.Box:
 class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
     """The agents GROUP_0, GROUP_1, ... of every group that is driven from outside.
 
-    Agents of a group have equal spaces. All act at every step until the episode ends, which it does when all agents
-    of the groups whose task has ends are done. An agent that is done before the others stays, stands still whatever
-    its action and earns 0; it is terminated or truncated in the episode's last step, as it was when it was done.
-    Agents whose task has no end of its own are truncated then. Observations are dicts of boxes; `infos` hold the
-    episode's running metrics of each agent that has any, under the same keys at every step, -1 where a value is not
-    defined yet.
+    Agents of a group have equal spaces. All act at every step until the episode ends, which it does when
+    all agents of the groups whose task has ends are done. An agent that is done before the others stays,
+    stands still whatever its action and earns 0; it is terminated or truncated in the episode's last step,
+    as it was when it was done. Agents whose task has no end of its own are truncated then. Observations are
+    dicts of boxes; `infos` hold the episode's running metrics of each agent that has any, under the same
+    keys at every step, -1 where a value is not defined yet.
     """
 
     metadata = {  # noqa: RUF012

@@ -31,7 +31,9 @@ _GOAL_COLOUR = (0.10, 0.75, 0.35)
 
 
 class Pictures:
-    """Renders the scenes of a simulation; its light is computed at the first picture, which takes a moment."""
+    """Renders the scenes of a simulation; its light is computed at the first picture, which takes a
+    moment.
+    """
 
     def __init__(self, simulation: VectorSimulation) -> None:
         self._simulation = simulation
@@ -68,7 +70,9 @@ class Pictures:
                 found += self._agent(group, row)
         for group in self._simulation.groups:
             if group.task is not None and isinstance(group.body, ArticulatedBody):
-                found += [self._flag_at(scene, group.goals.source.goals_w[row]) for row in self._rows(scene, group)]
+                found += [
+                    self._flag_at(scene, group.goals.source.goals_w[row]) for row in self._rows(scene, group)
+                ]
         return found
 
     def _rows(self, scene: int, group: AgentGroup) -> range:

@@ -36,7 +36,11 @@ class Proximity:
     """
 
     def __init__(
-        self, ground: GroundQueries, outlines: Sequence[Outline], counts: Sequence[int], motions: Sequence[Motion]
+        self,
+        ground: GroundQueries,
+        outlines: Sequence[Outline],
+        counts: Sequence[int],
+        motions: Sequence[Motion],
     ) -> None:
         self._ground, self._outlines, self._counts, self._motions = ground, outlines, counts, motions
 
@@ -74,7 +78,9 @@ class Proximity:
         return apart.min(axis=1)
 
     def _from_others_outline(self, group: int, other: int, points: Array) -> Array:
-        """Distance [m], (N, H), of the points of `group`'s outlines from each of the H outlines of `other`."""
+        """Distance [m], (N, H), of the points of `group`'s outlines from each of the H outlines of
+        `other`.
+        """
         count, number = self._counts[group], self._counts[other]
         scenes = len(points) // count
         mine = points.reshape(scenes, 1, count * points.shape[1], 2)
@@ -97,7 +103,9 @@ class Proximity:
         return position + outline.points_b @ motion.rotation[:, :2, :2].transpose(0, 2, 1)
 
     def _from_outline(self, group: int, points_w: Array) -> Array:
-        """Distance [m], (N, K), of points (N, K, 2) from each agent's rectangle or disc's centre; 0 inside."""
+        """Distance [m], (N, K), of points (N, K, 2) from each agent's rectangle or disc's centre; 0
+        inside.
+        """
         motion = self._motions[group]
         offset = points_w - motion.position_w[:, None, :2]
         if self._outlines[group].radius_m:

@@ -22,7 +22,9 @@ def state_digest(state: State | None) -> str:
 
 
 def check_arrival(saved: str | None, state: State | None) -> None:
-    """Raise `RestoreError` unless the digest of `state` is the `saved` one; None, of older files, is not checked."""
+    """Raise `RestoreError` unless the digest of `state` is the `saved` one; None, of older files, is
+    not checked.
+    """
     if saved is not None and saved != state_digest(state):
         raise RestoreError(
             "the episodes under way, played again, arrived elsewhere than where they were saved: this machine or "

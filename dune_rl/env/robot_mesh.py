@@ -6,7 +6,7 @@ import numpy as np
 
 from dune_rl.physics.interface import RobotBody
 from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.scenery import Segment, ColouredMesh, join_meshes
+from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.visual import RobotVisual
 
 

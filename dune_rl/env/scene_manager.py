@@ -49,8 +49,9 @@ class RoomCheck(Protocol):
 class SceneManager:
     """The world, weather and physics of each of M scenes.
 
-    All begin in `world`; where worlds differ, a scene has no physics before it enters its first. `worlds` answers
-    for all scenes, and `values` (M, n) are the sampled ones of the present episodes, named by the randomizer.
+    All begin in `world`; where worlds differ, a scene has no physics before it enters its first. `worlds`
+    answers for all scenes, and `values` (M, n) are the sampled ones of the present episodes, named by the
+    randomizer.
     """
 
     def __init__(
@@ -166,7 +167,9 @@ class SceneManager:
     # -- a step -----------------------------------------------------------------------------------
 
     def step(self, kinematic_poses: NDArray[np.float64]) -> None:
-        """Advance the physics of all scenes by a control step, at whose end bodies are at the poses (M, K, 4)."""
+        """Advance the physics of all scenes by a control step, at whose end bodies are at the poses (M,
+        K, 4).
+        """
         substeps = self.conf.substeps
         for scene, poses in zip(self._physics, kinematic_poses, strict=True):
             scene.step(substeps, poses)  # type: ignore[union-attr]
@@ -203,4 +206,3 @@ class SceneManager:
 def scene_rows(mask: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
     """`mask` (M,) of scenes as one of rows (M * count,)."""
     return mask if count == 1 else np.repeat(mask, count)
-

@@ -5,20 +5,21 @@ from functools import partial
 
 import numpy as np
 
+from dune_rl.bodies.person import PersonConf
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
-from dune_rl.rendering.participating_media import BeamMedia
-from dune_rl.rendering.foliage import Foliage, BatchedFoliage
-from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.context import SensorCarrier, SensorContext
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
-from dune_rl.worlds.batched_worlds import WorldAppearance, BatchedWorlds
+from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
 from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
@@ -114,3 +115,13 @@ def _terrain(world: World) -> HeightField:
 
 def _foliage(world: World) -> Foliage | None:
     return None if world.grass is None else world.grass.foliage
+
+
+def person_carrier(conf: PersonConf) -> SensorCarrier:
+    """A person as a carrier of sensors: scanners at the hip, a camera at the eyes."""
+    return SensorCarrier(
+        scanner_b=(0.0, 0.0, 0.55 * conf.height_m),
+        camera_b=(0.0, 0.0, 0.93 * conf.height_m),
+        imu_b=(0.0, 0.0, 0.55 * conf.height_m),
+        max_speed_mps=conf.speed_mps,
+    )

@@ -48,8 +48,9 @@ class VectorSimulation:
     """The core that every environment wraps: M scenes of equal agent groups.
 
     Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All that is random in an
-    episode depends on (seed, episode id) alone, so any two simulations of equal seed start an episode alike.
-    A scene's episode ends when all agents of the groups whose task has ends are done, or when physics diverges.
+    episode depends on (seed, episode id) alone, so any two simulations of equal seed start an episode
+    alike. A scene's episode ends when all agents of the groups whose task has ends are done, or when
+    physics diverges.
     """
 
     def __init__(
@@ -135,7 +136,9 @@ class VectorSimulation:
         self._engines = self._starter.engines()
         self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
         for group in self.groups:
-            group.read_start(scene_rows(mask, group.count), self._engines[group.name], self.scenes.most_bodies)
+            group.read_start(
+                scene_rows(mask, group.count), self._engines[group.name], self.scenes.most_bodies
+            )
         self._builder.begin_episodes(self.episodes)
         self.state = state = self._builder.start(mask, self.seed, self.steps)
         for group in self.groups:
@@ -183,11 +186,11 @@ class VectorSimulation:
         diverged, has_ends = np.zeros(self.num_scenes, bool), False
         for group in self.groups:
             # Where one body has diverged nothing in its scene can be believed.
-            diverged |= group.by_scene(state.groups[group.name].motion.diverged).any(axis=1)
+            diverged |= self._by_scene(group, state.groups[group.name].motion.diverged).any(axis=1)
             if group.ends_episodes:
                 has_ends = True
-                over &= group.by_scene(group.done).all(axis=1)
-                terminated &= group.by_scene(group.terminated).all(axis=1)
+                over &= self._by_scene(group, group.done).all(axis=1)
+                terminated &= self._by_scene(group, group.terminated).all(axis=1)
         over = (over & has_ends) | diverged
         if over.any():
             for group in self.groups:
@@ -195,8 +198,13 @@ class VectorSimulation:
         terminated &= over
         return terminated, over & ~terminated
 
+    def _by_scene(self, group: AgentGroup, flags: Flags) -> Flags:
+        return flags.reshape(self.num_scenes, group.count)
+
     def step_passive(self) -> None:
-        """Advance physics alone by a control step, with the last commands and nothing moved; for benchmarks."""
+        """Advance physics alone by a control step, with the last commands and nothing moved; for
+        benchmarks.
+        """
         self.scenes.step_passive()
 
     # -- what is read from outside ----------------------------------------------------------------

@@ -77,7 +77,9 @@ class StateBuilder:
             contacts.append(group.collisions.at_rest)
         return self._build(seed, steps, goals, contacts)
 
-    def build(self, seed: int, steps: Counts, contacts: dict[str, Contacts], count_statics: Callable[[int], int]) -> State:
+    def build(
+        self, seed: int, steps: Counts, contacts: dict[str, Contacts], count_statics: Callable[[int], int]
+    ) -> State:
         """The state after a control step.
 
         `contacts` are pairs of row and body number of each group of robots, `count_statics` tells how many

@@ -23,10 +23,10 @@ Flags = NDArray[np.bool_]
 class DuneEnv(EnvBase):
     """M scenes, reset one by one as their episodes end, by TorchRL's multi-agent convention.
 
-    Each group of G external agents has (`group`, `observation`, NAME) of shape (M, G, ...), (`group`, `action`)
-    (M, G, A), (`group`, `reward`) (M, G, 1) and its ends (M, G, 1); `group_map` names the agents. An agent's ends are
-    its own: they are set in the step in which it is done, and stay until its scene's episode ends. The ends at the
-    root, (M, 1), are the scenes'.
+    Each group of G external agents has (`group`, `observation`, NAME) of shape (M, G, ...), (`group`,
+    `action`) (M, G, A), (`group`, `reward`) (M, G, 1) and its ends (M, G, 1); `group_map` names the agents.
+    An agent's ends are its own: they are set in the step in which it is done, and stay until its scene's
+    episode ends. The ends at the root, (M, 1), are the scenes'.
     """
 
     batch_locked = True
@@ -134,8 +134,8 @@ class DuneEnv(EnvBase):
     def resume(self, state: dict[str, Any]) -> None:
         """Make the next reset of all scenes return to `state` instead of starting new episodes.
 
-        Where the saved episodes cannot be brought back to the same bytes, as on another processor, it warns and
-        starts new ones.
+        Where the saved episodes cannot be brought back to the same bytes, as on another processor, it warns
+        and starts new ones.
         """
         self._resume_from = state
 

@@ -15,8 +15,8 @@ _ENDS = ("done", "terminated", "truncated")
 class EpisodeMetrics(Transform):
     """Adds the running metrics of the present episodes, final where an agent is done.
 
-    Each group that has metrics gets (`group`, `metrics`) of shape (M, G, n); `metric_names[group]` names the n
-    columns. It goes directly over a `DuneEnv`.
+    Each group that has metrics gets (`group`, `metrics`) of shape (M, G, n); `metric_names[group]` names
+    the n columns. It goes directly over a `DuneEnv`.
     """
 
     def __init__(self) -> None:
@@ -61,8 +61,8 @@ class EpisodeMetrics(Transform):
 class SingleAgent(Transform):
     """Flat keys for single-agent training: NAME of each observation, `action`, `reward` and the root's ends.
 
-    The environment must have one external agent; its axis goes. A `DuneEnv` below an `EpisodeMetrics` also gives
-    `metrics`.
+    The environment must have one external agent; its axis goes. A `DuneEnv` below an `EpisodeMetrics` also
+    gives `metrics`.
     """
 
     invertible = True
