@@ -18,6 +18,7 @@ from dune_rl.sensors.sensor import Bounds
 
 _ENDS = ("done", "terminated", "truncated")
 Flags = NDArray[np.bool_]
+_CPU = torch.device("cpu")
 
 
 class DuneEnv(EnvBase):
@@ -107,13 +108,13 @@ class DuneEnv(EnvBase):
         root = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         for name, flags in root.items():
             out[name] = torch.from_numpy(flags).unsqueeze(-1)
-        return TensorDict(out, batch_size=[scenes], device=self.device, _run_checks=False)
+        return _unchecked(out, [scenes])
 
     def _group_part(self, group: AgentGroup, step: GroupStep | None) -> TensorDict:
         shape = [self._simulation.num_scenes, group.count]
         parts = {key: _by_agent(value, shape) for key, value in group.observe().items()}
         part: dict[str, Any] = {
-            "observation": TensorDict(parts, batch_size=shape, device=self.device, _run_checks=False)
+            "observation": _unchecked(parts, shape)
         }
         if step is None:
             terminated, truncated = group.terminated, group.truncated
@@ -123,7 +124,7 @@ class DuneEnv(EnvBase):
         part["done"] = _by_agent(terminated | truncated, shape).unsqueeze(-1)
         part["terminated"] = _by_agent(terminated.copy(), shape).unsqueeze(-1)
         part["truncated"] = _by_agent(truncated.copy(), shape).unsqueeze(-1)
-        return TensorDict(part, batch_size=shape, device=self.device, _run_checks=False)
+        return _unchecked(part, shape)
 
     # -- state ------------------------------------------------------------------------------------
 
@@ -144,6 +145,11 @@ class DuneEnv(EnvBase):
         if not self.is_closed:
             self._simulation.close()
         super().close(raise_if_closed=raise_if_closed)
+
+
+def _unchecked(values: dict[str, Any], shape: list[int]) -> TensorDict:
+    # Shapes are right by construction; to check them takes as long as an observation of ours.
+    return TensorDict._new_unsafe(values, batch_size=torch.Size(shape), device=_CPU)
 
 
 def _by_agent(values: NDArray[Any], shape: list[int]) -> torch.Tensor:
