@@ -18,11 +18,10 @@ from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import Outline
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsRobot
-from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
-from dune_rl.state import GroupState, State
+from dune_rl.state import EnergyState, GoalState, GroupState, State
 from dune_rl.tasks.task import Task, TaskConf
 
 Array = NDArray[np.float64]
@@ -64,6 +63,10 @@ class GroupSetup:
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
+
+    @property
+    def _reads_goals(self) -> bool:
+        return self.task is not None or self.suite is not None or self.setup.controller is not None
 
     @property
     def is_external(self) -> bool:
@@ -155,6 +158,10 @@ class AgentGroup:
         return self.setup.is_external
 
     @property
+    def _reads_goals(self) -> bool:
+        return self.task is not None or self.suite is not None or self.setup.controller is not None
+
+    @property
     def ends_episodes(self) -> bool:
         """Whether a scene's episode lasts until all agents of the group are done."""
         return self.task is not None and self.task.has_ends
@@ -222,14 +229,16 @@ class AgentGroup:
         return self.body.read(engines) if isinstance(self.body, ArticulatedBody) else []
 
     @property
-    def work_j(self) -> Array | None:
-        """The motors' work in the last control step [J], (N,), where it is measured."""
-        return self.body.work_j if isinstance(self.body, ArticulatedBody) else None
+    def energy(self) -> EnergyState | None:
+        """The motors' work in the last control step and their battery, where that is measured."""
+        body = self.body
+        if not isinstance(body, ArticulatedBody) or body.work_j is None:
+            return None
+        return EnergyState(body.work_j, body.robot.battery)
 
-    @property
-    def battery(self) -> BatteryConf | None:
-        """The battery of each of the group's robots."""
-        return self.body.robot.battery if isinstance(self.body, ArticulatedBody) else None
+    def measure_goals(self) -> GoalState:
+        """Distances and bearings of the goals after a step; those of nobody's interest stay as they were."""
+        return self.goals.measure(self.body.motion) if self._reads_goals else self.goals.latest
 
     def evaluate(self, state: State) -> Evaluation:
         """Evaluate the task's terms and the metrics of the step that `state` describes."""
