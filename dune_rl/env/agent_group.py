@@ -4,7 +4,6 @@ metrics.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.collision_counter import CollisionCounter
+from dune_rl.env.controllers import Controller
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import Outline
@@ -29,19 +29,9 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 RobotFactory = Callable[[int], Robot]
-Observe = Callable[[], dict[str, Reading]]
 
 
-class Controller(Protocol):
-    """What drives the agents of a group that no user drives: a behaviour, or a frozen policy."""
-
-    def reset(self, mask: Flags, state: State, group: GroupState) -> None:
-        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
-        ...
-
-    def act(self, state: State, group: GroupState, observe: Observe) -> Array:
-        """Actions (N, A) within the group's bounds; `observe` gives the group's observation."""
-        ...
+MakeController = Callable[["AgentGroup"], Controller]
 
 
 @dataclass(frozen=True)
@@ -57,7 +47,7 @@ class GroupSetup:
     name: str
     count: int
     body: RobotFactory | PersonConf
-    controller: Controller | None = None
+    controller: MakeController | None = None
     paths: PathConf | None = None
     follows_paths: bool = False
     sensors: SensorsConf | None = None
@@ -128,12 +118,16 @@ class AgentGroup:
         self.action_size = len(low)
         self._rest = self._rest_action()
         self.outline, self.radius_m = self._shape()
+        self.num_rows = num_rows
+        self._controller: Controller | None = None
 
-    def equip(self, suite: SensorSuite) -> None:
-        """Give the agents their sensors; called once, when all groups are known."""
+    def equip(self, suite: SensorSuite | None) -> None:
+        """Give the agents their sensors and their controller; called once, when all groups are known."""
         self.suite = suite
-        if isinstance(self.body, ArticulatedBody):
+        if suite is not None and isinstance(self.body, ArticulatedBody):
             self.body.reads_joints = suite.needs_joints
+        if self.setup.controller is not None:
+            self._controller = self.setup.controller(self)
 
     def _shape(self) -> tuple[Outline, float]:
         """The outline seen from above, and half its width [m]."""
@@ -198,8 +192,8 @@ class AgentGroup:
             self._metrics.reset(mask, now)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
-        if self.setup.controller is not None:
-            self.setup.controller.reset(mask, state, now)
+        if self._controller is not None:
+            self._controller.reset(mask, now)
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -213,8 +207,8 @@ class AgentGroup:
             assert isinstance(follower, PathGoals)
             self.body.move_to(follower.follower.advance(self.body.conf.speed_mps * now.episode.step_s))
             return
-        if self.setup.controller is not None:
-            actions = self.setup.controller.act(state, now, self.observe)
+        if self._controller is not None:
+            actions = self._controller.act(state, now, self.observe)
         assert actions is not None
         if self.done.any():
             actions = np.where(self.done[:, None], self._rest, actions)
