@@ -5,7 +5,6 @@ from functools import lru_cache, partial
 
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.actors import ActorConf
 from dune_rl.config.schema import EnvConf, RobotConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.domain_randomizer import DomainRandomizer
@@ -19,7 +18,7 @@ from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.tasks.task import walking_task
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.store import shared_store
