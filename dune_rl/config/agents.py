@@ -196,7 +196,7 @@ def walker_sensors() -> SensorsConf:
 
 
 def roaming_task(task: TaskConf) -> TaskConf:
-    """A task of the same starts and goals that earns nothing and never ends: each goal is followed by another."""
+    """A task of the same starts and goals that earns nothing and never ends: goal follows goal."""
     reached = task.terminations.get("goal_reached")
     terminations = {} if reached is None else {"goal_reached": reached.model_copy(update={"renew": True})}
     return TaskConf(spawn=task.spawn, rewards={}, terminations=terminations)
@@ -205,8 +205,8 @@ def roaming_task(task: TaskConf) -> TaskConf:
 def robot_groups(robots: Iterable[RobotSettings], taken: Iterable[str]) -> dict[str, AgentGroupConf]:
     """A group for each kind of equal robots, in the order of the first of each.
 
-    Rover Zero's is called `rover`, another has its robot's name; a further one of a name gets `_b`, `_c`, ...,
-    and so does one whose name is `taken`.
+    Rover Zero's is called `rover`, another has its robot's name; a further one of a name gets `_b`, `_c` and
+    so on, and so does one whose name is `taken`.
     """
     counts: dict[RobotSettings, int] = {}
     for robot in robots:

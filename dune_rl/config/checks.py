@@ -195,7 +195,7 @@ def _element(annotation: Any) -> Any | None:
 
 
 def _settings_class(annotation: Any, value: Any, key: str | int) -> type[BaseModel] | None:
-    """The settings class of a type that a value belongs to: by the part that it names, or that its key does."""
+    """The settings class of a type that a value belongs to: by the part that the value, or its key, names."""
     members = list(_unwrapped(annotation))
     candidates = [each for each in members if isinstance(each, type) and issubclass(each, BaseModel)]
     data = value if isinstance(value, Mapping) else {}

@@ -1,4 +1,4 @@
-"""Names of options inside settings: what `robots=[leo_rover]` and `agents={rover: {task: paper}}` stand for."""
+"""Names of options inside settings, as in `robots=[leo_rover]` and `agents={rover: {task: paper}}`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -95,7 +95,7 @@ def _expanded_group(group: Any, path: str, loader: ConfigLoader, faults: list[st
 
 
 def _changed_option(group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of an option with `changes`, but for the name: that of an option need not be its file's."""
+    """The settings of an option with `changes`, but for the name, which need not be that of its file."""
     settings = OmegaConf.to_container(hydra_compose("environment", [f"{group}={name}"])[group], resolve=True)
     assert isinstance(settings, dict)
     stated = {str(key): value for key, value in settings.items()}

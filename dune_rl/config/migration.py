@@ -1,4 +1,4 @@
-"""Settings that have new names: accepted under the old ones, in overrides and in the settings of older runs."""
+"""Settings under their older names: in overrides, in Python and in the settings of older runs."""
 
 import math
 import warnings

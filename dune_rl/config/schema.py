@@ -103,7 +103,7 @@ class EnvConf(Settings):
 
 
 class OneGroupConf(EnvConf):
-    """An environment in which one agent group is external: the one that is trained, evaluated or looked at."""
+    """An environment in which one agent group is external: the one that is trained, evaluated or shown."""
 
     @model_validator(mode="after")
     def _one_group_is_external(self) -> Self:
