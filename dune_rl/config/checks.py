@@ -143,6 +143,8 @@ def _wanted(detail: ErrorDetails) -> str | None:
         choices = context.get("expected", context.get("expected_tags", ""))
         return "one of " + choices.replace("'", "").replace(" or ", ", ")
     if kind == "too_short":
+        if context["field_type"] == "Dictionary":
+            return "a section with at least one entry"
         return f"a list of at least {context['min_length']}"
     if kind == "too_long":
         return f"a list of at most {context['max_length']}"
