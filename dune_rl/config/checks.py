@@ -143,7 +143,7 @@ def _wanted(detail: ErrorDetails) -> str | None:
         choices = context.get("expected", context.get("expected_tags", ""))
         return "one of " + choices.replace("'", "").replace(" or ", ", ")
     if kind == "too_short":
-        if context["field_type"] == "Dictionary":
+        if isinstance(detail["input"], Mapping):
             return "a section with at least one entry"
         return f"a list of at least {context['min_length']}"
     if kind == "too_long":

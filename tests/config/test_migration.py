@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from dune_rl.config.compose import compose, compose_environment, compose_evaluation
-from dune_rl.config.migration import RENAMED
+from dune_rl.config.migration import RENAMED, migrated
 from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneWarning
 from dune_rl.tasks.task import TaskConf
