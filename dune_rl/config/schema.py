@@ -7,11 +7,7 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import AgentGroups, GroupDefaults, ResolvedGroup, resolve_groups, robot_groups
 from dune_rl.env.randomisation import RandomisationConf
-from dune_rl.learning.checkpoint import CheckpointConf
-from dune_rl.learning.collect import CollectorConf
-from dune_rl.learning.evaluation import EvaluationConf
-from dune_rl.learning.replay import ReplayConf
-from dune_rl.learning.sac import SacConf
+from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
@@ -134,28 +130,10 @@ class SingleAgentConf(OneGroupConf):
         return self
 
 
-class LearningConf(SacConf):
-    """Soft actor-critic and the machinery around it."""
-
-    replay: ReplayConf = ReplayConf()
-    collector: CollectorConf = CollectorConf()
-    evaluation: EvaluationConf = EvaluationConf()
-    checkpoint: CheckpointConf = CheckpointConf()
-
-    @model_validator(mode="after")
-    def _replay_holds_a_batch(self) -> Self:
-        if self.replay.capacity < self.batch_size:
-            raise ValueError(
-                f"replay.capacity must be at least batch_size "
-                f"(got {self.replay.capacity} and {self.batch_size})"
-            )
-        return self
-
-
 class Conf(OneGroupConf):
     """A training run."""
 
-    learning: LearningConf = LearningConf()
+    learning: SacConf = SacConf()
     seed: int = Field(1, ge=0)
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"

@@ -20,10 +20,11 @@ from dune_rl.config.compose import (
     compose_evaluation,
     compose_resumed,
 )
-from dune_rl.config.schema import Conf, EnvConf, EvaluateConf, LearningConf
+from dune_rl.config.schema import Conf, EnvConf, EvaluateConf
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.errors import ConfigError
+from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
@@ -80,7 +81,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "none"): {},
     ("actors", "walkers"): {"walker": WALKERS},
     ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
-    ("learning", "sac"): LearningConf(),
+    ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
     ("randomisation", "none"): RandomisationConf(),
