@@ -59,7 +59,7 @@ class TaskConf(Settings):
                     others = ", ".join(known for known in self.rewards if known != name) or "none"
                     raise ValueError(f"rewards.{name}.unless names no other reward: {other!r} (has {others})")
             ending = getattr(reward, "termination", DIVERGED)
-            if ending not in (DIVERGED, *self.terminations):
+            if reward.weight and ending not in (DIVERGED, *self.terminations):
                 raise ValueError(
                     f"rewards.{name}.termination names no termination: {ending!r} "
                     f"(has {', '.join((*self.terminations, DIVERGED))})"
@@ -69,13 +69,13 @@ class TaskConf(Settings):
                 raise ValueError(f"terminations.{name} cannot both truncate and renew the goal: choose one")
         return self
 
-    def changed(
+    def with_terms(
         self,
         rewards: Mapping[str, Mapping[str, Any]] | None = None,
         terminations: Mapping[str, Mapping[str, Any]] | None = None,
         **others: Any,
     ) -> "TaskConf":
-        """The same settings but for those given: a few of some terms, further terms, `spawn`."""
+        """These settings with changes: of some settings of some terms, further terms, `spawn`."""
         values = self.model_dump()
         for section, changes in (("rewards", rewards), ("terminations", terminations)):
             for name, change in (changes or {}).items():

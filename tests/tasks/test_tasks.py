@@ -5,6 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import yaml
+from dune_rl.tasks.point_goal import PointGoalConf
+from dune_rl.tasks.snapshot import Snapshot
 from pydantic import ValidationError
 
 from dune_rl.actors.actor import ActorConf
@@ -12,9 +14,7 @@ from dune_rl.config.build import make_batch
 from dune_rl.config.schema import EnvConf
 from dune_rl.paths import conf_folder
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import REWARD_TERMS, RewardConf, reward_terms
-from dune_rl.tasks.snapshot import Snapshot
 from dune_rl.tasks.terminations import TerminationConf, endings
 from dune_rl.tasks.walking import WalkingConf, walker_observation, walker_reward
 from dune_rl.worlds.flat import FlatConf
