@@ -280,6 +280,21 @@ def test_a_walker_goes_on_to_its_next_way_point() -> None:
     assert ended(agents(distance=0.49), walking_task()) == {"goal_reached", "renews"}
 
 
+@pytest.mark.parametrize("control_hz", [4, 20, 50])
+def test_a_walker_earns_its_progress_at_any_control_rate(control_hz: int) -> None:
+    path = {"controller": "external", "waypoints": [[-8.0, 8.0], [8.0, 8.0]], "start_distance_m": 0.0}
+    conf = compose_environment("flat", [f"physics.control_hz={control_hz}"], {"actors": [path]})
+    simulation = make_simulation(conf, 1, seed=0)
+    simulation.reset()
+    simulation.group("walker").body.poses[0] = -6.0, 8.0, 0.0, 0.0
+    ahead = {"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])}
+    # The first step's progress is from where the episode began.
+    simulation.step(ahead)
+    for _ in range(3):
+        assert simulation.step(ahead).groups["walker"].reward == pytest.approx(1.0 / control_hz, abs=1e-3)
+    simulation.close()
+
+
 # -- terms of a user -------------------------------------------------------------------------------
 
 
