@@ -104,7 +104,7 @@ class BatteryShare:
         return self._drawn_wh / group.energy.battery.capacity_wh
 
 
-class Range:
+class BatteryRange:
     """Distance [km] that a full battery lasts for, at the use and over the way of the episode.
 
     The way is counted level; NaN before anything is drawn.
