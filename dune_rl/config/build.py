@@ -16,8 +16,8 @@ from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
+from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
 
 

@@ -10,10 +10,10 @@ from dune_rl.errors import WorldError
 from dune_rl.worlds.construction.build import ConstructionConf, build_construction
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.from_function import Build, WorldKind, kind_of
-from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
-from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
+from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap
+from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.rubicon.build import RubiconConf, build_rubicon

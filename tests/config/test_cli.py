@@ -13,7 +13,7 @@ from test_config import CHOOSE, NO_MOON
 
 from dune_rl import benchmark, command, engines, evaluate, train
 from dune_rl.learning.progress import Lines, Status
-from dune_rl.worlds.importing.import_files import WorldWarning
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 TINY = [
     "total_frames=192",

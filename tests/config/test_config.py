@@ -39,8 +39,8 @@ from dune_rl.tasks.rewards import RewardConf
 from dune_rl.tasks.terminations import TerminationConf
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap import HeightmapConf
-from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.heightmap.build import HeightmapConf
+from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
