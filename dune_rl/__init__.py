@@ -4,29 +4,44 @@
 batched TorchRL one. Each takes every setting that the command lines take.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
+from dune_rl.decorators import RegisterDecorator
 from dune_rl.env.registration import register_env, register_envs
-from dune_rl.errors import CheckpointError, ConfigError, DuneError, PhysicsError, WorldError
+from dune_rl.errors import (
+    CheckpointError,
+    ConfigError,
+    DuneError,
+    PhysicsError,
+    RegistryError,
+    RobotError,
+    WorldError,
+)
 
 if TYPE_CHECKING:
     from dune_rl.env.gymnasium import GymnasiumEnv
     from dune_rl.env.pettingzoo import ParallelDuneEnv
     from dune_rl.env.torchrl import DuneEnv
-    from dune_rl.worlds.world import World
-
-Builder = TypeVar("Builder", bound="Callable[..., World]")
 
 __all__ = [
     "CheckpointError",
     "ConfigError",
     "DuneError",
     "PhysicsError",
+    "RegistryError",
+    "RobotError",
     "WorldError",
     "gym_env",
     "make",
     "parallel_env",
+    "register_algorithm",
+    "register_behaviour",
+    "register_metric",
+    "register_reward",
+    "register_robot",
+    "register_sensor",
+    "register_termination",
     "register_world",
 ]
 __version__ = "0.1.0"
@@ -103,18 +118,11 @@ def make(
     return make_torchrl_env(conf, num_scenes, seed)
 
 
-def register_world(function: Builder) -> Builder:
-    """Make the world that a function builds known to this process by the function's name; a decorator too.
-
-    The function returns a `dune_rl.worlds.World`. Its parameters, which have
-    types and defaults, become the settings `world.PARAMETER`; or it takes one
-    `Settings` object. Worker processes get the function along. A package says
-    the same with an entry point of the group `dune_rl.worlds`, for command
-    lines too. Raises `WorldError` for a name that is taken, and for a function
-    whose parameters cannot be settings.
-    """
-    from dune_rl.worlds.registry import register
-
-    register(function)
-    register_env(function.__name__)
-    return function
+register_world = RegisterDecorator("dune_rl.worlds.registry:WORLDS", then=register_env)
+register_robot = RegisterDecorator("dune_rl.robots.registry:ROBOTS")
+register_sensor = RegisterDecorator("dune_rl.sensors.registry:SENSORS")
+register_behaviour = RegisterDecorator("dune_rl.behaviours.registry:BEHAVIOURS")
+register_reward = RegisterDecorator("dune_rl.tasks.registry:REWARDS")
+register_termination = RegisterDecorator("dune_rl.tasks.registry:TERMINATIONS")
+register_metric = RegisterDecorator("dune_rl.metrics.registry:METRICS")
+register_algorithm = RegisterDecorator("dune_rl.learning.registry:ALGORITHMS")

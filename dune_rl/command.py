@@ -172,11 +172,12 @@ def console() -> Console:
 def group_settings() -> list[tuple[str, str]]:
     """A line of help for each group of options, with its options."""
     found = []
+    brought = set(plugins.entry_points_by_name("dune_rl.worlds"))
     for folder in sorted(path for path in conf_folder().iterdir() if path.is_dir()):
         if folder.name != "experiment":
             options = {path.stem for path in folder.glob("*.yaml")}
             if folder.name == "world":
-                found.append(("+world=NAME", ", ".join(sorted(options | set(plugins.worlds())))))
+                found.append(("+world=NAME", ", ".join(sorted(options | brought))))
             else:
                 found.append((f"{folder.name}=NAME", ", ".join(sorted(options))))
     return sorted(found, key=lambda item: not item[0].startswith("+"))

@@ -13,6 +13,10 @@ class WorldError(DuneError):
     """A world that cannot give what is asked of it, such as a spawn with a path to a goal."""
 
 
+class RegistryError(DuneError):
+    """A part of a user's package or program that cannot be used: what is wrong with it, and where it is."""
+
+
 class RobotError(DuneError):
     """A robot's description that cannot be used: what is wrong where, and how to mend it."""
 

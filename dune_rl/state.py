@@ -20,6 +20,16 @@ Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 
+class BatteryModel(Protocol):
+    """The battery of a robot: what terms read of its settings."""
+
+    capacity_wh: float
+
+    def drawn_wh(self, work_j: Array, time_s: float) -> Array:
+        """Energy drawn [W h], (N,), while motors have done `work_j` (N,) [J] in `time_s`."""
+        ...
+
+
 class GroundQueries(Protocol):
     """What a term may ask about the worlds of the M scenes; points have the leading axis M."""
 
@@ -152,7 +162,9 @@ class GroupState:
 
     `neighbours` (N, K, 4) are the poses (x, y, z, yaw) [m, rad] of the other moving bodies of the scene.
     `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `work_j`
-    (N,) is the motors' work in this step [J] where it is measured. `endings` has the flags (N,) of each
+    (N,) is the motors' work in this step [J] where it is measured, and `battery` what feeds the motors.
+    `radius_m` is the radius of the circle that stands for an agent where distances between agents are
+    rewarded: half the width of a robot, the radius of a walker. `endings` has the flags (N,) of each
     termination term by name once these are evaluated, for rewards and metrics.
     """
 
@@ -166,6 +178,8 @@ class GroupState:
     measure_clearance: Callable[[], Array]
     goal: GoalState
     work_j: Array | None = None
+    battery: BatteryModel | None = None
+    radius_m: float = 0.0
     endings: dict[str, Flags] = field(default_factory=dict)
 
     @cached_property
@@ -176,6 +190,11 @@ class GroupState:
         apart = np.maximum(self.measure_clearance(), 0.0)
         apart[self.contacts.touching] = 0.0
         return apart
+
+    def ended_by(self, termination: str) -> Flags:
+        """Flags (N,) of the termination term of this name; all false where the task has none so called."""
+        flags = self.endings.get(termination)
+        return np.zeros(len(self.done), bool) if flags is None else flags
 
     def by_scene(self, values: Array) -> Array:
         """`values` (N, ...) with an axis for scenes and one for agents: (M, G, ...)."""

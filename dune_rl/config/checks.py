@@ -1,6 +1,5 @@
 """Faults in settings, put into words that say what to write instead."""
 
-import difflib
 import types
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -10,7 +9,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from dune_rl.errors import ConfigError, WorldError
-from dune_rl.worlds import registry
+from dune_rl.suggestions import closest
+from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -63,18 +63,6 @@ def faults(error: ValidationError, model: type[BaseModel], data: Mapping[str, An
         for path, details in by_path.items()
         if not (details[0]["type"] == "too_short" and path in inner)
     ]
-
-
-def closest(word: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
-    """The known word that was probably meant: at least so alike, of 1."""
-    found = difflib.get_close_matches(word, list(known), n=1, cutoff=likeness)
-    return found[0] if found else None
-
-
-def one_of(words: Iterable[str]) -> str:
-    """The words as a choice: "a, b or c"."""
-    listed = list(words)
-    return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} or {listed[-1]}"
 
 
 def unknown_setting(path: Sequence[str | int], model: type[BaseModel], data: Mapping[str, Any]) -> str:
@@ -183,7 +171,7 @@ def _member(annotation: Any, value: Any) -> type[BaseModel] | None:
     tag = value.get("name") if isinstance(value, Mapping) else None
     if WorldSettings in candidates and isinstance(tag, str):
         with suppress(WorldError):
-            return registry.settings_class(tag)
+            return WORLDS.settings_class(tag)
     for candidate in candidates:
         field = candidate.model_fields.get("name")
         if field is not None and tag is not None and field.default == tag:

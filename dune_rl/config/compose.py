@@ -24,9 +24,10 @@ from omegaconf.errors import OmegaConfBaseException
 from dune_rl import paths
 from dune_rl.config import overrides as command_line
 from dune_rl.config import worlds
-from dune_rl.config.checks import one_of, unique, validated
+from dune_rl.config.checks import unique, validated
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
 from dune_rl.errors import ConfigError
+from dune_rl.suggestions import one_of
 
 Model = TypeVar("Model", bound=EnvConf)
 

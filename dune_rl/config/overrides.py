@@ -11,7 +11,7 @@ from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 
 from dune_rl.config import worlds
-from dune_rl.config.checks import closest, one_of
+from dune_rl.suggestions import closest, one_of
 
 _SENSORS = "sensors"
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from dune_rl.actors.actor import ActorConf
+from dune_rl.config.actors import ActorConf
 from dune_rl.config.worlds import WorldConf
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.checkpoint import CheckpointConf
@@ -19,9 +19,9 @@ from dune_rl.robots.hyperdog.robot import HyperDogConf
 from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.robots.urdf.robot import UrdfConf
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
-from dune_rl.tasks.point_goal import PointGoalConf
+from dune_rl.tasks.task import TaskConf
 
 RobotConf = Annotated[RoverZeroConf | LeoRoverConf | HyperDogConf | UrdfConf, Field(discriminator="name")]
 
@@ -39,7 +39,7 @@ class EnvConf(Settings):
     actors: tuple[ActorConf, ...] = ()
     sensors: SensorsConf = SensorsConf()
     physics: PhysicsConf = PhysicsConf()
-    task: PointGoalConf = PointGoalConf()
+    task: TaskConf = TaskConf()
     metrics: MetricsConf = MetricsConf()
     randomisation: RandomisationConf = RandomisationConf()
 

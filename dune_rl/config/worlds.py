@@ -1,6 +1,6 @@
 """The group `world`: its settings by their name, and users' worlds among its options."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,35 +8,15 @@ from typing import Annotated, Any
 from hydra.core.config_store import ConfigStore
 from pydantic import BeforeValidator, SerializeAsAny
 
-from dune_rl.config.checks import closest, one_of
 from dune_rl.errors import WorldError
-from dune_rl.worlds import registry
+from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
 
 GROUP = "world"
 _PROVIDER = "dune_rl"
 
 
-def _named(value: Any) -> Any:
-    """The settings that a mapping is of, by its `name`; anything else as it is."""
-    if not isinstance(value, Mapping):
-        return value
-    name = value.get("name")
-    if not isinstance(name, str):
-        raise ValueError(f"name must say which world it is: {one_of(registry.names())}")
-    try:
-        settings = registry.settings_class(name)
-    except WorldError as error:
-        raise ValueError(str(error)) from None
-    if settings is None:
-        known = registry.names()
-        near = closest(name, known)
-        remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
-        raise ValueError(f"there is no world {name!r} (is the package that brings it installed?); {remedy}")
-    return settings.model_validate(value)
-
-
-WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(_named)]
+WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(WORLDS.parse_settings)]
 
 
 def offer(folders: Sequence[str] = ()) -> None:
@@ -49,7 +29,7 @@ def offer(folders: Sequence[str] = ()) -> None:
     options: dict[str, Any] = store.repo.setdefault(GROUP, {})
     for file in [file for file, node in options.items() if node.provider == _PROVIDER]:
         del options[file]
-    for name in registry.user_names():
+    for name in WORLDS.user_names():
         if not any((Path(folder) / GROUP / f"{name}.yaml").is_file() for folder in folders):
             store.store(name, _stated(name), group=GROUP, provider=_PROVIDER)
 
@@ -57,16 +37,16 @@ def offer(folders: Sequence[str] = ()) -> None:
 def state(name: str) -> None:
     """Have the option of a user's world, now that it is chosen, state its defaults."""
     options = ConfigStore.instance().repo.get(GROUP, {})
-    if f"{name}.yaml" not in options or registry.is_loaded(name):
+    if f"{name}.yaml" not in options or WORLDS.is_loaded(name):
         return
     # What is wrong with a package is said once, when its settings are checked.
     with suppress(WorldError):
-        registry.settings_class(name)
+        WORLDS.settings_class(name)
         ConfigStore.instance().store(name, _stated(name), group=GROUP, provider=_PROVIDER)
 
 
 def _stated(name: str) -> dict[str, Any]:
-    settings = registry.settings_class(name) if registry.is_loaded(name) else None
+    settings = WORLDS.settings_class(name) if WORLDS.is_loaded(name) else None
     if settings is None:
         return {"name": name}
     given = {key for key, field in settings.model_fields.items() if not field.is_required()}

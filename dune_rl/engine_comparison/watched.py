@@ -11,37 +11,54 @@ from dune_rl.config.build import build_robot, build_world, scene_class
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.batch import Batch
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
+from dune_rl.physics.interface import Engine, PhysicsRobot, PhysicsScene, SceneSpec
 from dune_rl.worlds.world import World
 
 _SLOPE_RAD = np.deg2rad(15.0)
 
 
-class WatchedScene:
-    """A scene that keeps the state that its last step ended in, as the engine told it.
+class WatchedRobot:
+    """A robot that remembers whether it ever touched anything but ground."""
 
-    `work_done_j` is what its motors did in that step [J].
+    def __init__(self, robot: PhysicsRobot) -> None:
+        self._robot = robot
+        self.has_touched = False
+
+    def contacts(self) -> Sequence[int]:
+        """As `PhysicsRobot.contacts`."""
+        found = self._robot.contacts()
+        self.has_touched |= bool(found)
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+
+class WatchedScene:
+    """A scene that keeps its robot's state after the last step, as the engine reported it.
+
+    `work_done_j` is the work of the robot's motors in that step [J].
     """
 
     def __init__(self, scene: PhysicsScene) -> None:
         self._scene = scene
+        self.robots = [WatchedRobot(robot) for robot in scene.robots]
         self.work_done_j = 0.0
         self.state: NDArray[np.float64] = np.zeros(13)
         self.wheel_speeds: NDArray[np.float64] = np.zeros(0)
-        self.has_touched = False
 
-    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         """As `PhysicsScene.step`."""
-        self._scene.step(count, commands, kinematic_poses)
-        self.work_done_j = self._scene.work_j()
-        self.state = np.array(self._scene.body_state())
-        self.wheel_speeds = np.array(self._scene.drive_state()).reshape(3, -1)[1]
+        self._scene.step(count, kinematic_poses)
+        (robot,) = self._scene.robots
+        self.work_done_j = robot.work_j()
+        self.state = np.array(robot.body_state())
+        self.wheel_speeds = np.array(robot.drive_state()).reshape(3, -1)[1]
 
-    def touched(self) -> Sequence[int]:
-        """As `PhysicsScene.touched`."""
-        found = self._scene.touched()
-        self.has_touched |= bool(found)
-        return found
+    @property
+    def has_touched(self) -> bool:
+        """Whether the robot ever touched anything but ground."""
+        return self.robots[0].has_touched
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._scene, name)

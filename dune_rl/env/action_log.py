@@ -1,4 +1,6 @@
-"""Every action of the episodes under way: with the seed, all that is needed to bring a moment back."""
+"""Every action of the episodes under way: with the seed, all that is needed to restore a moment."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,19 +11,21 @@ _FIRST_LENGTH = 64
 
 
 class ActionLog:
-    """The actions of M scenes since their episodes began; `rover` and `walkers` numbers in each step."""
+    """The actions of M scenes since their episodes began, `width` numbers in each step."""
 
-    def __init__(self, num_scenes: int, rover: int, walkers: int) -> None:
-        self._rows = np.zeros((num_scenes, _FIRST_LENGTH, rover + walkers), np.float32)
-        self._rover = rover
+    def __init__(self, num_scenes: int, width: int) -> None:
+        self._rows = np.zeros((num_scenes, _FIRST_LENGTH, width), np.float32)
         self._scenes = np.arange(num_scenes)
 
-    def add(self, steps: NDArray[np.int64], rover: Floats, walkers: Floats) -> None:
-        """Note what is done at each scene's step `steps` (M,): `rover` (M, A) and `walkers` (M, E, 2)."""
+    def add(self, steps: NDArray[np.int64], actions: Sequence[NDArray[np.floating]]) -> None:
+        """Note the `actions` of each group, (M, ...), at each scene's step `steps` (M,)."""
         if int(steps.max()) >= self._rows.shape[1]:
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
-        self._rows[self._scenes, steps, : self._rover] = rover
-        self._rows[self._scenes, steps, self._rover :] = walkers.reshape(len(walkers), -1)
+        scenes, first = self._scenes, 0
+        for values in actions:
+            flat = values.reshape(len(scenes), -1)
+            self._rows[scenes, steps, first : first + flat.shape[1]] = flat
+            first += flat.shape[1]
 
     def plain(self, steps: NDArray[np.int64]) -> list[list[list[float]]]:
         """Each scene's actions so far, its first `steps` (M,), as plain numbers, exact in float32."""

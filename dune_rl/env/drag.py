@@ -1,11 +1,11 @@
-"""What tall grass does to rovers that drive in it."""
+"""What tall grass does to robots that drive in it."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.env.motion import Motion
-from dune_rl.geometry.shared_per_scene import Rows
+from dune_rl.geometry.shared_per_scene import Rows, agent_rows
 from dune_rl.robots.robot import Robot
+from dune_rl.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.grass import Grass
 
@@ -14,24 +14,25 @@ Array = NDArray[np.float64]
 _ALL = slice(None)
 
 
-def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot) -> Array | None:
-    """Force [N] on each rover, (M, 3), world frame, of the grass where it stands; None where none grows."""
+def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot, count: int = 1) -> Array | None:
+    """Force [N] of the grass on each robot, (M * `count`, 3), world frame; None where no grass grows."""
     groups = sites.worlds.groups
     if all(world.grass is None for world, _ in groups):
         return None
     force = np.zeros_like(motion.velocity_w)
     for world, rows in groups:
         if world.grass is not None:
+            rows = agent_rows(rows, count)
             force[rows] = grass_force(world.grass, motion, robot, rows)
     return force
 
 
 def grass_force(grass: Grass, motion: Motion, robot: Robot, rows: Rows = _ALL) -> Array:
-    """Force [N] on each rover of `rows`, world frame: against its velocity, and proportional to it.
+    """Force [N] on each robot of `rows`, world frame: against its velocity, and proportional to it.
 
-    Besides, it is proportional to the density of the grass at the rover's
+    Besides, it is proportional to the density of the grass at the robot's
     centre and to the share of its height that stands in it. It is meant to act
-    over one control step, which is too short for it to turn a rover round.
+    over one control step, which is too short for it to turn a robot round.
     """
     bottom = motion.position_w[rows] - robot.standing_height_m * motion.rotation[rows, :, 2]
     force: Array = -grass.drag(bottom, robot.height_m)[:, None] * motion.velocity_w[rows]

@@ -1,4 +1,4 @@
-"""The Gymnasium environment: the rover alone."""
+"""The Gymnasium environment: the one agent that is driven from outside."""
 
 from typing import Any
 
@@ -6,28 +6,31 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.env.batch import Batch
-from dune_rl.env.pettingzoo import ROVER, Observation, ParallelDuneEnv, RenderMode
+from dune_rl.env.pettingzoo import Observation, ParallelDuneEnv, RenderMode
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.errors import ConfigError
 
 
 class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
-    """The PettingZoo environment's `rover_0`, for libraries that know one agent.
+    """The PettingZoo environment's only agent, for libraries that know one.
 
-    Actors must all be scripted; `info` holds the episode's running metrics.
+    All other groups are driven by behaviours or frozen policies; `info` holds the episode's running metrics.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
 
-    def __init__(self, batch: Batch, render_mode: RenderMode = None) -> None:
-        parallel = ParallelDuneEnv(batch, render_mode)
-        if parallel.possible_agents != [ROVER]:
-            raise ValueError(
-                f"{', '.join(parallel.possible_agents[1:])} would act for nobody here: "
-                "use dune_rl.parallel_env, or make the actors scripted"
+    def __init__(self, simulation: VectorSimulation, render_mode: RenderMode = None) -> None:
+        parallel = ParallelDuneEnv(simulation, render_mode)
+        if len(parallel.possible_agents) > 1:
+            raise ConfigError(
+                f"Gymnasium has one agent, and here are {', '.join(parallel.possible_agents)}: use "
+                "dune_rl.parallel_env, or give the others a controller (actors=walkers)"
             )
         self._parallel = parallel
-        self.observation_space = parallel.observation_space(ROVER)
-        self.action_space = parallel.action_space(ROVER)
+        self.simulation = simulation
+        self.agent = parallel.possible_agents[0]
+        self.observation_space = parallel.observation_space(self.agent)
+        self.action_space = parallel.action_space(self.agent)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": parallel.metadata["render_fps"]}
 
@@ -37,17 +40,20 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         """Start the next episode; with `seed` the first of that seed."""
         super().reset(seed=seed)
         observations, infos = self._parallel.reset(seed, options)
-        return observations[ROVER], infos[ROVER]
+        return observations[self.agent], infos[self.agent]
 
     def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, dict[str, float]]:
-        """Advance 1 / control_hz seconds with `action`: speed [m/s] and relative heading [rad]."""
-        observations, rewards, terminations, truncations, infos = self._parallel.step({ROVER: action})
+        """Advance 1 / control_hz seconds with `action`, for most robots speed [m/s] and relative
+        heading [rad].
+        """
+        agent = self.agent
+        observations, rewards, terminations, truncations, infos = self._parallel.step({agent: action})
         if not observations:
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset() before step()")
-        return observations[ROVER], rewards[ROVER], terminations[ROVER], truncations[ROVER], infos[ROVER]
+        return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB (480, 640, 3) of the rover from behind, where `render_mode` is "rgb_array"."""
+        """RGB (480, 640, 3) of the agent from behind, where `render_mode` is "rgb_array"."""
         return self._parallel.render()
 
     def close(self) -> None:

@@ -9,35 +9,38 @@ LONGEST_S = 1.0
 
 
 class Latency:
-    """A delay line for the commands of M scenes, each with a delay of its own in whole control steps.
+    """A delay line for the commands of N robots, each with a delay of its own in whole control steps.
 
     Until the first command arrives the motors have `rest` (J), the commands
     under which a robot stands.
     """
 
-    def __init__(self, num_scenes: int, rest: list[float], control_hz: int) -> None:
+    def __init__(self, num_rows: int, rest: list[float], control_hz: int) -> None:
         self._rest, self._hz = np.array(rest), control_hz
-        self.delays = np.zeros(num_scenes, np.int64)
-        self._scenes = np.arange(num_scenes)
-        self._line = np.tile(self._rest, (1, num_scenes, 1))
+        self.delays = np.zeros(num_rows, np.int64)
+        self._rows = np.arange(num_rows)
+        self._line = np.tile(self._rest, (1, num_rows, 1))
         self._now = 0
 
-    def begin(self, scene: int, latency_s: float) -> None:
-        """Forget a scene's commands; from now on they come the nearest whole number of steps late."""
-        self.delays[scene] = steps = round(latency_s * self._hz)
+    def set_delay(self, row: int, latency_s: float) -> None:
+        """Delay a row's commands by the nearest whole number of control steps from its next `reset` on."""
+        self.delays[row] = steps = round(latency_s * self._hz)
         if steps >= len(self._line):
             self._lengthen(steps + 1)
-        self._line[:, scene] = self._rest
+
+    def reset(self, row: int) -> None:
+        """Forget a row's commands: until its first one arrives the motors have the rest commands."""
+        self._line[:, row] = self._rest
 
     def _lengthen(self, length: int) -> None:
         # The oldest row first, the present one last, and new ones before them.
         old = np.roll(self._line, -self._now - 1, axis=0)
-        more = np.tile(self._rest, (length - len(old), len(self._scenes), 1))
+        more = np.tile(self._rest, (length - len(old), len(self._rows), 1))
         self._line, self._now = np.concatenate([more, old]), length - 1
 
-    def late(self, commands: Array) -> Array:
+    def delayed(self, commands: Array) -> Array:
         """What reaches the motors, (M, J), in the step in which `commands` (M, J) are given."""
         self._now = (self._now + 1) % len(self._line)
         self._line[self._now] = commands
-        arrived: Array = self._line[(self._now - self.delays) % len(self._line), self._scenes]
+        arrived: Array = self._line[(self._now - self.delays) % len(self._line), self._rows]
         return arrived

@@ -1,4 +1,4 @@
-"""Pictures of a scene for people: from behind the rover, or from anywhere."""
+"""Pictures of a scene for people: from behind an agent, or from anywhere."""
 
 from functools import cached_property
 
@@ -6,11 +6,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from dune_rl.actors.shapes import actor_moving_meshes
-from dune_rl.env.batch import Batch
+from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
@@ -28,51 +31,89 @@ _GOAL_COLOUR = (0.10, 0.75, 0.35)
 
 
 class Pictures:
-    """A painter for the scenes of a batch; made at the first picture, since the light takes a moment."""
+    """Renders the scenes of a simulation; its light is computed at the first picture, which takes a
+    moment.
+    """
 
-    def __init__(self, batch: Batch) -> None:
-        self._batch = batch
+    def __init__(self, simulation: VectorSimulation) -> None:
+        self._simulation = simulation
 
     @cached_property
     def _painters(self) -> DerivedCache[WorldAppearance, Renderer]:
-        return self._batch.sites.appearances.map(_painter)
+        return self._simulation.worlds.appearances.map(_painter)
 
     @cached_property
-    def _robots(self) -> list[RobotVisual]:
-        bodies = (rovers.robot.body for rovers in self._batch.rovers)
-        return [RobotVisual(body.look or body.urdf) for body in bodies]
+    def _robots(self) -> dict[str, RobotVisual]:
+        """The looks of the robots of each group that has any."""
+        bodies = {group.name: group.body for group in self._simulation.groups}
+        return {
+            name: RobotVisual(body.robot.body.look or body.robot.body.urdf)
+            for name, body in bodies.items()
+            if isinstance(body, ArticulatedBody)
+        }
+
+    @cached_property
+    def _meshes(self) -> dict[str, MovingMesh]:
+        """The meshes of the kinematic groups."""
+        bodies = {group.name: group.body for group in self._simulation.groups}
+        return {name: body.conf.mesh() for name, body in bodies.items() if isinstance(body, KinematicBody)}
 
     @cached_property
     def _flag(self) -> RayMesh:
         return RayMesh(_goal_flag())
 
     def bodies(self, scene: int) -> list[PosedMesh]:
-        """The rovers, the actors and a flag at each goal."""
-        batch = self._batch
+        """The agents of all groups, and a flag at the goal of each robot."""
         found: list[PosedMesh] = []
-        for visual, rovers in zip(self._robots, batch.rovers, strict=True):
-            motion = rovers.motion
-            angles = rovers.joint_angles(scene)
-            found += visual.bodies(motion.position_w[scene], motion.rotation[scene], angles)
-        shapes = actor_moving_meshes(batch.actor_confs)
-        for figure, (x, y, z, yaw) in zip(shapes, batch.actors.poses[scene], strict=True):
-            turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
-            found.append(PosedMesh(figure, np.array([x, y, z]), turn))
-        for rovers in batch.rovers:
-            goal = rovers.goals_w[scene]
-            foot = np.array([*goal, self._ground(scene, goal)])
-            found.append(PosedMesh(self._flag, foot, np.eye(3)))
+        for group in self._simulation.groups:
+            for row in self._rows(scene, group):
+                found += self._agent(group, row)
+        for group in self._simulation.groups:
+            if group.task is not None and isinstance(group.body, ArticulatedBody):
+                found += [
+                    self._flag_at(scene, group.goals.source.goals_w[row]) for row in self._rows(scene, group)
+                ]
         return found
 
-    def from_behind(self, scene: int = 0, width: int = 640, height: int = 480, samples: int = 1) -> Picture:
-        """RGB (height, width, 3) of the first rover from behind and above, clear of what stands there."""
-        motion = self._batch.motion
-        position = motion.position_w[scene]
-        yaw = float(motion.roll_pitch_yaw[scene, 2])
+    def _rows(self, scene: int, group: AgentGroup) -> range:
+        return range(scene * group.count, (scene + 1) * group.count)
+
+    def _agent(self, group: AgentGroup, row: int) -> list[PosedMesh]:
+        motion = group.body.motion
+        if group.name in self._robots:
+            angles = self._simulation.joint_angles(group.name, row)
+            return self._robots[group.name].bodies(motion.position_w[row], motion.rotation[row], angles)
+        yaw = float(motion.yaw[row])
+        turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
+        return [PosedMesh(self._meshes[group.name], motion.position_w[row].copy(), turn)]
+
+    def _flag_at(self, scene: int, goal: Array) -> PosedMesh:
+        return PosedMesh(self._flag, np.array([*goal, self._ground(scene, goal)]), np.eye(3))
+
+    def from_behind(
+        self,
+        scene: int = 0,
+        width: int = 640,
+        height: int = 480,
+        samples: int = 1,
+        agent: str | None = None,
+    ) -> Picture:
+        """RGB (height, width, 3) of an agent, the first one without a name, from behind and above.
+
+        The viewpoint is clear of what is in the way.
+        """
+        group = self._simulation.group() if agent is None else self._group_of(agent)
+        row = scene * group.count + (0 if agent is None else group.names.index(agent))
+        motion = group.body.motion
+        position = motion.position_w[row]
+        yaw = float(motion.yaw[row])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         target = position + _LOOK_AHEAD_M * ahead
         eye = self._free_eye(scene, position, position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M])
         return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
+
+    def _group_of(self, agent: str) -> AgentGroup:
+        return next(group for group in self._simulation.groups if agent in group.names)
 
     def seen(
         self, view: Viewpoint, scene: int = 0, width: int = 1280, height: int = 720, samples: int = 1
@@ -89,7 +130,7 @@ class Pictures:
         bearing_rad: float = -2.3,
     ) -> Picture:
         """RGB (height, width, 3) of the whole world, seen from above at `bearing_rad` from its middle."""
-        xmin, xmax, ymin, ymax = self._batch.sites.worlds[scene].extent
+        xmin, xmax, ymin, ymax = self._simulation.worlds.worlds[scene].extent
         middle = np.array([(xmin + xmax) / 2, (ymin + ymax) / 2])
         reach = min(60.0, max(xmax - xmin, ymax - ymin))
         level = self._ground(scene, middle)
@@ -99,7 +140,7 @@ class Pictures:
         return self.seen(Viewpoint(eye, target, 0.95), scene, width, height, samples)
 
     def _ground(self, scene: int, xy: Array) -> float:
-        return float(self._batch.sites.worlds[scene].terrain.height(xy))
+        return float(self._simulation.worlds.worlds[scene].terrain.height(xy))
 
     def _free_eye(self, scene: int, position: Array, eye: Array) -> Array:
         """As far toward `eye` as nothing stands between it and the rover, and not in the ground."""

@@ -11,7 +11,7 @@ _WORLDS = ("flat", "inspection", "construction", "rubicon", "island")
 
 def register_envs() -> None:
     """Register one id for each world, such as `dune_rl/Inspection-v0`; twice is harmless."""
-    for world in (*_WORLDS, *plugins.worlds()):
+    for world in (*_WORLDS, *plugins.entry_points_by_name("dune_rl.worlds")):
         register_env(world)
 
 

@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.env.motion import Motion
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import Robot
+from dune_rl.state import Motion
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
 from dune_rl.worlds.world import World
@@ -82,7 +82,7 @@ class Traction:
         groups = self._mapped()
         if not groups:
             return None
-        speeds = motion.wheel_speeds if self.needs_wheels else None
+        speeds = _wheel_speeds(motion) if self.needs_wheels else None
         force = np.zeros((len(engines), 3))
         for world, scenes, rolling in groups:
             rotation = motion.rotation[scenes]
@@ -153,6 +153,10 @@ class Traction:
             assert world is not None and world.surfaces is not None
             groups.append((world, np.array(members), self._table(world.surfaces)[1]))
         return groups
+
+
+def _wheel_speeds(motion: Motion) -> Array | None:
+    return None if motion.joints is None else motion.joints.speed
 
 
 @lru_cache(maxsize=64)

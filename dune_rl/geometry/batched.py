@@ -23,6 +23,9 @@ class BatchedRayScenes:
     def __init__(self, scenes: SharedPerScene[RayScene] | DerivedCache[Any, RayScene]) -> None:
         self._scenes = scenes
 
+    def __len__(self) -> int:
+        return len(self._scenes)
+
     def select_scenes(self, scenes: NDArray[np.int64]) -> "BatchedRayScenes":
         """The ray scenes of `scenes` (m,) only, renumbered from 0 in that order."""
         return BatchedRayScenes(SharedPerScene([self._scenes[scene] for scene in scenes.tolist()]))
@@ -73,14 +76,21 @@ class BatchedRayScenes:
 
 
 class BatchedHeightFields:
-    """A `HeightField` for each of M scenes; points have the leading axis M."""
+    """A `HeightField` for each of M scenes.
+
+    Points have the leading axis N = M * G, scene after scene.
+    """
 
     def __init__(self, fields: SharedPerScene[HeightField] | DerivedCache[Any, HeightField]) -> None:
         self._fields = fields
 
     def height(self, xy: Array) -> Array:
-        """Height [m], (M, ...), at points (M, ..., 2)."""
-        return query_grouped(self._fields.groups, HeightField.height, xy)
+        """Height [m], (N, ...), at points (N, ..., 2)."""
+        groups = self._fields.groups
+        if len(groups) == 1:
+            return groups[0][0].height(xy)
+        by_scene = xy.reshape(len(self._fields), -1, 2)
+        return query_grouped(groups, HeightField.height, by_scene).reshape(xy.shape[:-1])
 
 
 AnyRays: TypeAlias = RayScene | BatchedRayScenes

@@ -99,6 +99,13 @@ class DerivedCache(Generic[T, U]):
             self._cache = {key: value for key, value in self._cache.items() if key in used}
 
 
+def agent_rows(scenes: Rows, count: int) -> Rows:
+    """Row indices of the agents in `scenes`, for scene-major rows with `count` agents per scene."""
+    if count == 1 or isinstance(scenes, slice):
+        return scenes
+    return (scenes[:, None] * count + np.arange(count)).ravel()
+
+
 def query_grouped(
     groups: Groups[T], query: Callable[..., NDArray[Any]], *arrays: NDArray[Any]
 ) -> NDArray[Any]:

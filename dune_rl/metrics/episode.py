@@ -1,141 +1,145 @@
-"""The paper's navigation metrics, accumulated over each episode of a batch."""
+"""Metrics of episodes: the values of metric terms, reduced over the steps of each agent's episode."""
+
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from dune_rl.metrics.registry import METRICS, MetricTerms, Reduction
 from dune_rl.settings import Settings
+from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.terms import bind_terms
 
-Array = NDArray[np.float64]
+BUILT_IN = ("episode", "steps", "return")
 
-METRICS = (
-    "episode",
-    "steps",
-    "return",
-    "success",
-    "reached",
-    "goals",
-    "collisions",
-    "time_to_goal",
-    "clearance",
-    "min_clearance",
-    "vertical_roughness",
-    "vort",
-    "smoothness",
-    "diverged",
-    "stuck",
-    "flipped",
-    "out_of_world",
-    "timeout",
-)
-# Beside these, where the battery's use is measured.
-ENERGY_METRICS = ("energy_wh", "battery_share", "range_km")
+PAPER_METRICS: dict[str, Any] = {
+    "success": {"reduce": "last", "initial": 0.0},
+    "reached": {"term": "ended_by", "termination": "goal_reached", "reduce": "max", "initial": 0.0},
+    "goals": {"term": "ended_by", "termination": "goal_reached", "reduce": "sum"},
+    "collisions": {"reduce": "sum"},
+    "time_to_goal": {"reduce": "first"},
+    "clearance": {"reduce": "mean", "initial": 12.0},
+    "min_clearance": {"term": "clearance", "reduce": "min", "initial": 12.0},
+    "vertical_roughness": {"reduce": "mean", "initial": 0.0},
+    "vort": {"reduce": "mean"},
+    "smoothness": {"reduce": "mean", "initial": 0.0},
+    "diverged": {"term": "ended_by", "termination": "diverged", "reduce": "last", "initial": 0.0},
+    "stuck": {"term": "ended_by", "termination": "stuck", "reduce": "last", "initial": 0.0},
+    "flipped": {"term": "ended_by", "termination": "flipped", "reduce": "last", "initial": 0.0},
+    "out_of_world": {"term": "ended_by", "termination": "out_of_world", "reduce": "last", "initial": 0.0},
+    "timeout": {"term": "ended_by", "termination": "time_limit", "reduce": "last", "initial": 0.0},
+}
+ENERGY_METRICS: dict[str, Any] = {
+    "energy_wh": {"reduce": "sum"},
+    "battery_share": {"reduce": "last", "initial": 0.0},
+    "range_km": {"reduce": "last"},
+}
 
 
 class MetricsConf(Settings):
-    """Thresholds of the metrics, and whether the battery's use is one: it asks physics for joints' states,
-    which makes a step some 4 % slower.
+    """The terms that are measured of each episode, by name; the defaults are the paper's.
+
+    With `energy` the battery's use is measured too: physics has to read the joints' states for it, which
+    makes a step some 4 % slower.
     """
 
-    # Clearance counts up to this; the paper's LiDAR range, which it reports where there is no obstacle.
-    max_clearance_m: float = Field(12.0, gt=0.0)
-    # A rover tilted more than this is on uneven ground.
-    uneven_tilt_rad: float = Field(np.deg2rad(5.0), ge=0.0)
     energy: bool = False
+    terms: MetricTerms = Field(PAPER_METRICS)
+
+    @model_validator(mode="after")
+    def _names_are_free(self) -> Self:
+        taken = (*BUILT_IN, *(ENERGY_METRICS if self.energy else ()))
+        for name in self.terms:
+            if name in taken or name.startswith("reward/"):
+                raise ValueError(f"terms.{name}: another metric has this name; choose a different one")
+        return self
+
+    @property
+    def all_terms(self) -> MetricTerms:
+        """The terms with those of the battery's use, where it is measured."""
+        if not self.energy:
+            return self.terms
+        return {**self.terms, **MetricsConf(terms=ENERGY_METRICS).terms}
 
 
-class EpisodeMetrics:
-    """Running values for M scenes; a row is final when its episode is.
+class MetricSet:
+    """Running metrics of N agents; a row is final when its episode is.
 
-    Definitions (Vice & Sukthankar 2025, section 2.5; gravity is left out of
-    accelerations): `clearance` is OC, the mean over time of the distance from
-    the hull to the nearest obstacle or actor [m]; `vertical_roughness` VR, the
-    mean of |z acceleration| [m/s²]; `vort` VORT, the mean of the horizontal
-    speed on uneven ground [m/s], NaN where there was none; `smoothness` TSR,
-    the mean of |acceleration| + |angular velocity|. `success` is to reach a
-    goal without collision, `time_to_goal` the time of the first [s],
-    `energy_wh` what was taken from the battery [W h], where it is measured;
-    `battery_share` is that over its capacity, `capacity_wh`, and `range_km` how far a full one lasts at
-    the episode's own use over its own way, which is counted level [km], NaN before anything is used.
+    `names` (K) are the columns of `values`: the episode's id, its steps and its return, then the terms.
     """
 
-    def __init__(self, conf: MetricsConf, num_scenes: int, capacity_wh: float = np.nan) -> None:
-        self._conf = conf
-        self._capacity_wh = capacity_wh
-        self._way_m = np.zeros(num_scenes)
-        self._sums = np.zeros((num_scenes, 4))
-        self._uneven = np.zeros(num_scenes)
-        self.names = (*METRICS, *ENERGY_METRICS) if conf.energy else METRICS
-        self.values = np.zeros((num_scenes, len(self.names)))
-        self._column = {name: index for index, name in enumerate(self.names)}
+    def __init__(self, conf: MetricsConf, num_rows: int) -> None:
+        confs = conf.all_terms
+        self.names = (*BUILT_IN, *confs)
+        # In rows by reduction, so that each is one operation; `_order` puts them into the order of names.
+        by_reduction = sorted(confs, key=lambda name: _REDUCTIONS.index(confs[name].reduce))
+        self._terms, self._stateful = bind_terms(METRICS, [confs[name] for name in by_reduction], num_rows)
+        reductions = [confs[name].reduce for name in by_reduction]
+        ends = np.cumsum([0, *(reductions.count(reduction) for reduction in _REDUCTIONS)]).tolist()
+        self._rows = {
+            reduction: slice(ends[index], ends[index + 1])
+            for index, reduction in enumerate(_REDUCTIONS)
+            if ends[index] < ends[index + 1]
+        }
+        order = [by_reduction.index(name) + len(BUILT_IN) for name in confs]
+        self._order = np.array([*range(len(BUILT_IN)), *order])
+        self._initial = np.array([_initial(confs[name].reduce, confs[name].initial) for name in by_reduction])
+        self._all = np.zeros((len(self.names), num_rows))
+        means = reductions.count("mean")
+        self._sums, self._counts = np.zeros((means, num_rows)), np.zeros((means, num_rows))
 
-    def reset(self, mask: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
-        """Start episodes with ids `episodes` (M,) in the scenes in `mask` (M,)."""
-        self._sums[mask] = 0.0
-        self._uneven[mask] = 0.0
-        self._way_m[mask] = 0.0
-        self.values[mask] = 0.0
-        self.values[mask, self._column["episode"]] = episodes[mask]
-        for name in ("time_to_goal", "vort"):
-            self.values[mask, self._column[name]] = np.nan
-        if self._conf.energy:
-            self.values[mask, self._column["range_km"]] = np.nan
-        for name in ("clearance", "min_clearance"):
-            self.values[mask, self._column[name]] = self._conf.max_clearance_m
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Begin the episodes of the agents in `mask` (N,)."""
+        self._all[:, mask] = 0.0
+        self._all[0, mask] = group.episode.ids[mask]
+        self._all[len(BUILT_IN) :, mask] = self._initial[:, None]
+        self._sums[:, mask] = 0.0
+        self._counts[:, mask] = 0.0
+        for term in self._stateful:
+            term.reset(mask, group)
 
-    def update(
-        self,
-        *,
-        steps: NDArray[np.int64],
-        step_s: float,
-        reward: Array,
-        clearance: Array,
-        acceleration_b: Array,
-        angular_b: Array,
-        ground_speed: Array,
-        tilt: Array,
-        new_collisions: NDArray[np.int64],
-        reached: NDArray[np.bool_],
-        flags: dict[str, NDArray[np.bool_]],
-        energy_wh: Array | None = None,
-    ) -> None:
-        """Add one control step of all scenes; arrays have the leading axis M.
+    def update(self, state: State, group: GroupState, reward: Array) -> None:
+        """Add one control step with its `reward` (N,); agents that are done keep their values."""
+        done = group.done if group.done.any() else None
+        final = None if done is None else self._all[:, done]
+        self._all[1] = group.episode.steps
+        self._all[2] += reward
+        values = np.empty((len(self._terms), len(reward)))
+        for row, term in zip(values, self._terms, strict=True):
+            row[:] = term(state, group)
+        for reduction, rows in self._rows.items():
+            self._reduce(reduction, values[rows], self._all[len(BUILT_IN) :][rows])
+        if done is not None:
+            self._all[:, done] = final
 
-        `energy_wh` is what was drawn from the battery, where that is measured.
-        """
-        values, column = self.values, self._column
-        near = np.minimum(clearance, self._conf.max_clearance_m)
-        uneven = tilt > self._conf.uneven_tilt_rad
-        acceleration = np.sqrt(np.einsum("ij,ij->i", acceleration_b, acceleration_b))
-        turning = np.sqrt(np.einsum("ij,ij->i", angular_b, angular_b))
-        sums = self._sums
-        sums[:, 0] += near
-        sums[:, 1] += np.abs(acceleration_b[:, 2])
-        sums[:, 2] += acceleration + turning
-        sums[:, 3] += np.where(uneven, ground_speed, 0.0)
-        self._uneven += uneven
-        values[:, column["steps"]] = steps
-        values[:, column["return"]] += reward
-        values[:, column["collisions"]] += new_collisions
-        if reached.any():
-            first = reached & (values[:, column["reached"]] == 0.0)
-            values[first, column["time_to_goal"]] = steps[first] * step_s
-            values[:, column["goals"]] += reached
-            values[reached, column["reached"]] = 1.0
-        clean = values[:, column["collisions"]] == 0.0
-        values[:, column["success"]] = values[:, column["reached"]] * clean
-        means = sums[:, :3] / np.maximum(steps, 1)[:, None]
-        values[:, column["clearance"]] = means[:, 0]
-        values[:, column["vertical_roughness"]] = means[:, 1]
-        values[:, column["smoothness"]] = means[:, 2]
-        lowest = column["min_clearance"]
-        values[:, lowest] = np.minimum(values[:, lowest], near)
-        np.divide(sums[:, 3], self._uneven, out=values[:, column["vort"]], where=self._uneven > 0)
-        for name, flag in flags.items():
-            values[:, column[name]] = flag
-        if energy_wh is not None:
-            values[:, column["energy_wh"]] += energy_wh
-            share = values[:, column["energy_wh"]] / self._capacity_wh
-            values[:, column["battery_share"]] = share
-            self._way_m += ground_speed * step_s
-            np.divide(self._way_m / 1000.0, share, out=values[:, column["range_km"]], where=share > 0)
+    def _reduce(self, reduction: Reduction, new: Array, values: Array) -> None:
+        if reduction == "last":
+            values[:] = new
+        elif reduction == "sum":
+            values += np.where(np.isnan(new), 0.0, new)
+        elif reduction == "mean":
+            given = ~np.isnan(new)
+            self._sums += np.where(given, new, 0.0)
+            self._counts += given
+            np.divide(self._sums, self._counts, out=values, where=self._counts > 0.0)
+        elif reduction == "min":
+            np.fmin(values, new, out=values)
+        elif reduction == "max":
+            np.fmax(values, new, out=values)
+        else:
+            np.copyto(values, new, where=np.isnan(values))
+
+    @property
+    def values(self) -> Array:
+        """Values (N, K) of the present episodes."""
+        values: Array = self._all[self._order].T
+        return values
+
+
+_REDUCTIONS: tuple[Reduction, ...] = ("sum", "mean", "min", "max", "last", "first")
+
+
+def _initial(reduction: Reduction, initial: float | None) -> float:
+    if initial is not None:
+        return initial
+    return 0.0 if reduction == "sum" else np.nan

@@ -1,4 +1,4 @@
-"""From the frame that an engine tells of, which is that of a link's inertia, to the link's own."""
+"""Conversion of a base link's state from its inertial frame, which engines report, to the link frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,31 +9,34 @@ Quadruple = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class InertialFrame:
-    """Where the inertia's frame lies in the link's: its origin (3) [m] and quaternion xyzw (4)."""
+    """Pose of a link's inertial frame in its link frame: origin (3) [m] and quaternion xyzw (4)."""
 
-    centre_b: Sequence[float]
-    turn_b: Sequence[float]
+    origin_b: Sequence[float]
+    quaternion_b: Sequence[float]
 
     @property
-    def is_the_links(self) -> bool:
-        """Whether the two are one."""
-        return not any(self.centre_b) and not any(self.turn_b[:3])
+    def is_identity(self) -> bool:
+        """Whether the inertial frame is the link frame."""
+        return not any(self.origin_b) and not any(self.quaternion_b[:3])
 
-    def of_the_link(
+    def link_state(
         self,
         centre_w: Sequence[float],
         quaternion: Sequence[float],
         velocity_w: Sequence[float],
         angular_w: Sequence[float],
     ) -> tuple[Triple, Quadruple, Triple]:
-        """Position [m], quaternion and velocity [m/s] of the link's origin, given those of the inertia's."""
-        x, y, z, w = self.turn_b
-        own = _product(quaternion, (-x, -y, -z, w))
-        ax, ay, az = _turned(own, self.centre_b)
+        """Position [m], quaternion and velocity [m/s] of the link frame's origin.
+
+        Arguments are the pose and the velocities of the inertial frame, all in the world frame.
+        """
+        x, y, z, w = self.quaternion_b
+        link_quaternion = _multiply(quaternion, (-x, -y, -z, w))
+        ax, ay, az = _rotate(link_quaternion, self.origin_b)
         ox, oy, oz = angular_w
         return (
             (centre_w[0] - ax, centre_w[1] - ay, centre_w[2] - az),
-            own,
+            link_quaternion,
             (
                 velocity_w[0] - (oy * az - oz * ay),
                 velocity_w[1] - (oz * ax - ox * az),
@@ -42,7 +45,7 @@ class InertialFrame:
         )
 
 
-def _product(first: Sequence[float], second: Sequence[float]) -> Quadruple:
+def _multiply(first: Sequence[float], second: Sequence[float]) -> Quadruple:
     x1, y1, z1, w1 = first
     x2, y2, z2, w2 = second
     return (
@@ -53,7 +56,7 @@ def _product(first: Sequence[float], second: Sequence[float]) -> Quadruple:
     )
 
 
-def _turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
+def _rotate(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
     x, y, z, w = quaternion
     a, b, c = vector
     # v + 2 q x (q x v + w v)

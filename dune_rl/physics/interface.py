@@ -1,4 +1,4 @@
-"""What an engine must do: the narrow interface that everything above sees of physics."""
+"""Interface of a physics engine: what a scene is built from, and what can be done with it."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -19,18 +19,18 @@ ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 BODY_STATE_SIZE = 13
 
-# Friction of kinematic bodies.
-CAPSULE_FRICTION = 0.5
+# Friction coefficient of kinematic bodies.
+KINEMATIC_FRICTION = 0.5
 
 
 class PhysicsConf(Settings):
     """Engine and rates. `control_hz` must divide `physics_hz`.
 
-    `friction` is a pyramid in both engines, so that what slides askew to the
-    world's axes is held by up to sqrt(2) times as much; DART can have the
-    true cone, which makes its physics several times slower.
-    `solver_iterations` are those of iterative contact solvers: Bullet's, and
-    DART's for the cone; DART's for the pyramid is direct.
+    `friction` is a pyramid in both engines: a body that slides diagonally to
+    the world's axes feels up to sqrt(2) times the friction of Coulomb's law.
+    DART also has the true cone, which makes its physics several times slower.
+    `solver_iterations` applies to iterative contact solvers: Bullet's, and
+    DART's for the cone; DART's solver for the pyramid is direct.
     """
 
     backend: Engine = "bullet"
@@ -61,10 +61,11 @@ class PhysicsConf(Settings):
 
 @dataclass(frozen=True)
 class StaticBody:
-    """Triangles that never move: vertices (V, 3) [m] in the world frame, faces (F, 3).
+    """Triangle mesh that never moves: vertices (V, 3) [m] in the world frame, faces (F, 3).
 
-    A robot may drive on `ground`; to touch any other body is a collision.
-    Friction and restitution multiply with those of what touches it.
+    Contacts of robots with `ground` are not reported; a contact with any other
+    body is a collision. Friction and restitution coefficients are multiplied
+    with those of the other body of a contact.
     """
 
     name: str
@@ -77,7 +78,7 @@ class StaticBody:
 
 @dataclass(frozen=True)
 class KinematicCapsule:
-    """An upright capsule that is moved from outside; its origin is on the ground below it."""
+    """Upright capsule whose motion is prescribed; its origin is on the ground below its centre."""
 
     name: str
     radius_m: float
@@ -86,7 +87,7 @@ class KinematicCapsule:
 
 @dataclass(frozen=True)
 class PassiveJoint:
-    """A joint that turns as it is pushed, against dry friction and damping; its limits are the URDF's."""
+    """Joint without a motor, with dry friction and damping; its limits are the URDF's."""
 
     joint: str
     friction_nm: float = 0.0
@@ -95,7 +96,7 @@ class PassiveJoint:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A gear without play: joint `follower` turns `ratio` times what joint `leader` does."""
+    """Gear without backlash: the angle of joint `follower` is `ratio` times that of joint `leader`."""
 
     leader: str
     follower: str
@@ -104,15 +105,17 @@ class Coupling:
 
 @dataclass(frozen=True)
 class RobotBody:
-    """A URDF and what its joints and links are for.
+    """URDF of a robot, and the roles of its joints and links.
 
-    `motors` take commands, in their order. The joints that are neither theirs
-    nor `passive` turn freely. `ground_links`, which are wheels or feet, stand
-    on the ground with `ground_friction`, along a wheel's axle with
-    `sideways_friction_share` of it, and touch nothing else, unless
-    `ground_links_meet_obstacles`; all other links touch everything, with
-    `hull_friction`. Joints that are not motors start at 0. `look` is a URDF
-    of the same links and joints that shows the robot, where `urdf` does not.
+    `motors` take commands, in their order. Joints that are neither theirs nor
+    `passive` turn freely. Joints without a motor start at 0.
+
+    `ground_links` are wheels or feet. They collide with the ground, with
+    `ground_friction` (along a wheel's axle with `sideways_friction_share` of
+    it), and with nothing else, unless `ground_links_meet_obstacles`. All other
+    links collide with everything, with `hull_friction`.
+
+    `look` is a URDF with the same links and joints that is drawn in place of `urdf`.
     """
 
     urdf: Path
@@ -128,69 +131,84 @@ class RobotBody:
 
     @property
     def drive_joints(self) -> tuple[str, ...]:
-        """The motors' joints, in the order of commands and of what is told of them."""
+        """Joints of the motors, in the order of commands and of `PhysicsRobot.drive_state`."""
         return tuple(motor.joint for motor in self.motors)
 
     def rest_commands(self) -> list[float]:
-        """Commands under which the robot stands as it is put down."""
+        """Commands that keep all joints at their start angles."""
         return [motor.rest_command for motor in self.motors]
 
-    def missing_from(self, joints: Collection[str], links: Collection[str]) -> str | None:
-        """What is wrong with the names, given those that the URDF has; None where all are there."""
-        named = [*self.drive_joints, *(joint.joint for joint in self.passive)]
+    def describe_missing_names(self, joints: Collection[str], links: Collection[str]) -> str | None:
+        """Error message for names that are not in the URDF; None if all are.
+
+        `joints` and `links` are the names in the URDF.
+        """
+        used_joints = [*self.drive_joints, *(joint.joint for joint in self.passive)]
         for coupling in self.couplings:
-            named += [coupling.leader, coupling.follower]
-        for kind, wanted, known in (("joint", named, joints), ("link", self.ground_links, links)):
-            absent = [name for name in dict.fromkeys(wanted) if name not in known]
-            if absent:
-                return f"{self.urdf.name} has no {kind} {', '.join(absent)}; it has {', '.join(known)}"
+            used_joints += [coupling.leader, coupling.follower]
+        for kind, used, known in (("joint", used_joints, joints), ("link", self.ground_links, links)):
+            missing = [name for name in dict.fromkeys(used) if name not in known]
+            if missing:
+                return f"{self.urdf.name} has no {kind} {', '.join(missing)}; it has {', '.join(known)}"
         return None
 
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """All that a scene holds. Bodies are numbered: statics first, then kinematics, `robot` and the `others`.
+    """Everything in a scene. Bodies are numbered: first statics, then kinematics, then robots.
 
-    `others` are further robots beside `robot`; hulls of different robots meet.
-    `measures_work` has the motors' work summed up, which costs a look at their joints in every physics step.
+    `measures_work` makes `PhysicsRobot.work_j` available, at the cost of
+    reading the motors' joints in every physics step.
     """
 
     statics: tuple[StaticBody, ...]
     kinematics: tuple[KinematicCapsule, ...]
-    robot: RobotBody
+    robots: tuple[RobotBody, ...]
     timestep_s: float
     solver_iterations: int
     gravity_mps2: float = 9.81
     friction: FrictionModel = "pyramid"
     measures_work: bool = False
-    others: tuple[RobotBody, ...] = ()
+
+    def kinematic_number(self, index: int) -> int:
+        """Body number of `kinematics[index]`."""
+        return len(self.statics) + index
+
+    def robot_number(self, index: int) -> int:
+        """Body number of `robots[index]`."""
+        return len(self.statics) + len(self.kinematics) + index
 
     @property
-    def robots(self) -> tuple[RobotBody, ...]:
-        """All robots, in the order of their numbers."""
-        return (self.robot, *self.others)
-
-    @property
-    def first_robot(self) -> int:
-        """Number of `robot` among the bodies; those of the others follow."""
-        return len(self.statics) + len(self.kinematics)
+    def num_bodies(self) -> int:
+        """Number of bodies in the scene; body numbers are below it."""
+        return self.robot_number(len(self.robots))
 
 
 class PhysicsRobot(Protocol):
     """A robot in a scene."""
 
-    def set_body(self, variation: BodyVariation) -> None:
-        """Set what the robot is like from the next `place` on, until it is set again.
+    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+        """Set the pose of the base link, (3) [m] and xyzw (4), that the scene's next `reset` puts it at."""
+        ...
 
-        It is called only where a body differs; an engine that cannot do it
-        raises PhysicsError. `varied_urdf` and `motors_at` do most of it.
+    def set_command(self, commands: Sequence[float]) -> None:
+        """Set the command of each motor, a speed [rad/s] or an angle [rad], from the scene's next `step` on.
+
+        `reset` sets the commands to `RobotBody.rest_commands`.
         """
         ...
 
-    def push(self, force_w: Sequence[float]) -> None:
-        """Set the force (3) [N], world frame, that acts on the base link's centre throughout the next `step`.
+    def apply_force(self, force_w: Sequence[float]) -> None:
+        """Set the force (3) [N], world frame, on the base link's centre of mass throughout the next `step`.
 
-        Without a call before it, a step has none.
+        It lasts for that step only.
+        """
+        ...
+
+    def set_body(self, variation: BodyVariation) -> None:
+        """Set masses and motor strength, from the next `reset` on, until they are set again.
+
+        Raises PhysicsError if the engine cannot do it. `varied_urdf` and `scale_motors` do most of it.
         """
         ...
 
@@ -201,16 +219,16 @@ class PhysicsRobot(Protocol):
         stiffness: Sequence[float] | None = None,
         damping: Sequence[float] | None = None,
     ) -> None:
-        """Set how the W wheels, in the order of the drive joints, meet the ground from now until `place`.
+        """Set the contact parameters of the W ground links, in their order, until the next `reset`.
 
-        `friction` takes the place of the robot's `ground_friction`; it and
-        `restitution` multiply with the ground's. Contacts yield as springs of
-        `stiffness` [N/m] with `damping` [N s/m]; without these they yield as
-        they did before, which after `place` is as little as the engine can.
+        `friction` replaces the robot's `ground_friction`; it and `restitution`
+        are multiplied with the ground's. Contacts are springs of `stiffness`
+        [N/m] with `damping` [N s/m]; if these are None they stay as they were,
+        which after `reset` is as stiff as the engine can simulate.
 
-        DART's ground is never harder than 2e5 N/m with 4e3 N s/m, it gives way
-        under wheels and legs that motors turn, and bounces fall short of
-        `restitution` by up to 0.12.
+        In DART, stiffness is at most 2e5 N/m and damping at most 4e3 N s/m,
+        only wheels and legs with motors have compliant contacts, and rebounds
+        are below `restitution` by up to 0.12.
         """
         ...
 
@@ -222,75 +240,61 @@ class PhysicsRobot(Protocol):
         ...
 
     def drive_state(self) -> tuple[float, ...]:
-        """Angles [rad], speeds [rad/s] and torques [N m] of the W motors' joints, one after another (3 * W).
+        """Angles [rad], speeds [rad/s] and torques [N m] of the W motors' joints, concatenated (3 * W).
 
-        The angles of wheels are 0 where the robot is put down and count whole
-        turns. A torque is what turned the joint in the last physics step, gear
-        friction taken off, positive where it pushes toward a positive speed.
+        Angles of wheels are 0 after `reset` and count whole turns. A torque is
+        what acted on the joint in the last physics step, gear friction
+        subtracted, positive in the direction of positive speed.
         """
         ...
 
     def work_j(self) -> float:
-        """Work [J] that the motors have done since this was asked last; see `motors.work_w`."""
+        """Work [J] of the motors since the last call; see `motors.motor_power_w`."""
         ...
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        """Angles [rad] of any joints of the robot, by name; 0 before it is placed and after `close`."""
+        """Angles [rad] of any joints of the robot, by name; 0 before the first `reset` and after `close`."""
         ...
 
-    def touched(self) -> Sequence[int]:
-        """Numbers of the bodies, ground left out, that the robot touches now; may repeat."""
-        ...
-
-
-class OtherRobot(PhysicsRobot, Protocol):
-    """A robot beside the first of a scene."""
-
-    def stand(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
-        """Say where the scene's next `place` puts it down at rest."""
-        ...
-
-    def drive(self, commands: Sequence[float]) -> None:
-        """Set the command of each motor for the scene's next `step`, and for those after it."""
+    def contacts(self) -> Sequence[int]:
+        """Numbers of the bodies that the robot touches now, without ground; may contain duplicates."""
         ...
 
 
-class PhysicsScene(PhysicsRobot, Protocol):
-    """One simulated scene; as its first robot it answers itself. Not thread-safe; scenes are independent.
+class PhysicsScene(Protocol):
+    """One simulated scene. Not thread-safe; scenes are independent of each other.
 
-    Between two bodies the friction coefficient is the product of theirs:
+    The friction coefficient of a contact is the product of its bodies':
     a robot's links have those of `RobotBody`, statics their own, kinematic
-    bodies `CAPSULE_FRICTION`. Contacts give nothing back, and nothing but
-    contacts, joints and motors slows a body down. DART's wheels hang on
-    springs, which give back what a hard landing puts in.
+    bodies `KINEMATIC_FRICTION`. Contacts are inelastic, and only contacts,
+    joints and motors slow a body down. In DART wheels are mounted on springs,
+    which return part of the energy of a hard landing.
     """
 
     @property
-    def others(self) -> Sequence[OtherRobot]:
-        """The further robots, in the order of `SceneSpec.others`."""
+    def robots(self) -> Sequence[PhysicsRobot]:
+        """The robots, in the order of `SceneSpec.robots`. They stay the same objects over `reset`."""
         ...
 
-    def place(
-        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
-        """Put the robot down at rest, and the kinematic bodies (K, 4: x, y, z, yaw) at their poses.
+    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+        """Put robots at their start poses, at rest, and kinematic bodies at theirs (K, 4: x, y, z, yaw).
 
-        What was before leaves no trace: the same calls after it give the same bytes.
+        The result does not depend on anything before: the same calls after it give the same bytes.
         """
         ...
 
-    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
-        """Advance `count` physics steps with a command for each motor, a speed [rad/s] or an angle [rad].
+    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+        """Advance `count` physics steps under the robots' commands and forces.
 
         Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
-        end, and get there in `count` equal parts where the robot is near.
+        end; those near a robot move there in `count` equal parts.
         """
         ...
 
-    def coast(self, count: int) -> None:
-        """Advance `count` physics steps with the last commands and nothing moved: bare physics."""
+    def step_passive(self, count: int) -> None:
+        """Advance `count` physics steps with the last commands and without moving kinematic bodies."""
         ...
 
     def close(self) -> None:
-        """Free the engine's memory; calling it twice is harmless."""
+        """Free the engine's memory; a second call does nothing."""
         ...

@@ -1,4 +1,4 @@
-"""Large meshes in pieces that an engine takes."""
+"""Splitting of meshes that are larger than an engine accepts."""
 
 from collections.abc import Iterator
 
@@ -12,9 +12,9 @@ Faces = NDArray[np.int32]
 def mesh_pieces(
     vertices: Array, faces: Faces, most_vertices: int, most_faces: int
 ) -> Iterator[tuple[Array, Faces]]:
-    """The mesh in pieces within both bounds, side by side along its length; as it is where it keeps to them.
+    """Split a mesh into pieces within both limits, along its longest axis; a mesh within them stays whole.
 
-    Every triangle is in one piece, as it was: pieces share the places of the vertices along their seams.
+    Every triangle is in exactly one piece, unchanged; pieces repeat the vertices along their seams.
     """
     if len(vertices) <= most_vertices and len(faces) <= most_faces:
         yield vertices, faces
@@ -25,5 +25,5 @@ def mesh_pieces(
     for chosen in np.array_split(order, count):
         used, index = np.unique(faces[chosen], return_inverse=True)
         piece = index.reshape(-1, 3).astype(np.int32)
-        # Their seams may bring more vertices than the bound: then once more.
+        # Repeated vertices along the seams may exceed the limit: split again.
         yield from mesh_pieces(vertices[used], piece, most_vertices, most_faces)

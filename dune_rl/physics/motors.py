@@ -1,4 +1,4 @@
-"""Motors on joints: what they are told, and what they can give at the speed they turn at."""
+"""Motor models: servos with a torque-speed curve, gear friction and rotor inertia."""
 
 import math
 from collections.abc import Sequence
@@ -8,21 +8,21 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Motor:
-    """What turns a joint: a servo that holds a speed as far as its torque lets it.
+    """Servo on a joint that holds a speed within its torque limit.
 
     In mode `velocity` a command is the speed [rad/s]. In mode `position` it is
-    the angle [rad] that the servo is led to in equal parts of a control step,
-    and the speed held is `position_gain_per_s` times what is missing of the
-    angle led to, as in the servos of walking robots. Either way the speed held
-    is at most `max_speed_radps`.
+    an angle [rad]: the set point moves to it in equal parts of a control step,
+    and the speed is `position_gain_per_s` times the difference between set
+    point and angle, as in the servos of walking robots. The absolute target
+    speed is at most `max_speed_radps`.
 
-    Torque falls in a straight line from `max_torque_nm` at rest to nothing at
-    `no_load_speed_radps`, as a DC motor's does, and `gear_friction_nm` comes
-    off it; against its motion a motor brakes with all of it, friction
-    included. `rotor_inertia_kgm2` is the rotor's as felt at the joint, the
-    square of the gears' ratio times its own: no speed changes faster than it
-    lets it, which keeps light wheels that lose their grip from racing.
-    `rest_rad` is the joint's angle where the robot is put down.
+    The available torque falls linearly from `max_torque_nm` at rest to 0 at
+    `no_load_speed_radps`, as in a DC motor, minus `gear_friction_nm`; a motor
+    that brakes has the full torque plus the friction. `rotor_inertia_kgm2` is
+    the rotor's inertia reflected to the joint (the gear ratio squared times
+    its own); it limits how fast the speed changes, so that light wheels
+    without grip do not spin up at once. `rest_rad` is the joint's angle after
+    a reset.
     """
 
     joint: str
@@ -36,8 +36,8 @@ class Motor:
     rest_rad: float = 0.0
 
     @property
-    def is_plain(self) -> bool:
-        """Whether it takes its command as a speed and gives the same torque at any."""
+    def is_ideal(self) -> bool:
+        """Whether the command is a speed and the torque limit does not depend on the speed."""
         return (
             self.mode == "velocity"
             and self.gear_friction_nm == 0.0
@@ -48,31 +48,31 @@ class Motor:
 
     @property
     def rest_command(self) -> float:
-        """The command that keeps the joint where the robot is put down."""
+        """Command that keeps the joint at its start angle."""
         return self.rest_rad if self.mode == "position" else 0.0
 
     def target_speed_radps(self, command: float, angle_rad: float) -> float:
-        """The speed to hold, for a command and the joint's present angle."""
-        wanted = command if self.mode == "velocity" else self.position_gain_per_s * (command - angle_rad)
-        return min(max(wanted, -self.max_speed_radps), self.max_speed_radps)
+        """Target speed for a command and the joint's present angle."""
+        target = command if self.mode == "velocity" else self.position_gain_per_s * (command - angle_rad)
+        return min(max(target, -self.max_speed_radps), self.max_speed_radps)
 
     def torque_limit_nm(self, target_radps: float, speed_radps: float) -> float:
-        """The most that it can turn the joint by, either way, on its way from a speed to a target."""
-        push = target_radps - speed_radps
-        if push * speed_radps >= 0.0 and push != 0.0:
+        """Largest absolute torque on the joint while it changes from a speed to a target speed."""
+        change = target_radps - speed_radps
+        if change * speed_radps >= 0.0 and change != 0.0:
             share = 1.0 - abs(speed_radps) / self.no_load_speed_radps
             return max(0.0, self.max_torque_nm * share - self.gear_friction_nm)
         return self.max_torque_nm + self.gear_friction_nm
 
 
-def servo(
+def servo_targets(
     motors: Sequence[Motor],
     commands: Sequence[float],
     angles: Sequence[float],
     speeds: Sequence[float],
     step_s: float,
 ) -> tuple[list[float], list[float]]:
-    """Speeds to hold [rad/s] and the most torque for it [N m], by motor, in a physics step of `step_s`.
+    """Target speeds [rad/s] and torque limits [N m] of the motors in a physics step of `step_s`.
 
     `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
     """
@@ -90,41 +90,43 @@ def servo(
 
 
 class Servos:
-    """The motors of one robot, and what they are told: asked before each physics step of `step_s`."""
+    """Controllers of the motors of one robot, run before each physics step of `step_s`."""
 
     def __init__(self, motors: Sequence[Motor], step_s: float) -> None:
         self._motors, self._step_s = motors, step_s
-        self.rest()
+        self.reset()
 
-    def rest(self) -> None:
-        """Keep the joints where the robot is put down."""
-        self._held = [motor.rest_command for motor in self._motors]
-        self._commands: Sequence[float] = self._held
-        self._left = 0
+    def reset(self) -> None:
+        """Set the commands that keep the joints at their start angles."""
+        self._set_points = [motor.rest_command for motor in self._motors]
+        self._commands: Sequence[float] = self._set_points
+        self._steps_left = 0
 
-    def command(self, commands: Sequence[float], count: int) -> None:
-        """Take speeds at once, and angles in equal parts over the next `count` physics steps."""
-        self._commands, self._left = commands, count
+    def set_commands(self, commands: Sequence[float], count: int) -> None:
+        """Set speeds at once, and angles in equal parts over the next `count` physics steps."""
+        self._commands, self._steps_left = commands, count
 
-    def next(self, angles: Sequence[float], speeds: Sequence[float]) -> tuple[list[float], list[float]]:
-        """Speeds to hold [rad/s] and torques to do it with [N m] in the next physics step, a number a motor.
+    def targets(self, angles: Sequence[float], speeds: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Target speeds [rad/s] and torque limits [N m] in the next physics step, one per motor.
 
         `angles` [rad] and `speeds` [rad/s] are the joints' present ones.
         """
-        if self._left:
-            part = 1.0 / self._left
-            self._held = [
-                command if motor.mode == "velocity" else held + part * (command - held)
-                for motor, held, command in zip(self._motors, self._held, self._commands, strict=True)
+        if self._steps_left:
+            share = 1.0 / self._steps_left
+            self._set_points = [
+                command if motor.mode == "velocity" else set_point + share * (command - set_point)
+                for motor, set_point, command in zip(
+                    self._motors, self._set_points, self._commands, strict=True
+                )
             ]
-            self._left -= 1
-        return servo(self._motors, self._held, angles, speeds, self._step_s)
+            self._steps_left -= 1
+        return servo_targets(self._motors, self._set_points, angles, speeds, self._step_s)
 
 
-def work_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Sequence[float]) -> float:
-    """Power [W] that motors give at joints' speeds [rad/s] and torques [N m], gear friction included.
+def motor_power_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Sequence[float]) -> float:
+    """Mechanical power [W] of motors at joint speeds [rad/s] and torques [N m], gear friction included.
 
-    One that brakes gives nothing back.
+    A motor that brakes counts as 0: nothing is recovered.
     """
     power = 0.0
     for motor, speed, torque in zip(motors, speeds, torques, strict=True):

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
-from dune_rl.rendering.baked_scenery import BakedScenery
-from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.baked_scenery import BakedScenery
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_b
+from dune_rl.sensors.sensor import Mount, mount_position
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -58,16 +58,12 @@ class Camera:
     """
 
     def __init__(
-        self,
-        conf: CameraConf,
-        baked: BakedScenery,
-        figures: Sequence[MovingMesh],
-        air: ParticipatingMedia = _CLEAR,
+        self, conf: CameraConf, baked: BakedScenery, meshes: Sequence[MovingMesh], air: ParticipatingMedia = _CLEAR
     ) -> None:
         self.conf = conf
         self._air = air
         self._baked = baked
-        self._figures = figures
+        self._meshes = meshes
         lens = Lens(conf)
         pitch = conf.pitch_rad or 0.0
         cos, sin = np.cos(pitch), np.sin(pitch)
@@ -106,13 +102,13 @@ class Camera:
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the cameras are [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
-        return position_w + rotation @ place_b(self.conf.mount_b)
+        return position_w + rotation @ mount_position(self.conf.mount_b)
 
-    def frames(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, NDArray[Any]]:
+    def frames(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, NDArray[Any]]:
         """A picture (M, height, width, channels) of each output.
 
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `actor_poses` (M, K, 4) the actors' x, y, z and yaw.
+        `neighbours` (M, K, 4) the other moving bodies' x, y, z and yaw.
         """
         scenes, pixels = len(position_w), len(self._directions_b)
         origin = self.origin(position_w, rotation)
@@ -125,7 +121,7 @@ class Camera:
         colour = self._colours(origin, directions, ranges, face) if self._coloured else None
         segments = baked.segments.take(face, mode="wrap") if "segmentation" in outputs else None
         looks = (colour, segments, normal)
-        self._draw_figures(origin, rotation, directions32, actor_poses, ranges, looks)
+        self._draw_meshes(origin, rotation, directions32, neighbours, ranges, looks)
         if not self._air.clear:
             self._look_through_air(origin, directions32, ranges, colour, segments)
         found: dict[str, NDArray[Any]] = {}
@@ -193,7 +189,7 @@ class Camera:
         own = face[ray] - self._baked.ground_faces
         colour[ray] = _packed(self._baked.textured_colours(own, points, along * self._pixel_rad))
 
-    def _draw_figures(
+    def _draw_meshes(
         self,
         origin: Array,
         rotation: Array,
@@ -204,23 +200,23 @@ class Camera:
     ) -> None:
         """Put the actors at `poses` (M, K, 4) into the pictures, where they are nearer than what is there."""
         colour, segments, normal = looks
-        for figure, columns in groups(self._figures):
-            ray, actor = self._pixels_near(figure, origin, rotation, poses[:, columns])
+        for mesh, columns in columns_by_mesh(self._meshes):
+            ray, actor = self._pixels_near(mesh, origin, rotation, poses[:, columns])
             if not len(ray):
                 continue
             near = poses[:, columns].reshape(-1, 4)[actor]
             scene = ray // len(self._directions_b)
-            hit = figure.hits(origin[scene], directions[ray], near, ranges[ray])
+            hit = mesh.hits(origin[scene], directions[ray], near, ranges[ray])
             # Rays of different actors of one group can meet: the nearest counts, so go from far to near.
             order = np.flatnonzero(hit.face >= 0)
             order = order[np.argsort(-hit.range[order], kind="stable")]
             ray, face = ray[order], hit.face[order]
             ranges[ray], normal[ray] = hit.range[order], hit.normal[order]
             if colour is not None:
-                lit = figure.colours(self._baked.light, face, hit.normal[order])
+                lit = mesh.colours(self._baked.light, face, hit.normal[order])
                 colour[ray] = _packed(lit)
             if segments is not None:
-                segments[ray] = figure.segment
+                segments[ray] = mesh.segment
 
     def _look_through_air(
         self,
@@ -232,9 +228,7 @@ class Camera:
     ) -> None:
         """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
         foliage = self._air.foliage
-        veil = (
-            None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
-        )
+        veil = None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])
@@ -246,15 +240,15 @@ class Camera:
                 segments[hidden] = Segment.VEGETATION
 
     def _pixels_near(
-        self, figure: MovingMesh, origin: Array, rotation: Array, poses: Array
+        self, mesh: MovingMesh, origin: Array, rotation: Array, poses: Array
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
-        offset = poses[..., :3] + figure.centre - origin[:, None]
+        offset = poses[..., :3] + mesh.centre - origin[:, None]
         distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
         towards = np.einsum("mkj,mji->mki", offset / distance[..., None], rotation @ self._tilt)
-        apparent = np.arcsin(np.minimum(figure.radius_m / distance, 1.0))
+        apparent = np.arcsin(np.minimum(mesh.radius_m / distance, 1.0))
         aside = np.arccos(np.clip(towards[..., 0], -1.0, 1.0))
-        inside = distance <= figure.radius_m
+        inside = distance <= mesh.radius_m
         actor = np.flatnonzero((aside - apparent < self._half_angle) | inside)
         cosine = self._directions.astype(np.float32) @ towards.reshape(-1, 3)[actor].T.astype(np.float32)
         limit = np.where(inside, -2.0, np.cos(apparent)).ravel()[actor]
@@ -271,83 +265,44 @@ class Camera:
         return seen
 
 
-def groups(figures: Sequence[MovingMesh]) -> list[tuple[MovingMesh, NDArray[np.int64]]]:
-    """Each different figure, with the columns of the actors that have it."""
-    return [
-        (figure, np.flatnonzero([figure is other for other in figures])) for figure in dict.fromkeys(figures)
-    ]
+def columns_by_mesh(meshes: Sequence[MovingMesh]) -> list[tuple[MovingMesh, NDArray[np.int64]]]:
+    """Each different mesh, with the columns of the actors that have it."""
+    return [(mesh, np.flatnonzero([mesh is other for other in meshes])) for mesh in dict.fromkeys(meshes)]
 
 
 class Cameras:
-    """A `Camera` for each of M scenes, all of the same settings, in worlds and lights of their own."""
+    """A `Camera` for each of M scenes, all of the same settings, in worlds and lights of their own.
+
+    Poses are those of N = M * G robots, scene after scene.
+    """
 
     def __init__(self, conf: CameraConf, cameras: SharedPerScene[Camera] | DerivedCache[Any, Camera]) -> None:
         self.conf = conf
         self._cameras = cameras
 
+    def __len__(self) -> int:
+        return len(self._cameras)
+
     def select_scenes(self, scenes: NDArray[np.int64]) -> "Cameras":
-        """Those of some scenes (m,), counted from 0 in their order."""
+        """Those of some scenes (m,), counted from 0 in their order; a scene may occur several times."""
         return Cameras(self.conf, SharedPerScene([self._cameras[scene] for scene in scenes.tolist()]))
 
-    def frames(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, NDArray[Any]]:
+    def frames(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, NDArray[Any]]:
         """As `Camera.frames`."""
         groups = self._cameras.groups
         if len(groups) == 1:
-            return groups[0][0].frames(position_w, rotation, actor_poses)
+            return groups[0][0].frames(position_w, rotation, neighbours)
         found: dict[str, NDArray[Any]] = {}
-        for camera, rows in groups:
-            part = camera.frames(position_w[rows], rotation[rows], actor_poses[rows])
+        agents = len(position_w) // len(self._cameras)
+        for camera, scenes in groups:
+            # More than one group: `scenes` are indices.
+            rows = (np.asarray(scenes)[:, None] * agents + np.arange(agents)).ravel()
+            part = camera.frames(position_w[rows], rotation[rows], neighbours[rows])
             for name, frames in part.items():
                 if name not in found:
                     found[name] = np.empty((len(position_w), *frames.shape[1:]), frames.dtype)
                 found[name][rows] = frames
         return found
-
-
-class CameraSensor:
-    """The readings "camera_<output>", (M, height, width, channels), of a `Camera` or of several."""
-
-    def __init__(self, camera: Camera | Cameras, num_scenes: int) -> None:
-        self._camera = camera
-        self._frames: dict[str, NDArray[Any]] = {
-            name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
-        }
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Bytes, metres up to the range, and components of unit vectors."""
-        conf = self._camera.conf
-        limits: dict[str, tuple[int, float, float, type]] = {
-            "rgb": (3, 0, 255, np.uint8),
-            "grey": (1, 0, 255, np.uint8),
-            "segmentation": (1, 0, max(Segment), np.uint8),
-            "depth": (1, 0.0, conf.range_m, np.float32),
-            "normals": (3, -1.001, 1.001, np.float32),
-        }
-        found: dict[str, Bounds] = {}
-        for name in conf.outputs:
-            channels, low, high, kind = limits[name]
-            shape = (conf.height, conf.width, channels)
-            found[f"camera_{name}"] = (np.full(shape, low, kind), np.full(shape, high, kind))
-        return found
-
-    def begin(self, mask: Flags, now: Moment) -> None:
-        """Look in the scenes in `mask` (M,); the others keep their pictures."""
-        rows = np.flatnonzero(mask)
-        if not len(rows):
-            return
-        camera = self._camera.select_scenes(rows)
-        frames = camera.frames(now.position_w[rows], now.rotation[rows], now.actor_poses[rows])
-        for name, frame in frames.items():
-            self._frames[f"camera_{name}"][rows] = frame
-
-    def measure(self, now: Moment) -> None:
-        """Look again."""
-        frames = self._camera.frames(now.position_w, now.rotation, now.actor_poses)
-        self._frames = {f"camera_{name}": frame for name, frame in frames.items()}
-
-    def read(self) -> dict[str, Reading]:
-        """The latest pictures."""
-        return {name: frame.copy() for name, frame in self._frames.items()}
 
 
 def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:

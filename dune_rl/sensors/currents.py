@@ -6,8 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, wheels_of
+from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 
 class CurrentsConf(Settings):
@@ -35,32 +36,33 @@ class Currents:
     step; the motor's own inertia and its current without load are left out.
     """
 
-    needs_wheels: ClassVar[bool] = True
+    needs_joints: ClassVar[bool] = True
 
-    def __init__(self, conf: CurrentsConf, num_scenes: int, num_wheels: int) -> None:
+    def __init__(self, conf: CurrentsConf, num_rows: int, num_wheels: int, name: str = "currents") -> None:
+        self._name = name
         self._driving_a_per_nm = 1.0 / (conf.torque_constant_nm_per_a * conf.gear_ratio * conf.efficiency)
         self._driven_a_per_nm = self._driving_a_per_nm * conf.efficiency**2
         # Rounded, so that what is clipped stays within bounds that are float32.
         self._limit_a = float(np.float32(conf.limit_a))
         self._num_wheels = num_wheels
-        self._reading = np.zeros((num_scenes, num_wheels), np.float32)
+        self._reading = np.zeros((num_rows, num_wheels), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Both ways alike."""
         high = np.full(self._num_wheels, self._limit_a, np.float32)
-        return {"currents": (-high, high)}
+        return {self._name: (-high, high)}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """As `measure`: nothing is remembered."""
-        self.measure(now)
+        self.measure(now, state)
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Take the present torques."""
-        wheels = wheels_of(now)
+        wheels = joints_of(now)
         driving = wheels.torque * wheels.speed > 0.0
         current = wheels.torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
         self._reading = clip(current, -self._limit_a, self._limit_a).astype(np.float32)
 
     def read(self) -> dict[str, Reading]:
         """The present currents."""
-        return {"currents": self._reading.copy()}
+        return {self._name: self._reading.copy()}

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.batched import AnyRays
+from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
 from dune_rl.rendering.foliage import BatchedFoliage
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading
+from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -57,47 +58,46 @@ class DepthStrip:
         self,
         conf: DepthStripConf,
         solid: AnyRays,
-        figures: Sequence[MovingMesh],
-        num_scenes: int,
+        meshes: Sequence[MovingMesh],
+        num_rows: int,
         air: ParticipatingMedia | BeamMedia = _CLEAR,
+        name: str = "depth_strip",
     ) -> None:
-        self.conf = conf
+        self.conf, self._name = conf, name
         self._foliage = air.foliage
         bearing = conf.fov_rad * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
         elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.rows)
         self._level = np.cos(elevation)[:, None].astype(np.float32)
-        shapes = [figure.rays for figure in figures]
+        shapes = [mesh.rays for mesh in meshes]
         directions_b = fan(bearing, elevation).reshape(-1, 3)
         self._beams = Beams(directions_b, conf.mount_b, conf.range_m, solid, shapes)
-        self._reading: Floats = np.zeros((num_scenes, conf.columns), np.float32)
+        self._reading: Floats = np.zeros((num_rows, conf.columns), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Depths up to the range."""
         count = self.conf.columns
-        return {"depth_strip": (np.zeros(count, np.float32), np.full(count, self.conf.range_m, np.float32))}
+        return {self._name: (np.zeros(count, np.float32), np.full(count, self.conf.range_m, np.float32))}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """As `measure`: nothing is remembered."""
-        self.measure(now)
+        self.measure(now, state)
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Look from where the rovers are."""
-        self._reading = self.depths(now.position_w, now.rotation, now.actor_poses)
+        self._reading = self.depths(now.motion.position_w, now.motion.rotation, now.neighbours)
 
     def read(self) -> dict[str, Reading]:
         """The latest depths."""
-        return {"depth_strip": self._reading.copy()}
+        return {self._name: self._reading.copy()}
 
-    def depths(self, position_w: Array, rotation: Array, actor_poses: Array) -> Floats:
+    def depths(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
         """The reading of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
 
-        `actor_poses` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
+        `neighbours` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
         """
         conf = self.conf
-        ranges = self._beams.ranges(position_w, rotation, actor_poses)
-        if self._foliage is not None and not (
-            isinstance(self._foliage, BatchedFoliage) and self._foliage.none
-        ):
+        ranges = self._beams.ranges(position_w, rotation, neighbours)
+        if self._foliage is not None and not (isinstance(self._foliage, BatchedFoliage) and self._foliage.none):
             origins = self._beams.origin(position_w, rotation).astype(np.float32)
             directions = (self._beams.directions_b @ rotation.transpose(0, 2, 1)).astype(np.float32)
             met = self._foliage.median_ranges(origins, directions.reshape(-1, 3), ranges.ravel())

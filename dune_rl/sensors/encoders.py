@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, wheels_of
+from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 
@@ -32,13 +33,13 @@ class WheelCounter:
     rounds away the next one brings.
     """
 
-    def __init__(self, conf: EncodersConf, num_scenes: int, num_wheels: int, step_s: float) -> None:
+    def __init__(self, conf: EncodersConf, num_rows: int, num_wheels: int, step_s: float) -> None:
         # An encoder without steps counts radians.
         self._count_rad = 2 * np.pi / conf.counts_per_turn if conf.counts_per_turn else 1.0
         self._whole = conf.counts_per_turn > 0
         self.most_rad = conf.max_speed_radps * step_s
-        self._start = np.zeros((num_scenes, num_wheels))
-        self._counts = np.zeros((num_scenes, num_wheels))
+        self._start = np.zeros((num_rows, num_wheels))
+        self._counts = np.zeros((num_rows, num_wheels))
 
     def begin(self, mask: Flags, angle: Array) -> None:
         """Count from `angle` (M, W) [rad] in the scenes in `mask` (M,)."""
@@ -62,29 +63,32 @@ class Encoders:
     length of a step. Wheels are in the order of the robot's drive joints.
     """
 
-    needs_wheels: ClassVar[bool] = True
+    needs_joints: ClassVar[bool] = True
 
-    def __init__(self, conf: EncodersConf, num_scenes: int, num_wheels: int, step_s: float) -> None:
-        self._counter = WheelCounter(conf, num_scenes, num_wheels, step_s)
+    def __init__(
+        self, conf: EncodersConf, num_rows: int, num_wheels: int, step_s: float, name: str = "encoders"
+    ) -> None:
+        self._name = name
+        self._counter = WheelCounter(conf, num_rows, num_wheels, step_s)
         self._step_s = step_s
         most = self._counter.most_rad
         self._highest = np.repeat([most, most / step_s], num_wheels).astype(np.float32)
-        self._reading = np.zeros((num_scenes, 2 * num_wheels), np.float32)
+        self._reading = np.zeros((num_rows, 2 * num_wheels), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Both ways alike: the fastest that is counted."""
-        return {"encoders": (-self._highest, self._highest.copy())}
+        return {self._name: (-self._highest, self._highest.copy())}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Nothing has turned in the scenes in `mask` (M,)."""
-        self._counter.begin(mask, wheels_of(now).angle)
+        self._counter.begin(mask, joints_of(now).angle)
         self._reading[mask] = 0.0
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Count the control step that has just ended."""
-        turned = self._counter.turned(wheels_of(now).angle)
+        turned = self._counter.turned(joints_of(now).angle)
         self._reading = np.concatenate([turned, turned / self._step_s], axis=1).astype(np.float32)
 
     def read(self) -> dict[str, Reading]:
         """The latest counts."""
-        return {"encoders": self._reading.copy()}
+        return {self._name: self._reading.copy()}

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.batched import AnyRays, AnyTerrain
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading
+from dune_rl.geometry.batched import AnyRays, AnyTerrain
+from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -60,30 +61,37 @@ class HeightScan:
     Moving actors are not seen.
     """
 
-    def __init__(self, conf: HeightScanConf, solid: AnyRays, terrain: AnyTerrain, num_scenes: int) -> None:
-        self.conf = conf
+    def __init__(
+        self,
+        conf: HeightScanConf,
+        solid: AnyRays,
+        terrain: AnyTerrain,
+        num_rows: int,
+        name: str = "height_scan",
+    ) -> None:
+        self.conf, self._name = conf, name
         self._solid, self._terrain = solid, terrain
         ahead = conf.ahead_m + conf.spacing_m * np.arange(conf.rows)
         left = conf.spacing_m * (np.arange(conf.columns) - (conf.columns - 1) / 2)
         self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._reading: Floats = np.zeros((num_scenes, len(self._grid)), np.float32)
+        self._reading: Floats = np.zeros((num_rows, len(self._grid)), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The limit both ways."""
         high = np.full(len(self._grid), self.conf.limit_m, np.float32)
-        return {"height_scan": (-high, high)}
+        return {self._name: (-high, high)}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """As `measure`: nothing is remembered."""
-        self.measure(now)
+        self.measure(now, state)
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Scan from where the rovers are."""
-        self._reading = self.heights(now.position_w, now.roll_pitch_yaw[:, 2])
+        self._reading = self.heights(now.motion.position_w, now.motion.roll_pitch_yaw[:, 2])
 
     def read(self) -> dict[str, Reading]:
         """The latest scan."""
-        return {"height_scan": self._reading.copy()}
+        return {self._name: self._reading.copy()}
 
     def points(self, position_w: Array, yaw: Array) -> Array:
         """Where heights are asked for, (M, rows * columns, 2) [m] in the world.

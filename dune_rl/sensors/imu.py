@@ -4,9 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import clip, cross, to_body
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Mount, Reading, place_b
+from dune_rl.geometry.frames import cross, to_body, clip
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Mount, Reading, mount_position
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 GRAVITY_MPS2 = 9.81
@@ -27,11 +28,11 @@ class Imu:
     control step, the mean of what the unit felt during it.
     """
 
-    def __init__(self, conf: ImuConf, num_scenes: int) -> None:
+    def __init__(self, conf: ImuConf, num_rows: int) -> None:
         self.conf = conf
-        self._previous_velocity = np.zeros((num_scenes, 3))
-        self.acceleration_b = np.zeros((num_scenes, 3))
-        self._mount = place_b(conf.mount_b)
+        self._previous_velocity = np.zeros((num_rows, 3))
+        self.acceleration_b = np.zeros((num_rows, 3))
+        self._mount = mount_position(conf.mount_b)
 
     def begin(self, mask: NDArray[np.bool_], rotation: Array, velocity_w: Array, angular_w: Array) -> None:
         """Start from the present motion, unaccelerated, in the scenes in `mask` (M,)."""
@@ -69,33 +70,35 @@ class Imu:
 
 
 class ImuSensor:
-    """The reading "imu", (M, 9), of an `Imu`, which is measured here and may be asked by others."""
+    """The reading `name`, (N, 9): specific force, angular velocity and attitude; see `Imu.reading`."""
 
-    def __init__(self, imu: Imu, num_scenes: int, step_s: float) -> None:
-        self._imu = imu
+    def __init__(self, conf: ImuConf, num_rows: int, step_s: float, name: str = "imu") -> None:
+        self._imu, self._name = Imu(conf, num_rows), name
         self._step_s = step_s
-        self._reading = np.zeros((num_scenes, 9), np.float32)
+        self._reading = np.zeros((num_rows, 9), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The unit's ranges, and whole turns."""
         conf = self._imu.conf
         ranges = [conf.acceleration_range_mps2] * 3 + [conf.angular_range_radps] * 3 + [PI32] * 3
         high = np.array(ranges, np.float32)
-        return {"imu": (-high, high)}
+        return {self._name: (-high, high)}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Start the episodes in `mask` (M,) unaccelerated."""
-        self._imu.begin(mask, now.rotation, now.velocity_w, now.angular_w)
+        self._imu.begin(mask, now.motion.rotation, now.motion.velocity_w, now.motion.angular_w)
         self._take(now)
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Measure the control step that has just ended."""
-        self._imu.measure(now.rotation, now.velocity_w, now.angular_w, self._step_s)
+        self._imu.measure(now.motion.rotation, now.motion.velocity_w, now.motion.angular_w, self._step_s)
         self._take(now)
 
-    def _take(self, now: Moment) -> None:
-        self._reading = self._imu.reading(now.rotation, now.angular_b, now.roll_pitch_yaw)
+    def _take(self, now: GroupState) -> None:
+        self._reading = self._imu.reading(
+            now.motion.rotation, now.motion.angular_b, now.motion.roll_pitch_yaw
+        )
 
     def read(self) -> dict[str, Reading]:
         """The latest measurement."""
-        return {"imu": self._reading.copy()}
+        return {self._name: self._reading.copy()}

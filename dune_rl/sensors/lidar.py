@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.batched import AnyRays
 from dune_rl.geometry.rays import RayScene
-from dune_rl.sensors.sensor import Mount, place_b
+from dune_rl.geometry.batched import AnyRays
+from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class Beams:
     """Rays from a mount on M robots, cast at the static world and past the moving actors of each scene.
 
     `directions_b` (N, 3) are unit vectors and `mount_b` (3,) [m] is where they
-    start, both in the body frame. `actor_shapes` are ray scenes in the actors'
+    start, both in the body frame. `mesh_rays` are ray scenes in the actors'
     own frames, one per actor; equal objects are asked together.
     """
 
@@ -84,26 +84,26 @@ class Beams:
         mount_b: Mount,
         range_m: float,
         static: AnyRays,
-        actor_shapes: list[RayScene],
+        mesh_rays: list[RayScene],
     ) -> None:
         self.directions_b = directions_b
-        self._mount_b = place_b(mount_b)
+        self._mount_b = mount_position(mount_b)
         self._range_m = range_m
         self._static = static
         self._groups = [
-            (shape, np.flatnonzero([shape is other for other in actor_shapes]))
-            for shape in dict.fromkeys(actor_shapes)
+            (shape, np.flatnonzero([shape is other for other in mesh_rays]))
+            for shape in dict.fromkeys(mesh_rays)
         ]
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the rays start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
         return position_w + rotation @ self._mount_b
 
-    def ranges(self, position_w: Array, rotation: Array, actor_poses: Array) -> NDArray[np.float32]:
+    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
         """Range along every ray [m], (M, N): `range_m` where nothing returns.
 
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `actor_poses` (M, K, 4) the actors' x, y, z and yaw.
+        `neighbours` (M, K, 4) the actors' x, y, z and yaw.
         """
         scenes, count = len(position_w), len(self.directions_b)
         origin = self.origin(position_w, rotation)
@@ -112,7 +112,7 @@ class Beams:
         directions32 = directions.reshape(-1, 3).astype(np.float32)
         self._static.shorten_ranges(origin.astype(np.float32), directions32, ranges)
         for shape, columns in self._groups:
-            ranges = self._past_actors(shape, actor_poses[:, columns], origin, directions, ranges)
+            ranges = self._past_actors(shape, neighbours[:, columns], origin, directions, ranges)
         return ranges.reshape(scenes, count)
 
     def _past_actors(
@@ -148,15 +148,15 @@ class Beams:
 class Lidar:
     """Ranges of M scenes, which differ in their moving actors, and with `RayScenes` in the static world.
 
-    `actor_shapes` are ray scenes in the actors' own frames, one per actor; equal
+    `mesh_rays` are ray scenes in the actors' own frames, one per actor; equal
     objects are asked together. Unit vectors along the beams in the body frame
     are `directions_b` (n_beams, 3).
     """
 
-    def __init__(self, conf: LidarConf, static: AnyRays, actor_shapes: list[RayScene]) -> None:
+    def __init__(self, conf: LidarConf, static: AnyRays, mesh_rays: list[RayScene]) -> None:
         self.conf = conf
         self.directions_b = fan(beam_angles(conf), np.zeros(1))[0]
-        self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, actor_shapes)
+        self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, mesh_rays)
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
@@ -167,13 +167,13 @@ class Lidar:
         along = self.directions_b * ranges[..., None]
         return origin[:, None] + along @ rotation.transpose(0, 2, 1)
 
-    def ranges(self, position_w: Array, rotation: Array, actor_poses: Array) -> NDArray[np.float32]:
+    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
 
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `actor_poses` (M, K, 4) the actors' x, y, z and yaw.
+        `neighbours` (M, K, 4) the actors' x, y, z and yaw.
         """
-        ranges = self._beams.ranges(position_w, rotation, actor_poses)
+        ranges = self._beams.ranges(position_w, rotation, neighbours)
         return np.maximum(ranges, np.float32(self.conf.min_range_m))
 
     def segments(self, ranges: NDArray[np.float32]) -> NDArray[np.float32]:

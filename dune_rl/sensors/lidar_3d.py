@@ -7,16 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.batched import AnyRays
-from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
+from dune_rl.geometry.batched import AnyRays, BatchedRayScenes
+from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import groups
+from dune_rl.rendering.beam_surface import BeamSurface, BatchedBeamSurfaces, luminance
+from dune_rl.sensors.camera import columns_by_mesh
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Mount, Reading, place_b
+from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading, mount_position
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -28,7 +29,7 @@ _CLEAR = ParticipatingMedia()
 class RangeFaults(Protocol):
     """What a real part makes of ranges; see `realism_lidar.BeamFaults`."""
 
-    def applied(self, ranges: Floats, now: Moment) -> Floats:
+    def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] with faults."""
         ...
 
@@ -75,7 +76,7 @@ class Lidar3d:
     and even close by, where receivers see only part of their beam.
 
     `solid` is the ray scene of the static world and `surface` that of its
-    faces; `figures` has one entry per actor. The rover itself is in neither.
+    faces; `meshes` has one entry per actor. The rover itself is in neither.
     What a beam meets in the `air` counts as VEGETATION where it is grass; a
     false return of haze is faint and has the segment SKY.
     """
@@ -85,25 +86,28 @@ class Lidar3d:
         conf: Lidar3dConf,
         solid: AnyRays,
         surface: BeamSurface | BatchedBeamSurfaces,
-        figures: Sequence[MovingMesh],
-        num_scenes: int,
+        meshes: Sequence[MovingMesh],
+        num_rows: int,
         air: ParticipatingMedia | BeamMedia = _CLEAR,
         faults: RangeFaults | None = None,
+        name: str = "lidar_3d",
     ) -> None:
         self.conf = conf
+        self._name, self._num_rows = name, num_rows
         self._faults = faults
         self._solid, self._surface = solid, surface
-        self._groups = groups(figures)
-        self._brightness = [luminance(figure.shape.albedo) for figure, _ in self._groups]
+        self._groups = columns_by_mesh(meshes)
+        self._brightness = [luminance(mesh.shape.albedo) for mesh, _ in self._groups]
         elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.n_rings)
         directions = fan(bearings(conf.fov_rad, conf.n_beams), elevation).reshape(-1, 3)
         self._directions_b = directions.astype(np.float32)
         self._components_b = np.ascontiguousarray(self._directions_b.T)
         limits_m = (conf.min_range_m, conf.range_m)
-        self._effects = effects_of(air, "lidar 3d", self._directions_b, conf.mount_b, limits_m)
+        draws_name = name.replace("_", " ")
+        self._effects = effects_of(air, draws_name, self._directions_b, conf.mount_b, limits_m)
         self._range_only = conf.outputs == ("range",)
         self._readings: dict[str, Reading] = {
-            name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
+            name: np.zeros((num_rows, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
         }
 
     def bounds(self) -> dict[str, Bounds]:
@@ -116,11 +120,11 @@ class Lidar3d:
         }
         shape = (conf.n_rings, conf.n_beams, 1)
         return {
-            f"lidar_3d_{name}": (np.full(shape, low, kind), np.full(shape, high, kind))
+            f"{self._name}_{name}": (np.full(shape, low, kind), np.full(shape, high, kind))
             for name, (low, high, kind) in ((name, limits[name]) for name in conf.outputs)
         }
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Scan in the scenes in `mask` (M,); the others keep their scans."""
         rows = np.flatnonzero(mask)
         if not len(rows):
@@ -128,13 +132,13 @@ class Lidar3d:
         if self._effects or self._faults is not None:
             found = {name: values[rows] for name, values in self._scan_at(now).items()}
         else:
-            found = self._outputs(
-                *self._cast(now.position_w[rows], now.rotation[rows], now.actor_poses[rows], rows)
-            )
+            motion = now.motion
+            cast = self._cast(motion.position_w[rows], motion.rotation[rows], now.neighbours[rows], rows)
+            found = self._outputs(*cast)
         for name, values in found.items():
             self._readings[name][rows] = values
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Scan again."""
         self._readings = self._scan_at(now)
 
@@ -142,16 +146,16 @@ class Lidar3d:
         """The latest scans."""
         return {name: values.copy() for name, values in self._readings.items()}
 
-    def scan(self, position_w: Array, rotation: Array, actor_poses: Array) -> dict[str, Reading]:
+    def scan(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, Reading]:
         """The readings in clear air of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
 
-        `actor_poses` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
+        `neighbours` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
         """
-        return self._outputs(*self._cast(position_w, rotation, actor_poses))
+        return self._outputs(*self._cast(position_w, rotation, neighbours))
 
-    def _scan_at(self, now: Moment) -> dict[str, Reading]:
+    def _scan_at(self, now: GroupState) -> dict[str, Reading]:
         """The readings, with what beams meet in the air."""
-        ranges, brightness, segments = self._cast(now.position_w, now.rotation, now.actor_poses)
+        ranges, brightness, segments = self._cast(now.motion.position_w, now.motion.rotation, now.neighbours)
         for effect in self._effects:
             seen = effect.applied(ranges, now)
             if not self._range_only:
@@ -161,7 +165,7 @@ class Lidar3d:
                 brightness[changed] = np.where(lost, np.float32(0.0), np.float32(effect.luminance))
             ranges = seen
         if self._faults is not None:
-            seen = self._faults.applied(ranges.reshape(len(now.position_w), -1), now).reshape(ranges.shape)
+            seen = self._faults.applied(ranges, now)
             if not self._range_only:
                 lost = (seen >= np.float32(self.conf.range_m)) & (ranges < np.float32(self.conf.range_m))
                 segments[lost], brightness[lost] = Segment.SKY, 0.0
@@ -169,22 +173,21 @@ class Lidar3d:
         return self._outputs(ranges, brightness, segments)
 
     def _cast(
-        self, position_w: Array, rotation: Array, actor_poses: Array, rows: Indices | None = None
+        self, position_w: Array, rotation: Array, neighbours: Array, rows: Indices | None = None
     ) -> tuple[Floats, Floats, NDArray[np.uint8]]:
         """Ranges, albedo times incidence, and segments of all beams, each (M, N); ranges alone if they do.
 
-        `rows` are the scenes that are asked about, where these are not all.
+        `rows` (m,) are the agents' numbers, where these are not all.
         """
         conf = self.conf
         solid, surface = self._solid, self._surface
         if rows is not None:
-            # Which face is how bright takes a moment to work out, and is not always asked.
-            solid, surface = (
-                solid.select_scenes(rows),
-                surface if self._range_only else surface.select_scenes(rows),
-            )
+            scene = rows // (self._num_rows // len(solid)) if isinstance(solid, BatchedRayScenes) else rows
+            solid = solid.select_scenes(scene)
+            # The brightness of faces is computed when it is first read: leave it where nothing reads it.
+            surface = surface if self._range_only else surface.select_scenes(scene)
         scenes, count = len(position_w), len(self._directions_b)
-        origin = position_w + rotation @ place_b(conf.mount_b)
+        origin = position_w + rotation @ mount_position(conf.mount_b)
         origins32 = origin.astype(np.float32)
         directions = (self._directions_b @ rotation.transpose(0, 2, 1).astype(np.float32)).reshape(-1, 3)
         ranges = np.full(scenes * count, conf.range_m, np.float32)
@@ -196,17 +199,17 @@ class Lidar3d:
             face, ranges, normal = solid.hits(origins32, directions, ranges)
             segments, albedo = surface.look_up(face)
             brightness = albedo * _incidence(normal, directions)
-        for (figure, columns), albedo in zip(self._groups, self._brightness, strict=True):
-            poses = actor_poses[:, columns]
-            ray, actor = self._rays_near(figure, origin, rotation, poses)
-            hit = figure.hits(origin[ray // count], directions[ray], poses.reshape(-1, 4)[actor], ranges[ray])
+        for (mesh, columns), albedo in zip(self._groups, self._brightness, strict=True):
+            poses = neighbours[:, columns]
+            ray, actor = self._rays_near(mesh, origin, rotation, poses)
+            hit = mesh.hits(origin[ray // count], directions[ray], poses.reshape(-1, 4)[actor], ranges[ray])
             # Rays of different actors of one group can meet: the nearest counts, so go from far to near.
             order = np.flatnonzero(hit.face >= 0)
             order = order[np.argsort(-hit.range[order], kind="stable")]
             ray = ray[order]
             ranges[ray] = hit.range[order]
             if not self._range_only:
-                segments[ray] = figure.segment
+                segments[ray] = mesh.segment
                 brightness[ray] = albedo[hit.face[order]] * _incidence(hit.normal[order], directions[ray])
         rest = (scenes, 0 if self._range_only else count)
         return ranges.reshape(scenes, count), brightness.reshape(rest), segments.reshape(rest)
@@ -221,18 +224,18 @@ class Lidar3d:
                 values = brightness / (1.0 + np.square(ranges / np.float32(conf.half_intensity_m)))
             else:
                 values = segments
-            found[f"lidar_3d_{name}"] = values.reshape(len(ranges), conf.n_rings, conf.n_beams, 1)
+            found[f"{self._name}_{name}"] = values.reshape(len(ranges), conf.n_rings, conf.n_beams, 1)
         return found
 
     def _rays_near(
-        self, figure: MovingMesh, origin: Array, rotation: Array, poses: Array
+        self, mesh: MovingMesh, origin: Array, rotation: Array, poses: Array
     ) -> tuple[Indices, Indices]:
         """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
-        offset = poses[..., :3] + figure.centre - origin[:, None]
+        offset = poses[..., :3] + mesh.centre - origin[:, None]
         distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
-        limit = np.sqrt(1.0 - np.minimum(figure.radius_m / distance, 1.0) ** 2)
-        limit = np.where(distance <= figure.radius_m, -2.0, limit).ravel()
-        actor = np.flatnonzero(distance < self.conf.range_m + figure.radius_m)
+        limit = np.sqrt(1.0 - np.minimum(mesh.radius_m / distance, 1.0) ** 2)
+        limit = np.where(distance <= mesh.radius_m, -2.0, limit).ravel()
+        actor = np.flatnonzero(distance < self.conf.range_m + mesh.radius_m)
         towards = ((offset / distance[..., None]) @ rotation).reshape(-1, 3)[actor]
         # Not by `@`, whose threads would wait for each other wherever a core is busy.
         cosine = np.einsum("ai,in->an", towards.astype(np.float32), self._components_b)

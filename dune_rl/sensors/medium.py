@@ -6,13 +6,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.beam_surface import luminance
-from dune_rl.rendering.foliage import BatchedFoliage, Foliage
+from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
+from dune_rl.rendering.foliage import Foliage, BatchedFoliage
 from dune_rl.rendering.grass_colour import grass_albedo
-from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.sensors.draws import uniform
-from dune_rl.sensors.sensor import Moment, Mount, place_b
+from dune_rl.sensors.sensor import Mount, mount_position
+from dune_rl.state import GroupState
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -30,18 +31,18 @@ _HAZE_LUMINANCE = 0.05
 class RangeEffect(Protocol):
     """Something that changes ranges."""
 
-    def applied(self, ranges: Floats, now: Moment) -> Floats:
+    def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] of N beams on each rover, as they are then; they depend on the moment alone."""
         ...
 
 
-class InTurn:
+class Compose:
     """Several effects, each on what the one before has left."""
 
     def __init__(self, effects: Sequence[RangeEffect]) -> None:
         self._effects = tuple(effects)
 
-    def applied(self, ranges: Floats, now: Moment) -> Floats:
+    def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] after all of them."""
         for effect in self._effects:
             ranges = effect.applied(ranges, now)
@@ -78,12 +79,12 @@ class InHaze:
         # Mean number of photons from nearer than each place.
         self._photons = np.concatenate([[0.0], np.cumsum(steps)])
 
-    def applied(self, ranges: Floats, now: Moment) -> Floats:
+    def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] in the haze."""
-        moment = (now.episodes, now.steps, ranges.shape[1])
-        chance = uniform(now.seed, f"{self._name} haze loss", *moment)
+        moment = (now.episode.streams, now.episode.steps, ranges.shape[1])
+        chance = uniform(now.episode.seed, f"{self._name} haze loss", *moment)
         seen = np.where(chance < self.return_share(ranges), ranges, self._range_m)
-        chance = uniform(now.seed, f"{self._name} backscatter", *moment)
+        chance = uniform(now.episode.seed, f"{self._name} backscatter", *moment)
         photons = -np.log1p(-chance)
         false = np.nonzero(photons < self._photons[-1])
         place = np.interp(photons[false], self._photons, self._places).astype(np.float32)
@@ -117,16 +118,18 @@ class InGrass:
         min_range_m: float,
     ) -> None:
         self._foliage, self._name, self._min_range_m = foliage, name, np.float32(min_range_m)
-        self._directions_b, self._mount_b = directions_b.astype(np.float32), place_b(mount_b)
+        self._directions_b, self._mount_b = directions_b.astype(np.float32), mount_position(mount_b)
         self.luminance = float(luminance(grass_albedo()))
 
-    def applied(self, ranges: Floats, now: Moment) -> Floats:
+    def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m], shortened where a blade is met."""
         if isinstance(self._foliage, BatchedFoliage) and self._foliage.none:
             return ranges
-        origins = (now.position_w + now.rotation @ self._mount_b).astype(np.float32)
-        directions = self._directions_b @ now.rotation.transpose(0, 2, 1).astype(np.float32)
-        chance = uniform(now.seed, f"{self._name} grass", now.episodes, now.steps, ranges.shape[1])
+        origins = (now.motion.position_w + now.motion.rotation @ self._mount_b).astype(np.float32)
+        directions = self._directions_b @ now.motion.rotation.transpose(0, 2, 1).astype(np.float32)
+        chance = uniform(
+            now.episode.seed, f"{self._name} grass", now.episode.streams, now.episode.steps, ranges.shape[1]
+        )
         depths = -np.log1p(-chance)
         met = self._foliage.beam_ranges(origins, directions.reshape(-1, 3), ranges.ravel(), depths.ravel())
         return np.minimum(ranges, np.maximum(met.reshape(ranges.shape), self._min_range_m))

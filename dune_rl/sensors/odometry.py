@@ -9,8 +9,9 @@ from pydantic import Field
 
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.encoders import EncodersConf, WheelCounter
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Reading, wheels_of
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading, joints_of
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 
@@ -57,23 +58,25 @@ class Odometry:
     `EncodersConf` says: of sideways slip, spin and slopes they know nothing.
     """
 
-    needs_wheels: ClassVar[bool] = True
+    needs_joints: ClassVar[bool] = True
 
     def __init__(
         self,
         conf: OdometryConf,
         encoders: EncodersConf,
         geometry: DriveGeometry,
-        num_scenes: int,
+        num_rows: int,
         num_wheels: int,
         step_s: float,
+        name: str = "odometry",
     ) -> None:
+        self._name = name
         wheels = geometry.left + geometry.right
         if max(wheels) >= num_wheels:
             raise ValueError(
                 f"left and right name wheel {max(wheels)}; the last of {num_wheels} is {num_wheels - 1}"
             )
-        self._counter = WheelCounter(encoders, num_scenes, num_wheels, step_s)
+        self._counter = WheelCounter(encoders, num_rows, num_wheels, step_s)
         self._step_s = step_s
         # A row gives the way ahead, the other the turn, from the wheels' turns.
         self._means = np.zeros((num_wheels, 2))
@@ -84,23 +87,23 @@ class Odometry:
         limits = [conf.range_m, conf.range_m, PI32, fastest, 2 * fastest / geometry.track_m]
         # In float64 for clipping, yet rounded: what is clipped stays within bounds that are float32.
         self._highest = np.array(limits, np.float32).astype(np.float64)
-        self._pose = np.zeros((num_scenes, 3))
-        self._reading = np.zeros((num_scenes, 5), np.float32)
+        self._pose = np.zeros((num_rows, 3))
+        self._reading = np.zeros((num_rows, 5), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The range, whole turns, and what wheels do at the fastest that is counted."""
         high = self._highest.astype(np.float32)
-        return {"odometry": (-high, high)}
+        return {self._name: (-high, high)}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Put the origin where the rovers in `mask` (M,) stand."""
-        self._counter.begin(mask, wheels_of(now).angle)
+        self._counter.begin(mask, joints_of(now).angle)
         self._pose[mask] = 0.0
         self._reading[mask] = 0.0
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Go on by the wheels' turns over the control step that has just ended."""
-        motion = self._counter.turned(wheels_of(now).angle) @ self._means
+        motion = self._counter.turned(joints_of(now).angle) @ self._means
         ahead, turn = motion[:, 0], motion[:, 1]
         # The chord of an arc: shorter than it, along the mean of its headings.
         chord = ahead * np.sinc(turn / (2 * np.pi))
@@ -113,4 +116,4 @@ class Odometry:
 
     def read(self) -> dict[str, Reading]:
         """The latest pose and twist."""
-        return {"odometry": self._reading.copy()}
+        return {self._name: self._reading.copy()}

@@ -16,14 +16,14 @@ class PastScan:
     present sensor frame and counted in the segment in whose direction it now lies.
     """
 
-    def __init__(self, conf: LidarConf, num_scenes: int, delay_steps: int) -> None:
+    def __init__(self, conf: LidarConf, num_rows: int, delay_steps: int) -> None:
         self._conf = conf
-        self._ends_w = np.zeros((delay_steps + 1, num_scenes, conf.n_beams, 3), np.float32)
+        self._ends_w = np.zeros((delay_steps + 1, num_rows, conf.n_beams, 3), np.float32)
         self._newest = 0
         # Half a beam before the first, so that each beam lies in the middle of its share.
         self._first_rad = np.float32(-conf.fov_rad / 2 - conf.fov_rad / conf.n_beams / 2)
         self._per_rad = np.float32(conf.n_segments / conf.fov_rad)
-        self._rows = np.arange(num_scenes)[:, None] * conf.n_segments
+        self._rows = np.arange(num_rows)[:, None] * conf.n_segments
 
     def restart(self, mask: NDArray[np.bool_], ends_w: Array) -> None:
         """Let the scenes in `mask` (M,) have seen nothing but the end points `ends_w` (M, n_beams, 3)."""

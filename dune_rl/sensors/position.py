@@ -6,8 +6,9 @@ from pydantic import Field
 
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.draws import normal
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Moment, Reading
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,11 @@ class Position:
         conf: PositionConf,
         extent: tuple[float, float, float, float],
         heights: tuple[float, float],
-        num_scenes: int,
+        num_rows: int,
         step_s: float,
+        name: str = "position",
     ) -> None:
+        self._name, self._drift_name = name, f"{name}_drift"
         xmin, xmax, ymin, ymax = extent
         low, high = np.array([xmin, ymin, heights[0]]), np.array([xmax, ymax, heights[1]])
         # Written so that NaN, which compares false, is refused.
@@ -56,38 +59,45 @@ class Position:
         self._kept = float(np.exp(-step_s / conf.drift_time_s))
         # What is new each step keeps the spread as it is.
         self._renewed = float(np.sqrt(-np.expm1(-2 * step_s / conf.drift_time_s)))
-        self._drift = np.zeros((num_scenes, 3))
+        self._drift = np.zeros((num_rows, 3))
         reach = _FARTHEST_DRIFT * self._spread
         # In float64 for clipping, yet rounded: what is clipped stays within bounds that are float32.
         self._low = np.append(low - reach, -PI32).astype(np.float32).astype(np.float64)
         self._high = np.append(high + reach, PI32).astype(np.float32).astype(np.float64)
-        self._reading = np.zeros((num_scenes, 4), np.float32)
+        self._reading = np.zeros((num_rows, 4), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The world's, widened by the drift's reach, and whole turns."""
-        return {"position": (self._low.astype(np.float32), self._high.astype(np.float32))}
+        return {self._name: (self._low.astype(np.float32), self._high.astype(np.float32))}
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Start the episodes in `mask` (M,) with an error of their own."""
         if self._drifts:
-            self._drift = np.where(mask[:, None], self._spread * _draws(now), self._drift)
+            self._drift = np.where(mask[:, None], self._spread * self._draws(now), self._drift)
         self._take(now)
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Take the present pose, with an error that has moved on."""
         if self._drifts:
-            self._drift = self._kept * self._drift + self._renewed * self._spread * _draws(now)
+            self._drift = self._kept * self._drift + self._renewed * self._spread * self._draws(now)
         self._take(now)
 
-    def _take(self, now: Moment) -> None:
-        reading = np.concatenate([now.position_w + self._drift, now.roll_pitch_yaw[:, 2:]], axis=1)
+    def _take(self, now: GroupState) -> None:
+        reading = np.concatenate(
+            [now.motion.position_w + self._drift, now.motion.roll_pitch_yaw[:, 2:]], axis=1
+        )
         self._reading = clip(reading, self._low, self._high).astype(np.float32)
+
+    def _draws(self, now: GroupState) -> NDArray[np.float32]:
+        """Standard normal numbers (N, 3) of the present steps of the episodes."""
+        episode = now.episode
+        return normal(episode.seed, self._drift_name, episode.streams, episode.steps, 3)
 
     def read(self) -> dict[str, Reading]:
         """The latest pose."""
-        return {"position": self._reading.copy()}
+        return {self._name: self._reading.copy()}
 
 
-def _draws(now: Moment) -> NDArray[np.float32]:
+def _draws(now: GroupState) -> NDArray[np.float32]:
     """Standard normal numbers (M, 3) of the present steps of the episodes."""
-    return normal(now.seed, "position_drift", now.episodes, now.steps, 3)
+    return normal(now.episode.seed, "position_drift", now.episode.streams, now.episode.steps, 3)

@@ -1,87 +1,88 @@
-"""The reward of point-goal navigation, term by term.
+"""Reward terms: what a control step earns each agent, before weights.
 
-The formulae are those of Vice & Sukthankar 2025, section 2.6 and Table 2. The
-published code differs in its numbers; `conf/task/dune_code.yaml` has them.
+A term is a function of the state and the agent group that returns (N,); its keyword parameters are its
+settings. The formulae of point-goal navigation are those of Vice & Sukthankar 2025, section 2.6 and
+Table 2; the published code differs in its numbers, which `conf/task/dune_code.yaml` has.
 """
 
+import math
+from typing import Annotated
+
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.settings import Settings
-from dune_rl.tasks.snapshot import Array, Snapshot
+from dune_rl.state import Array, Counts, Flags, GroupState, State
 
 
-class RewardConf(Settings):
-    """Weights and thresholds of the terms."""
+def distance(
+    state: State,
+    group: GroupState,
+    *,
+    scale: float = 0.3,
+    min_progress_m: Annotated[float, Field(ge=0.0)] = 0.0,
+    signed: bool = False,
+    heading_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 90.0,
+    misaligned: float = -0.001,
+) -> Array:
+    """`scale` for each metre nearer to the goal, while the goal is within `heading_limit_deg` ahead.
 
-    alpha: float = Field(1.5, description="multiplier of distance and heading")
-    distance_scale: float = 0.3
-    # Progress of no more than this, or away from the goal, earns the misaligned reward.
-    min_progress_m: float = Field(0.0, ge=0.0)
-    # Whether moving away within the heading limit earns its negative distance, as in the published code.
-    signed_progress: bool = False
-    heading_limit_rad: float = Field(np.pi / 2, gt=0.0, le=np.pi)
-    misaligned: float = -0.001
-    heading_bonus: float = 0.01
-    velocity_scale: float = 0.0025
-    turn_scale: float = 0.0
-    goal: float = 100.0
-    collision: float = -0.5
-    # Clearance of the hull [m] below which a step earns the collision reward.
-    collision_distance_m: float = Field(0.2, ge=0.0)
-    # Earned once per encounter, beside the rest. Ours: with the paper's terms alone a bump costs less
-    # than the time it saves. `task=paper` leaves it out.
-    contact: float = -10.0
-    stuck: float = 0.0
-    flipped: float = 0.0
-    out_of_world: float = 0.0
+    Progress of no more than `min_progress_m`, and any beyond the heading limit, earns `misaligned` instead.
+    With `signed`, moving away within the limit earns its negative distance, as in the published code.
+    """
+    progress = group.goal.previous_distance - group.goal.distance
+    moved = np.abs(progress) if signed else progress
+    earns = (moved > min_progress_m) & (np.abs(group.goal.bearing) <= math.radians(heading_limit_deg))
+    return np.where(earns, progress * scale, misaligned)
 
 
-def distance(now: Snapshot, conf: RewardConf) -> Array:
-    """Reward for progress, shape (M,): scaled metres toward the goal while facing it."""
-    progress = now.previous_goal_distance - now.goal_distance
-    moved = np.abs(progress) if conf.signed_progress else progress
-    earns = (moved > conf.min_progress_m) & (np.abs(now.goal_heading) <= conf.heading_limit_rad)
-    return np.where(earns, progress * conf.distance_scale, conf.misaligned)
-
-
-def heading(now: Snapshot, conf: RewardConf) -> Array:
-    """Reward for facing the goal, shape (M,): 1 x bonus at 0, 0 at pi/2, falling to -1 x bonus at pi."""
-    angle = np.abs(now.goal_heading)
+def heading(state: State, group: GroupState, *, bonus: float = 0.01) -> Array:
+    """`bonus` for facing the goal, 0 for a goal across, falling to `-bonus` for facing away."""
+    angle = np.abs(group.goal.bearing)
     toward = 1.0 - 2.0 * angle / np.pi
     away = -2.0 * (angle - np.pi / 2) / np.pi
-    return conf.heading_bonus * np.where(angle <= np.pi / 2, toward, away)
+    return bonus * np.where(angle <= np.pi / 2, toward, away)
 
 
-def velocity(now: Snapshot, conf: RewardConf) -> Array:
-    """Reward for forward speed less the cost of turning, shape (M,)."""
-    return conf.velocity_scale * now.speed - conf.turn_scale * np.abs(now.angular_b[:, 2])
-
-
-REWARD_TERMS = ("distance", "heading", "velocity", "goal", "collision", "contact", "ending")
-
-
-def reward_terms(
-    now: Snapshot,
-    conf: RewardConf,
-    reached: NDArray[np.bool_],
-    stuck: NDArray[np.bool_],
-    flipped: NDArray[np.bool_],
+def velocity(
+    state: State, group: GroupState, *, speed_scale: float = 0.0025, turn_scale: float = 0.0
 ) -> Array:
-    """Every term's part of the reward, shape (M, 7), columns as in `REWARD_TERMS`.
+    """`speed_scale` [s/m] times forward speed, less `turn_scale` [s/rad] times |yaw rate|."""
+    motion = group.motion
+    return speed_scale * motion.velocity_b[:, 0] - turn_scale * np.abs(motion.angular_b[:, 2])
 
-    A goal, and after it a close obstacle, count at once and instead of the
-    terms of navigation.
+
+def collision(state: State, group: GroupState, *, distance_m: Annotated[float, Field(ge=0.0)] = 0.2) -> Flags:
+    """1 where something is touched or the clearance is less than `distance_m`."""
+    return (group.clearance < distance_m) | group.contacts.touching
+
+
+def contact(state: State, group: GroupState) -> Counts:
+    """Number of collisions that began in this step: one for each body, however long it is touched."""
+    return group.contacts.new
+
+
+def ended_by(state: State, group: GroupState, *, termination: str) -> Flags:
+    """1 in the step in which the termination term called `termination` is true."""
+    return group.ended_by(termination)
+
+
+def progress(state: State, group: GroupState) -> Array:
+    """Metres nearer to the goal or way point than one step before."""
+    return group.goal.previous_distance - group.goal.distance
+
+
+def near_miss(state: State, group: GroupState, *, comfort_m: Annotated[float, Field(gt=0.0)] = 1.2) -> Array:
+    """Closeness to the nearest agent of another group: 0 beyond `comfort_m`, growing to 1 on contact.
+
+    Distances are from surface to surface, of circles of each group's `radius_m`, seen from above.
     """
-    close = (now.clearance < conf.collision_distance_m) | now.touching
-    navigating = ~reached & ~close
-    out = np.zeros((len(reached), len(REWARD_TERMS)))
-    out[:, 0] = np.where(navigating, conf.alpha * distance(now, conf), 0.0)
-    out[:, 1] = np.where(navigating, conf.alpha * heading(now, conf), 0.0)
-    out[:, 2] = np.where(navigating, velocity(now, conf), 0.0)
-    out[:, 3] = np.where(reached, conf.goal, 0.0)
-    out[:, 4] = np.where(close & ~reached, conf.collision, 0.0)
-    out[:, 5] = conf.contact * now.new_collisions
-    out[:, 6] = conf.stuck * stuck + conf.flipped * flipped + conf.out_of_world * now.out_of_world
-    return out
+    own = group.by_scene(group.motion.position_w[:, :2])[:, :, None]
+    closeness = np.zeros(own.shape[:2])
+    for other in state.groups.values():
+        if other is group:
+            continue
+        offset = other.by_scene(other.motion.position_w[:, :2])[:, None] - own
+        apart = np.hypot(offset[..., 0], offset[..., 1]) - group.radius_m - other.radius_m
+        nearest = np.maximum(apart, 0.0).min(axis=2)
+        closeness = np.maximum(closeness, 1.0 - nearest / comfort_m)
+    return np.minimum(closeness, 1.0).reshape(-1)

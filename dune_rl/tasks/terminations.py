@@ -1,52 +1,76 @@
-"""When an episode of point-goal navigation ends."""
+"""Termination terms: when an agent's episode ends.
 
-from dataclasses import dataclass
+A term is a function of the state and the agent group that returns flags (N,), or a class of such functions
+where something must be remembered; its keyword parameters are its settings.
+"""
+
+import math
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from dune_rl.settings import Settings
-from dune_rl.tasks.snapshot import Flags, Snapshot
+from dune_rl.state import Flags, GroupState, State
 
 
-class TerminationConf(Settings):
-    """Thresholds. The goal, being stuck or flipped, and leaving the world terminate; time truncates."""
-
-    goal_distance_m: float = Field(0.75, gt=0.0)
-    max_steps: int = Field(2000, ge=1)
-    # Stuck: less than this far from where it was this long ago.
-    stuck_distance_m: float = Field(0.1, ge=0.0)
-    stuck_steps: int = Field(300, ge=1)
-    flipped_rad: float = Field(np.deg2rad(85.0), gt=0.0, le=np.pi)
-    # Draw a new goal when one is reached and go on, as the published code does.
-    continue_after_goal: bool = False
+def goal_reached(
+    state: State, group: GroupState, *, distance_m: Annotated[float, Field(gt=0.0)] = 0.75
+) -> Flags:
+    """Whether the goal is nearer than `distance_m`."""
+    return group.goal.distance < distance_m
 
 
-@dataclass(frozen=True)
-class Endings:
-    """Why the rovers' episodes end, each (M,)."""
+class Stuck:
+    """Whether an agent has stayed within `distance_m` of one place for `steps` control steps."""
 
-    reached: Flags
-    stuck: Flags
-    flipped: Flags
-    out_of_world: Flags
-    timeout: Flags
-    diverged: Flags
-    terminated: Flags
-    truncated: Flags
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        distance_m: Annotated[float, Field(ge=0.0)] = 0.1,
+        steps: Annotated[int, Field(ge=1)] = 300,
+    ) -> None:
+        self._distance_m, self._limit = distance_m, steps
+        self._anchor_w = np.zeros((num_rows, 2))
+        self._steps = np.zeros(num_rows, np.int64)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Begin at the present places of the agents in `mask` (N,)."""
+        self._anchor_w[mask] = group.motion.position_w[mask, :2]
+        self._steps[mask] = 0
+
+    def __call__(self, state: State, group: GroupState) -> Flags:
+        """Flags (N,); to be called once a control step."""
+        position = group.motion.position_w[:, :2]
+        offset = position - self._anchor_w
+        moved = np.hypot(offset[:, 0], offset[:, 1]) > self._distance_m
+        self._steps += 1
+        self._anchor_w[moved] = position[moved]
+        self._steps[moved] = 0
+        return self._steps >= self._limit
 
 
-def endings(now: Snapshot, conf: TerminationConf) -> Endings:
-    """What ends now. Diverged physics truncates whatever else seems to be the case."""
-    usable = ~now.diverged
-    reached = usable & (now.goal_distance < conf.goal_distance_m)
-    roll_or_pitch = np.abs(now.roll_pitch_yaw[:, :2]).max(axis=1)
-    # Upside down has small roll and pitch in some conventions; the tilt tells it apart.
-    flipped = usable & ((roll_or_pitch > conf.flipped_rad) | (now.tilt > conf.flipped_rad))
-    stuck = usable & (now.steps_since_moved >= conf.stuck_steps)
-    out = usable & now.out_of_world
-    terminated = stuck | flipped | out
-    if not conf.continue_after_goal:
-        terminated = terminated | reached
-    timeout = usable & ~terminated & (now.steps >= conf.max_steps)
-    return Endings(reached, stuck, flipped, out, timeout, now.diverged, terminated, timeout | now.diverged)
+def flipped(
+    state: State, group: GroupState, *, angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 85.0
+) -> Flags:
+    """Whether roll, pitch or tilt is more than `angle_deg`."""
+    limit = math.radians(angle_deg)
+    roll_or_pitch = np.abs(group.motion.roll_pitch_yaw[:, :2]).max(axis=1)
+    # Upside down has small roll and pitch in some conventions; the tilt is half a turn in all.
+    turned: Flags = (roll_or_pitch > limit) | (group.motion.tilt > limit)
+    return turned
+
+
+def out_of_world(
+    state: State, group: GroupState, *, margin_m: Annotated[float, Field(ge=0.0)] = 0.3
+) -> Flags:
+    """Whether an agent's origin is outside the terrain, or within `margin_m` of its edge."""
+    extents = state.extents(group)
+    position = group.motion.position_w[:, :2]
+    outside = (position < extents[:, 0::2] + margin_m) | (position > extents[:, 1::2] - margin_m)
+    return outside[:, 0] | outside[:, 1]
+
+
+def time_limit(state: State, group: GroupState, *, max_steps: Annotated[int, Field(ge=1)] = 2000) -> Flags:
+    """Whether the episode has had `max_steps` control steps; it truncates (`truncates: true`)."""
+    return group.episode.steps >= max_steps

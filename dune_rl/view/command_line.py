@@ -12,8 +12,8 @@ from dune_rl.command import Page
 from dune_rl.config.compose import compose_view, given
 from dune_rl.config.schema import ViewConf
 from dune_rl.sensors.camera import Output
+from dune_rl.sensors.conf import ROBOT_SENSORS
 from dune_rl.sensors.lidar_3d import Lidar3dOutput
-from dune_rl.sensors.suite import SensorName
 
 USAGE = (
     ("python -m dune_rl.view +world=inspection", "a contact sheet and a video"),
@@ -56,8 +56,10 @@ def _main(parsed: Namespace) -> None:
 def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
     """A run's settings, and beside its own sensors all others, which its policy does not look at."""
     own = saved["sensors"]
-    names = get_args(SensorName)
-    sensors = {**own, "enabled": [*own["enabled"], *(name for name in names if name not in own["enabled"])]}
+    sensors = {
+        **own,
+        "enabled": [*own["enabled"], *(name for name in ROBOT_SENSORS if name not in own["enabled"])],
+    }
     for name, outputs in (("camera", get_args(Output)), ("lidar_3d", get_args(Lidar3dOutput))):
         if name not in own["enabled"]:
             sensors[name] = {**own.get(name, {}), "outputs": list(outputs)}

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
 
 Picture = NDArray[np.uint8]
 Readings = Mapping[str, NDArray[Any]]

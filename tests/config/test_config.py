@@ -31,8 +31,8 @@ from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.robots.urdf.robot import UrdfConf
 from dune_rl.sensors.camera import CameraConf
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
-from dune_rl.sensors.suite import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.rewards import RewardConf

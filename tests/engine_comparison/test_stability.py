@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from batches import every_engine
-from planted.engines import Kicked, Raised, Teleported, Untouched, tampered
+from planted.engines import KickedRobot, RaisedRobot, TeleportedRobot, UnchangedRobot, tampered
 
 from dune_rl.engine_comparison import watched
 from dune_rl.engine_comparison.stability import Count, PossibleSpeed, count
@@ -14,7 +14,7 @@ MASSES_KG = {"rover_zero": RoverZero.mass_kg, "hyperdog": HyperDog.mass_kg}
 every_robot = pytest.mark.parametrize("robot", MASSES_KG)
 
 
-def drive(monkeypatch, kind: type[Untouched], place: str, engine: str, robot: str) -> Count:
+def drive(monkeypatch, kind: type[UnchangedRobot], place: str, engine: str, robot: str) -> Count:
     """Ten seconds of it."""
     planted = tampered(kind, watched.scene_class, MASSES_KG[robot])
     monkeypatch.setattr(watched, "scene_class", planted)
@@ -24,7 +24,7 @@ def drive(monkeypatch, kind: type[Untouched], place: str, engine: str, robot: st
 @every_engine
 @every_robot
 def test_driving_on_flat_ground_is_sound(monkeypatch, engine, robot):
-    found = drive(monkeypatch, Untouched, "flat", engine, robot)
+    found = drive(monkeypatch, UnchangedRobot, "flat", engine, robot)
     assert (found.nan, found.fallen, found.jumps, found.diverged) == (0, 0, 0, 0)
     assert 0.2 < found.fastest_mps < 1.4
 
@@ -33,14 +33,14 @@ def test_driving_on_flat_ground_is_sound(monkeypatch, engine, robot):
 @every_robot
 @pytest.mark.parametrize("place", ["flat", "slope"])
 def test_a_fall_is_no_jump_however_fast(monkeypatch, engine, robot, place):
-    found = drive(monkeypatch, Raised, place, engine, robot)
+    found = drive(monkeypatch, RaisedRobot, place, engine, robot)
     assert found.fastest_mps > 6.0
     assert (found.fallen, found.jumps, found.diverged) == (0, 0, 0)
 
 
 @every_engine
 @every_robot
-@pytest.mark.parametrize("kind", [Kicked, Teleported])
+@pytest.mark.parametrize("kind", [KickedRobot, TeleportedRobot])
 def test_a_kick_from_nowhere_and_a_leap_are_jumps(monkeypatch, engine, robot, kind):
     found = drive(monkeypatch, kind, "flat", engine, robot)
     # Five seconds a scene: one a second, but for the first.

@@ -16,7 +16,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.env.latency import Latency
 from dune_rl.errors import ConfigError, PhysicsError
 from dune_rl.physics.motors import Motor
-from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
+from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
 
 ROVER_KG = 11.0
@@ -24,7 +24,7 @@ ROVER_KG = 11.0
 
 def stage(backend: Backend, variation: BodyVariation, **settings: Any) -> Stage:
     made = Stage(backend, **settings)
-    made.scene.set_body(variation)
+    made.engine.set_body(variation)
     return made
 
 
@@ -33,7 +33,7 @@ def test_a_push_accelerates_the_whole_mass(backend):
     for factor in (0.5, 1.0, 2.0):
         made = stage(backend, BodyVariation(mass_factor=factor), gravity_mps2=0.0)
         made.place([0.0, 0.0, 5.0])
-        made.scene.push([30.0, 0.0, 0.0])
+        made.engine.apply_force([30.0, 0.0, 0.0])
         made.step(10, [0.0] * 4)
         assert made.velocity[0] == pytest.approx(30.0 * 10 * TIMESTEP_S / (ROVER_KG * factor), rel=1e-3)
 
@@ -75,7 +75,7 @@ def test_a_fall_that_turns_goes_round_the_shifted_centre(backend):
     shift = np.array([0.0, 0.0, 0.1])
     made = stage(backend, BodyVariation(centre_shift_b=(0.0, 0.0, 0.1)), gravity_mps2=0.0)
     made.place([0.0, 0.0, 5.0])
-    made.scene.push([200.0, 0.0, 0.0])
+    made.engine.apply_force([200.0, 0.0, 0.0])
     made.step(1, [0.0] * 4)
     # The force acts at the base's centre, above that of the whole: the nose goes down, the middle is F t / m.
     assert made.angular[1] > 0.1
@@ -112,9 +112,9 @@ def test_half_the_motor_strength_climbs_half_the_slope(backend, strength, share)
 
 def test_less_voltage_is_less_torque_and_less_speed_with_the_same_slope_between():
     full = Motor("j", 2.0, no_load_speed_radps=10.0, gear_friction_nm=0.1)
-    (half,) = motors_at([full], 0.5)
+    (half,) = scale_motors([full], 0.5)
     assert (half.max_torque_nm, half.no_load_speed_radps, half.gear_friction_nm) == (1.0, 5.0, 0.1)
-    assert motors_at([Motor("j", 2.0)], 0.5)[0].is_plain
+    assert scale_motors([Motor("j", 2.0)], 0.5)[0].is_ideal
 
 
 @every_backend

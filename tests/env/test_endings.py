@@ -163,7 +163,7 @@ def test_physics_that_diverges_truncates_and_leaves_nothing_behind(engine: str, 
     for each in (batch, calm):
         each.step(ahead)
     # Thousands of times what it weighs, at once.
-    batch._scenes[0].push([1e7, 0.0, 1e7])
+    batch._scenes[0].robots[0].apply_force([1e7, 0.0, 1e7])
     outcome = batch.step(ahead)
     calm.step(ahead)
     assert end_flags(batch) == ["diverged"] and end_flags(batch, 1) == []

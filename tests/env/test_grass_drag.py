@@ -12,14 +12,14 @@ from scenes import Stage, every_backend
 def test_a_push_accelerates_for_one_step(backend):
     stage = Stage(backend)
     stage.place([0.0, 0.0, 5.0])
-    stage.scene.push([22.0, -11.0, 0.0])
+    stage.engine.apply_force([22.0, -11.0, 0.0])
     stage.step(10)
     # Its wheels hang below the chassis' centre by nothing, so that 11 kg move as one.
     np.testing.assert_allclose(stage.velocity[:2], [22 / 11 * 0.05, -0.05], rtol=0.02)
     before = stage.velocity[:2].copy()
     stage.step(10)
     np.testing.assert_allclose(stage.velocity[:2], before, atol=1e-3)
-    stage.scene.push([22.0, 0.0, 0.0])
+    stage.engine.apply_force([22.0, 0.0, 0.0])
     stage.place([0.0, 0.0, 5.0])
     stage.step(10)
     np.testing.assert_allclose(stage.velocity[:2], 0.0, atol=1e-9)
@@ -33,7 +33,7 @@ def test_a_push_of_nothing_keeps_the_bytes(backend):
         stage.place()
         for _ in range(5):
             if push:
-                stage.scene.push([0.0, 0.0, 0.0])
+                stage.engine.apply_force([0.0, 0.0, 0.0])
             stage.step(10, 4.0)
         states.append(stage.state.tobytes())
     assert states[0] == states[1]
@@ -73,7 +73,7 @@ def test_driving_through_it_takes_torque_and_costs_speed(engine):
             for _ in range(40):
                 batch.step(np.array([[0.8, 0.0]], np.float32))
             speeds[strong, cover] = np.hypot(*batch.motion.velocity_w[0, :2])
-            torques[strong, cover] = np.sum(batch._scenes[0].drive_state()[8:])
+            torques[strong, cover] = np.sum(batch._scenes[0].robots[0].drive_state()[8:])
             batch.close()
     # Strong drives hold their speed, at the cost of what the grass takes; weak ones do not.
     assert speeds[True, 1.0] > 0.7

@@ -7,7 +7,7 @@ from scenes import about
 
 from dune_rl.env.motion import Motion
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.sensors.speed import MAX_SENSED_SPEED_MPS
+from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS
 
 ALL = np.array([True])
 

@@ -284,7 +284,7 @@ def slid(ground_friction: float, factor: float) -> float:
     stage = slope_stage(BulletScene, 0.5, ground_friction)
     start = stage.state
     stage.place(start[:3], start[3:7])
-    stage.scene.set_wheel_contacts([factor] * 4, [0.0] * 4)
+    stage.engine.set_wheel_contacts([factor] * 4, [0.0] * 4)
     for _ in range(20):
         stage.step()
     return float(np.linalg.norm(stage.position - start[:3]))

@@ -172,20 +172,24 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
         robot.commands(action, Standing(), 0.05)[0].tolist()
         for robot, action in zip(robots, wanted, strict=True)
     ]
-    shared = backend(scene_spec(world, robots[0], (), physics, others=tuple(robots[1:])))
-    alone = backend(scene_spec(world, robots[which], (), physics))
-    shared.others[0].stand(*(part.tolist() for part in poses[1]))
-    shared.place(*(part.tolist() for part in poses[0]), none)
-    alone.place(*(part.tolist() for part in poses[which]), none)
+    shared = backend(scene_spec(world, robots, (), physics))
+    alone = backend(scene_spec(world, [robots[which]], (), physics))
+    for robot, pose in zip(shared.robots, poses, strict=True):
+        robot.set_start_pose(*(part.tolist() for part in pose))
+    alone.robots[0].set_start_pose(*(part.tolist() for part in poses[which]))
+    shared.reset(none)
+    alone.reset(none)
     seen = []
     for _ in range(40):
-        shared.others[0].drive(commands[1])
-        shared.step(10, commands[0], none)
-        alone.step(10, commands[which], none)
-        seen.append((shared, *shared.others)[which].body_state())
+        for robot, command in zip(shared.robots, commands, strict=True):
+            robot.set_command(command)
+        alone.robots[0].set_command(commands[which])
+        shared.step(10, none)
+        alone.step(10, none)
+        seen.append(shared.robots[which].body_state())
     assert np.ptp(np.array(seen)[:, :2], axis=0).max() > 0.1
-    np.testing.assert_allclose(seen[-1], alone.body_state(), atol=1e-3)
-    assert not shared.touched() and not shared.others[0].touched()
+    np.testing.assert_allclose(seen[-1], alone.robots[0].body_state(), atol=1e-3)
+    assert not any(robot.contacts() for robot in shared.robots)
     shared.close()
     alone.close()
 

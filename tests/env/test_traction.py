@@ -263,7 +263,7 @@ def test_wheels_in_the_air_and_wheels_that_spin_roll_on_nothing(backend):
 @every_backend
 def test_a_world_without_a_map_is_left_alone(backend):
     rover = RoverZero(RoverZeroConf(), 1)
-    spec = scene_spec(slope_world(None), rover, (), PhysicsConf())
+    spec = scene_spec(slope_world(None), [rover], (), PhysicsConf())
     assert [(body.friction, body.restitution) for body in spec.statics] == [(1.0, 0.0)]
     rig = Rig(backend, slope_world(None), at=MIDDLE)
     witness = Witness()

@@ -1,39 +1,27 @@
 """From physics to sensors through a batch: wheels are asked for where they are read, and nowhere else."""
 
 import numpy as np
-import pytest
 from batches import every_engine, idle, real_batch
 from planted.puppets import PuppetScene, puppet_batch
-from scenes import STEP_S
-from wheels import WHEELS, geometry, within_bounds
+from wheels import WHEELS, within_bounds
 
-from dune_rl.env import senses
 from dune_rl.env.batch import Batch
 from dune_rl.env.motion import Motion
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.sensors.currents import Currents, CurrentsConf
-from dune_rl.sensors.encoders import Encoders, EncodersConf
-from dune_rl.sensors.odometry import Odometry, OdometryConf
-from dune_rl.sensors.position import Position, PositionConf
 from dune_rl.sensors.sensor import Sensor
 
 SCENES = 3
 
 
-@pytest.fixture
-def carried(monkeypatch: pytest.MonkeyPatch) -> list[Sensor]:
-    """Sensors that every rover carries beside those of its settings."""
-    track_m = SkidSteerConf().effective_track_m
-    made: list[Sensor] = [
-        Encoders(EncodersConf(), SCENES, WHEELS, STEP_S),
-        Odometry(OdometryConf(), EncodersConf(), geometry(track_m), SCENES, WHEELS, STEP_S),
-        Currents(CurrentsConf(), SCENES, WHEELS),
-        Position(PositionConf(drift_horizontal_m=1.0), (-50, 50, -50, 50), (-1, 1), SCENES, STEP_S),
-    ]
-    usual = senses.make_sensors
-    monkeypatch.setattr(senses, "make_sensors", lambda *args, **kwargs: [*usual(*args, **kwargs), *made])
-    return made
+ON_WHEELS = {
+    "enabled": ["encoders", "odometry", "currents", "position"],
+    "position": {"drift_horizontal_m": 1.0},
+}
+
+
+def batch_on_wheels(**settings) -> tuple[Batch, list[Sensor]]:
+    batch = real_batch(num_scenes=SCENES, sensors=ON_WHEELS, **settings)
+    return batch, list(batch.senses.sensors.values())
 
 
 def told(sensors: list[Sensor]) -> list[np.ndarray]:
@@ -51,9 +39,9 @@ def drive(batch: Batch, sensors: list[Sensor], steps: int) -> list[list[np.ndarr
 
 
 @every_engine
-def test_wheels_reach_the_sensors_that_read_them(carried, engine):
-    batch = real_batch(num_scenes=SCENES, physics=engine)
-    assert batch.senses.needs_wheels
+def test_wheels_reach_the_sensors_that_read_them(engine):
+    batch, carried = batch_on_wheels(physics=engine)
+    assert batch.senses.needs_joints
     encoders, odometry, currents, _ = told(carried)
     assert not encoders.any() and not odometry.any()
     start = batch.motion.position_w.copy()
@@ -68,8 +56,8 @@ def test_wheels_reach_the_sensors_that_read_them(carried, engine):
     batch.close()
 
 
-def test_an_episode_more_begins_at_nothing_and_leaves_the_others(carried):
-    batch = real_batch(num_scenes=SCENES)
+def test_an_episode_more_begins_at_nothing_and_leaves_the_others():
+    batch, carried = batch_on_wheels()
     before = drive(batch, carried, 20)[-1]
     batch.reset(np.array([True, False, False]))
     encoders, odometry, *_ = told(carried)
@@ -80,8 +68,8 @@ def test_an_episode_more_begins_at_nothing_and_leaves_the_others(carried):
     batch.close()
 
 
-def test_a_state_brings_the_sensors_back_bit_for_bit(carried):
-    batch = real_batch(num_scenes=SCENES)
+def test_a_state_brings_the_sensors_back_bit_for_bit():
+    batch, carried = batch_on_wheels()
     drive(batch, carried, 15)
     batch.reset(np.array([False, True, False]))
     drive(batch, carried, 5)
@@ -104,7 +92,7 @@ def test_physics_is_asked_of_wheels_only_where_they_are_read(monkeypatch):
     batch, _ = puppet_batch(num_scenes=2)
     batch.step(idle(batch))
     batch.reset()
-    assert not batch.senses.needs_wheels
+    assert not batch.senses.needs_joints
 
 
 def test_wheels_of_diverged_physics_stay_as_they_were():
@@ -116,7 +104,7 @@ def test_wheels_of_diverged_physics_stay_as_they_were():
     states[0, 7] = np.nan
     wild[1, 3] = np.inf
     motion.update(states, wild)
-    wheels = motion.moment(np.zeros((2, 0, 4)), 0, np.arange(2), np.zeros(2, np.int64)).wheels
+    wheels = motion.true_motion(np.zeros((2, 3))).joints
     assert wheels is not None
     np.testing.assert_array_equal(np.hstack([wheels.angle, wheels.speed, wheels.torque]), drives)
     # What decides an episode's end does not depend on who reads wheels.

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from dune_rl.worlds import registry
+from dune_rl.worlds.registry import WORLDS
 
 _SHOWN = re.compile(r"^```\w+\n# ([\w/.]+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
@@ -34,14 +34,14 @@ def install(folder: Path, package: str, worlds: dict[str, str]) -> None:
 @contextmanager
 def known(folder: Path) -> Iterator[None]:
     """Python finds what is in `folder`; afterwards no world of a user is known, and none of its modules."""
-    modules, worlds = set(sys.modules), dict(registry._USERS)
+    modules, worlds = set(sys.modules), dict(WORLDS._user_parts)
     sys.path.insert(0, str(folder))
     try:
         yield
     finally:
         sys.path.remove(str(folder))
-        registry._USERS.clear()
-        registry._USERS.update(worlds)
+        WORLDS._user_parts.clear()
+        WORLDS._user_parts.update(worlds)
         for name in set(sys.modules) - modules:
             if str(folder) in str(getattr(sys.modules[name], "__file__", "")):
                 del sys.modules[name]

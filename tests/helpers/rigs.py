@@ -45,14 +45,16 @@ class Rig:
     ) -> None:
         self.world, self.physics = world, PhysicsConf()
         self.rover = RoverZero(conf or RoverZeroConf(), 1)
-        self.engine = backend(scene_spec(world, self.rover, (), self.physics))
+        self.scene = backend(scene_spec(world, [self.rover], (), self.physics))
+        self.engine = self.scene.robots[0]
         self.motion = Motion(1, self.rover)
         self.traction = Traction(self.rover, self.physics, 1)
         self.traction.friction_factor[:], self.traction.stiffness_factor[:] = factors
         self.traction.tyre_factor[:], self.traction.load_factor[:] = tyres, load
         position, quaternion = standing_pose(world, self.rover, *at, yaw)
         position[2] += drop_m
-        self.engine.place(position.tolist(), quaternion.tolist(), np.zeros((0, 4)))
+        self.engine.set_start_pose(position.tolist(), quaternion.tolist())
+        self.scene.reset(np.zeros((0, 4)))
         self.traction.begin(0, world, self.engine, position, quaternion)
         self._sense()
 
@@ -63,8 +65,9 @@ class Rig:
         for _ in range(count):
             force = self.traction.update([self.engine], self.motion)
             if force is not None:
-                self.engine.push(force[0].tolist())
-            self.engine.step(substeps or self.physics.substeps, [wheels] * 4, np.zeros((0, 4)))
+                self.engine.apply_force(force[0].tolist())
+            self.engine.set_command([wheels] * 4)
+            self.scene.step(substeps or self.physics.substeps, np.zeros((0, 4)))
             self._sense()
 
     @property

@@ -3,15 +3,15 @@
 import numpy as np
 from mounted import lidar_conf
 from scenes import about
+from states import group_state, measure
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import actor_moving_meshes
-from dune_rl.env.motion import Motion
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.lidar import Lidar, LidarConf
-from dune_rl.sensors.sensor import Moment
-from dune_rl.sensors.speed import Speed
+from dune_rl.sensors.velocity import Velocity
+from dune_rl.state import Motion
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
@@ -30,23 +30,14 @@ def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
 def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
     solid = world.solid_mesh()
     return Lidar(
-        conf or lidar_conf(),
-        RayScene(solid.vertices, solid.faces),
-        [each.rays for each in actor_moving_meshes(actors)],
+        conf or lidar_conf(), RayScene(solid.vertices, solid.faces), [each.rays for each in actor_moving_meshes(actors)]
     )
 
 
-def moment_of(motion: Motion, actor_poses: np.ndarray | None = None, step: int = 0) -> Moment:
-    """The first episode of seed 0, `step` control steps old."""
-    scenes = len(motion.position_w)
-    poses = np.zeros((scenes, 0, 4)) if actor_poses is None else actor_poses
-    return motion.moment(poses, 0, np.arange(scenes), np.full(scenes, step))
-
-
 def sensed_speed(motion: Motion) -> np.ndarray:
-    """What the reading "velocity" tells of a motion."""
-    sensor = Speed(1)
-    sensor.measure(moment_of(motion))
+    """The reading "velocity" of a motion."""
+    sensor = Velocity(1)
+    measure(sensor, group_state(motion))
     return sensor.read()["velocity"]
 
 

@@ -17,7 +17,14 @@ from dune_rl.geometry.frames import (
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.physics.dart.scene import DartScene
-from dune_rl.physics.interface import KinematicCapsule, PhysicsScene, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.interface import (
+    KinematicCapsule,
+    PhysicsRobot,
+    PhysicsScene,
+    RobotBody,
+    SceneSpec,
+    StaticBody,
+)
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.wheeled import WheeledRobot
@@ -80,7 +87,7 @@ def slope_stage(
     terrain = plane_field(slope_rad, half=4, spacing_m=5.0)
     stage = Stage(backend, [ground(terrain, friction)], robot=robot or rover_body())
     if variation is not None:
-        stage.scene.set_body(variation)
+        stage.engine.set_body(variation)
     quaternion = quaternion_of(yaw, slope_rad)
     foot = np.array([-1.5, -3.5, terrain.height([-1.5, -3.5])])
     stage.place(foot + rotation_matrices(quaternion)[:, 2] * height_m, quaternion)
@@ -135,13 +142,14 @@ class Stage:
             SceneSpec(
                 tuple(self.statics),
                 tuple(self.kinematics),
-                self.robot,
+                (self.robot,),
                 timestep_s=TIMESTEP_S,
                 solver_iterations=10,
                 gravity_mps2=self.gravity_mps2,
                 measures_work=self.measures_work,
             )
         )
+        self.engine: PhysicsRobot = self.scene.robots[0]
         self.actors = np.zeros((len(self.kinematics), 4))
         self.actors[:, 0] = 15.0 + np.arange(len(self.kinematics))
 
@@ -153,7 +161,8 @@ class Stage:
     ) -> None:
         if actors is not None:
             self.actors = np.array(actors, float)
-        self.scene.place([float(x) for x in position_w], [float(x) for x in quaternion], self.actors)
+        self.engine.set_start_pose([float(x) for x in position_w], [float(x) for x in quaternion])
+        self.scene.reset(self.actors)
 
     def step(
         self,
@@ -164,11 +173,12 @@ class Stage:
         if actors is not None:
             self.actors = np.array(actors, float)
         joints = len(self.robot.drive_joints)
-        self.scene.step(count, np.broadcast_to(np.asarray(wheels, float), joints).tolist(), self.actors)
+        self.engine.set_command(np.broadcast_to(np.asarray(wheels, float), joints).tolist())
+        self.scene.step(count, self.actors)
 
     @property
     def state(self) -> np.ndarray:
-        return np.array(self.scene.body_state())
+        return np.array(self.engine.body_state())
 
     @property
     def position(self) -> np.ndarray:
@@ -193,7 +203,7 @@ class Stage:
     @property
     def wheels(self) -> np.ndarray:
         """Angles, speeds and torques of the drive joints, (3, W)."""
-        return np.array(self.scene.drive_state()).reshape(3, -1)
+        return np.array(self.engine.drive_state()).reshape(3, -1)
 
     @property
     def wheel_angles(self) -> np.ndarray:
@@ -207,8 +217,9 @@ class Stage:
     def wheel_torques(self) -> np.ndarray:
         return self.wheels[2]
 
-    def touched(self) -> set[int]:
-        return set(self.scene.touched())
+    def contacts(self) -> set[int]:
+        """Numbers of the bodies that the robot touches."""
+        return set(self.engine.contacts())
 
 
 class Drive:
@@ -260,9 +271,9 @@ def rollout(stage: Stage, after: Callable[[], None] = lambda: None) -> str:
     touched: set[int] = set()
     for number, wheels in enumerate(commands, start=1):
         stage.step(SUBSTEPS, wheels, [[1.5 - 0.06 * number, 1.0 - 0.04 * number, 0.1, -2.5]])
-        touched |= stage.touched()
+        touched |= stage.contacts()
         digest.update(
-            repr((stage.scene.body_state(), stage.scene.drive_state(), sorted(stage.touched()))).encode()
+            repr((stage.engine.body_state(), stage.engine.drive_state(), sorted(stage.contacts()))).encode()
         )
         after()
     assert touched == {1, 2}, "the run should have met both the wall and the walker"

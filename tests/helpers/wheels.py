@@ -1,21 +1,20 @@
-"""Moments for the sensors on wheels: made up, or of a rover that drives in true physics."""
+"""States for the sensors on wheels: made up, or of a rover that drives in true physics."""
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
-from scanning import moment_of
 from scenes import STEP_S, Drive
+from states import begin, group_state, joints_from, measure, motion_of, resting
 
-from dune_rl.env.motion import Motion
 from dune_rl.physics.bullet.scene import BulletScene
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.encoders import Encoders, EncodersConf
 from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
 from dune_rl.sensors.position import Position, PositionConf
-from dune_rl.sensors.sensor import Moment, Sensor, Wheels
+from dune_rl.sensors.sensor import Sensor
+from dune_rl.state import GroupState, JointState
 
 ALL = np.array([True])
 WHEELS = 4
@@ -27,16 +26,17 @@ def geometry(track_m: float = TRACK_M) -> DriveGeometry:
     return DriveGeometry(RoverZeroConf().drive.wheel_radius_m, track_m, LEFT, RIGHT)
 
 
-def moment(
+def wheels_state(
     angle: np.ndarray, speed: np.ndarray | float = 0.0, torque: np.ndarray | float = 0.0, step: int = 0
-) -> Moment:
-    """Rovers that stand still while their wheels, (M, W), are told to do this."""
+) -> GroupState:
+    """Rovers that stand still while their wheels, (N, W), do this."""
     angle = np.asarray(angle, float)
-    wheels = Wheels(
+    wheels = JointState(
         angle, *(np.broadcast_to(np.asarray(each, float), angle.shape) for each in (speed, torque))
     )
-    still = moment_of(Motion(len(angle), RoverZero(RoverZeroConf(), len(angle))), step=step)
-    return replace(still, wheels=wheels)
+    motion = resting(len(angle))
+    motion.joints = wheels
+    return group_state(motion, steps=step)
 
 
 def reading(sensor: Sensor, row: int = 0) -> np.ndarray:
@@ -57,27 +57,26 @@ class Measured:
     def __init__(self, drive: Drive, *sensors: Sensor) -> None:
         self.drive = drive
         self.sensors = sensors
-        self.motion = Motion(1, drive.rover)
         self.steps = 0
         self.begin()
 
-    def _now(self) -> Moment:
+    def _now(self) -> GroupState:
         stage = self.drive.stage
-        self.motion.update(stage.state[None], np.array([stage.scene.drive_state()]))
-        return moment_of(self.motion, step=self.steps)
+        self.motion = motion_of(stage.state, joints_from(np.array(stage.scene.drive_state())))
+        return group_state(self.motion, steps=self.steps)
 
     def begin(self) -> None:
         self.steps = 0
         now = self._now()
         for sensor in self.sensors:
-            sensor.begin(ALL, now)
+            begin(sensor, ALL, now)
 
     def step(self, speed: float, heading: float) -> None:
         self.drive.step(speed, heading)
         self.steps += 1
         now = self._now()
         for sensor in self.sensors:
-            sensor.measure(now)
+            measure(sensor, now)
 
 
 def sensors_of_all_kinds(track_m: float = TRACK_M) -> list[Sensor]:

@@ -10,7 +10,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.metrics.episode import METRICS, EpisodeMetrics, MetricsConf
 from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.sensors.suite import SensorsConf
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.tasks.point_goal import PointGoalConf
 from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.worlds.props import upright_box
@@ -234,7 +234,8 @@ class Meeting:
             num_scenes=1,
         )
         self.batch.reset()
-        scenes[0].place([x, 0.0, WHEEL_RADIUS_M], [0.0, 0.0, 0.0, 1.0], self.batch.actors.poses[0])
+        scenes[0].robots[0].set_start_pose([x, 0.0, WHEEL_RADIUS_M], [0.0, 0.0, 0.0, 1.0])
+        scenes[0].reset(self.batch.actors.poses[0])
 
     def drive(self, speed: float, seconds: float, walker_speed: float = 0.0) -> None:
         for _ in range(round(seconds / 0.05)):

@@ -39,7 +39,7 @@ def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch
     np.testing.assert_allclose(bullet.motion.position_w, dart.motion.position_w, atol=0.02)
     # The one goes where the other does: what is drawn, seen and earned must then agree in each bit.
     for leader, engine in zip(bullet.rovers[0].engines, dart.rovers[0].engines, strict=True):
-        for told in ("body_state", "drive_state", "touched"):
+        for told in ("body_state", "drive_state", "contacts"):
             monkeypatch.setattr(engine, told, getattr(leader, told))
     dart.reseed(6)
     dart.reset()

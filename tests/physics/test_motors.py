@@ -23,7 +23,7 @@ from scenes import (
 from dune_rl.config.build import make_batch
 from dune_rl.config.compose import compose_environment
 from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
-from dune_rl.physics.motors import Motor, Servos, servo, work_w
+from dune_rl.physics.motors import Motor, Servos, motor_power_w, servo_targets
 
 # A heavy box on the ground with an arm on a hinge, and a second arm beside it.
 ARM = """<?xml version="1.0"?><robot name="arm">
@@ -60,7 +60,7 @@ def standing(backend, body: RobotBody) -> Stage:
 
 
 def angles(stage: Stage) -> np.ndarray:
-    return np.array(stage.scene.joint_angles(("first", "second")))
+    return np.array(stage.engine.joint_angles(("first", "second")))
 
 
 def test_torque_falls_in_a_straight_line_and_friction_comes_off_it():
@@ -76,26 +76,26 @@ def test_torque_falls_in_a_straight_line_and_friction_comes_off_it():
 
 def test_a_servo_goes_for_its_angle_no_faster_than_it_may():
     motor = Motor("j", 1.0, "position", position_gain_per_s=10.0, max_speed_radps=3.0)
-    speeds, _ = servo([motor] * 3, [1.0, 1.0, 1.0], [0.0, 0.9, 1.5], [0.0] * 3, TIMESTEP_S)
+    speeds, _ = servo_targets([motor] * 3, [1.0, 1.0, 1.0], [0.0, 0.9, 1.5], [0.0] * 3, TIMESTEP_S)
     np.testing.assert_allclose(speeds, [3.0, 1.0, -3.0])
 
 
 def test_angles_are_led_to_in_equal_parts_and_speeds_told_at_once():
     motors = [Motor("j", 1.0, "position", position_gain_per_s=10.0, rest_rad=0.5), Motor("k", 1.0)]
     servos = Servos(motors, TIMESTEP_S)
-    servos.command([1.3, 7.0], 4)
-    led = [servos.next([0.0, 0.0], [0.0, 0.0])[0] for _ in range(6)]
+    servos.set_commands([1.3, 7.0], 4)
+    led = [servos.targets([0.0, 0.0], [0.0, 0.0])[0] for _ in range(6)]
     np.testing.assert_allclose(led, [[10.0 * angle, 7.0] for angle in (0.7, 0.9, 1.1, 1.3, 1.3, 1.3)])
     # The next way begins where this one has come to, and a new start where the robot is put down.
-    servos.command([0.9, -1.0], 2)
-    np.testing.assert_allclose(servos.next([0.0, 0.0], [0.0, 0.0])[0], [11.0, -1.0])
-    servos.rest()
-    np.testing.assert_allclose(servos.next([0.0, 0.0], [0.0, 0.0])[0], [5.0, 0.0])
+    servos.set_commands([0.9, -1.0], 2)
+    np.testing.assert_allclose(servos.targets([0.0, 0.0], [0.0, 0.0])[0], [11.0, -1.0])
+    servos.reset()
+    np.testing.assert_allclose(servos.targets([0.0, 0.0], [0.0, 0.0])[0], [5.0, 0.0])
 
 
 def test_a_rotor_bounds_how_fast_a_speed_changes():
     motor = Motor("j", 1.0, rotor_inertia_kgm2=0.01)
-    (target,), _ = servo([motor], [50.0], [0.0], [2.0], TIMESTEP_S)
+    (target,), _ = servo_targets([motor], [50.0], [0.0], [2.0], TIMESTEP_S)
     assert target == pytest.approx(2.0 + 1.0 * TIMESTEP_S / 0.01)
 
 
@@ -175,7 +175,7 @@ def test_an_arm_falls_against_friction_and_damping(backend, arm, friction, dampi
     # Lifted by its base, in place of gravity: to stand on the ground is to land on it, which jerks arms.
     stage = Stage(backend, robot=body, gravity_mps2=0.0)
     stage.place([0.0, 0.0, 20.0])
-    stage.scene.push([0.0, 0.0, 9.81 * 400.4])
+    stage.engine.apply_force([0.0, 0.0, 9.81 * 400.4])
     stage.step(40, [0.0])
     # Integrators of first order fall half a step farther.
     assert angles(stage)[1] == pytest.approx(fallen, rel=0.05, abs=1e-3)
@@ -209,9 +209,9 @@ def test_a_falling_arm_turns_the_one_that_it_is_coupled_to(backend, arm, ratio):
     body.urdf.write_text(f'{before}<axis xyz="0 1 0"/>{after}')
     stage = Stage(backend, robot=body, gravity_mps2=0.0)
     stage.place([0.0, 0.0, 20.0])
-    stage.scene.push([0.0, 0.0, 9.81 * 400.4])
+    stage.engine.apply_force([0.0, 0.0, 9.81 * 400.4])
     stage.step(40, [])
-    first, second = stage.scene.joint_angles(("first", "second"))
+    first, second = stage.engine.joint_angles(("first", "second"))
     # What gravity does to the one arm moves both.
     assert second == pytest.approx(0.5 * 9.81 * 0.2**2 / (1 + 1 / ratio**2), rel=0.06)
     assert first == pytest.approx(second / ratio, abs=2e-3)
@@ -231,7 +231,7 @@ def test_wheels_on_belts_drive_as_wheels_with_motors_do(backend, slope):
     start = stage.position
     for _ in range(20):
         stage.step(SUBSTEPS, [4.0, 4.0])
-        wheels = np.array(stage.scene.joint_angles((left, right, *belted)))
+        wheels = np.array(stage.engine.joint_angles((left, right, *belted)))
         np.testing.assert_allclose(wheels[2:], wheels[:2], atol=0.02)
     assert np.linalg.norm(stage.position - start) == pytest.approx(4.0 * WHEEL_RADIUS_M, rel=0.03)
     # What holds it on the slope, two motors give.
@@ -248,7 +248,7 @@ def test_what_is_told_is_the_link_s_own_frame_wherever_its_mass_is(backend, arm)
     stage.place([1.0, 2.0, 30.0], turn)
     np.testing.assert_allclose(stage.position, [1.0, 2.0, 30.0], atol=1e-9)
     np.testing.assert_allclose(np.abs(stage.state[3:7] @ turn), 1.0, atol=1e-9)
-    stage.scene.push([4000.0, 0.0, 0.0])
+    stage.engine.apply_force([4000.0, 0.0, 0.0])
     stage.step(1)
     centre = np.array([0.1, 0.05, 0.2])
     before = stage.position
@@ -273,21 +273,21 @@ def test_names_that_the_urdf_has_not_are_told(backend, arm):
 def test_work_is_what_pushes_and_friction_takes_its_part():
     motors = [Motor("a", 1.0), Motor("b", 1.0, gear_friction_nm=0.25)]
     # Both drive; one brakes, which gives nothing back; held still, nothing is done.
-    assert work_w(motors, [2.0, -2.0], [1.0, -1.0]) == pytest.approx(2.0 + 2.5)
-    assert work_w(motors, [2.0, -2.0], [-1.0, -1.0]) == pytest.approx(2.5)
-    assert work_w(motors, [0.0, 0.0], [3.0, 3.0]) == 0.0
+    assert motor_power_w(motors, [2.0, -2.0], [1.0, -1.0]) == pytest.approx(2.0 + 2.5)
+    assert motor_power_w(motors, [2.0, -2.0], [-1.0, -1.0]) == pytest.approx(2.5)
+    assert motor_power_w(motors, [0.0, 0.0], [3.0, 3.0]) == 0.0
 
 
 @every_backend
 def test_work_told_is_the_energy_that_a_wheel_has(backend):
     stage = Stage(backend, measures_work=True, gravity_mps2=0.0)
     stage.place([0.0, 0.0, 5.0])
-    assert stage.scene.work_j() == 0.0
+    assert stage.engine.work_j() == 0.0
     stage.step(40, [10.0, -10.0, 10.0, -10.0])
     # Left wheels one way and right ones the other: the body stays as it is.
-    found = stage.scene.work_j()
+    found = stage.engine.work_j()
     assert found == pytest.approx(4 * 0.5 * 0.01008 * 10.0**2, rel=0.03)
-    assert stage.scene.work_j() == 0.0
+    assert stage.engine.work_j() == 0.0
 
 
 @every_engine

@@ -32,7 +32,7 @@ from scenes import (
 
 from dune_rl.errors import PhysicsError
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.physics.interface import PhysicsConf
+from dune_rl.physics.interface import PhysicsConf, SceneSpec
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.skid_steer import SkidSteerConf
 
@@ -160,7 +160,7 @@ def test_a_walker_stops_a_rover_and_is_touched(backend):
     touched = []
     for _ in range(40):
         stage.step(10, 0.6 / WHEEL_RADIUS_M)
-        touched.append(stage.touched())
+        touched.append(stage.contacts())
     arrival = 1.0 - 0.25 - HULL_HALF_LENGTH_M
     assert stage.position[0] == pytest.approx(arrival, abs=0.01)
     assert stage.position[1] == pytest.approx(0.0, abs=0.02)
@@ -174,7 +174,7 @@ def test_a_walker_pushes_a_rover_at_its_speed(backend):
     stage.place(actors=[[1.0, 0.0, 0.0, 0.0]])
     for step in range(1, 41):
         stage.step(10, 0.0, [[1.0 - 0.5 * STEP_S * step, 0.0, 0.0, 0.0]])
-    assert stage.touched() == {1}
+    assert stage.contacts() == {1}
     assert stage.position[0] == pytest.approx(0.0 - 0.25 - HULL_HALF_LENGTH_M, abs=0.04)
     assert stage.velocity[0] == pytest.approx(-0.5, abs=0.05)
 
@@ -193,7 +193,7 @@ def test_a_walker_stands_on_the_ground_under_it(backend):
     stage.place(actors=[[1.0, 0.0, 0.3, 0.0]])
     for _ in range(60):
         stage.step(10, 0.6 / WHEEL_RADIUS_M)
-    assert stage.touched() == set()
+    assert stage.contacts() == set()
     assert stage.position[0] > 1.5
 
 
@@ -203,9 +203,9 @@ def test_a_prop_stops_a_rover_and_is_touched(backend):
     for _ in range(40):
         stage.step(10, 0.6 / WHEEL_RADIUS_M)
     assert stage.position[0] == pytest.approx(0.8 - HULL_HALF_LENGTH_M, abs=0.02)
-    assert stage.touched() == {2}
+    assert stage.contacts() == {2}
     stage.place()
-    assert stage.touched() == set()
+    assert stage.contacts() == set()
 
 
 def test_what_may_be_driven_on_is_not_touched(backend):
@@ -214,7 +214,7 @@ def test_what_may_be_driven_on_is_not_touched(backend):
     stage.place([0.0, 0.0, 0.2])
     stage.step(100)
     assert stage.position[2] == pytest.approx(0.05 + WHEEL_RADIUS_M, abs=2e-3)
-    assert stage.touched() == set()
+    assert stage.contacts() == set()
 
 
 def test_a_hull_on_the_ground_rests_there_untouched(backend):
@@ -223,14 +223,14 @@ def test_a_hull_on_the_ground_rests_there_untouched(backend):
     stage.step(200)
     # Upside down it stands on its lid, 0.129 m from the chassis centre.
     assert stage.position[2] == pytest.approx(0.129, abs=2e-3)
-    assert stage.touched() == set()
+    assert stage.contacts() == set()
 
 
 def test_walkers_take_no_notice_of_ground_and_props(backend):
     stage = Stage(backend, [plane(), box((3.0, 0.0), 1.0, 1.0, 1.0)], [walker()])
     stage.place(actors=[[3.0, 0.0, -0.5, 0.0]])
     stage.step(50)
-    assert stage.touched() == set()
+    assert stage.contacts() == set()
 
 
 def test_no_trace_is_left_by_what_was_before(backend):
@@ -284,3 +284,13 @@ def test_a_control_rate_that_does_not_divide_is_refused(backend):
     with pytest.raises(ValueError, match=r"30 does not divide 200"):
         PhysicsConf(control_hz=30)
     assert PhysicsConf(physics_hz=240, control_hz=24).substeps == 10
+
+
+def test_a_scene_without_robots_steps(backend):
+    spec = SceneSpec((plane(),), (walker(),), (), timestep_s=TIMESTEP_S, solver_iterations=10)
+    scene = backend(spec)
+    assert (len(scene.robots), spec.num_bodies) == (0, 2)
+    scene.reset(np.zeros((1, 4)))
+    scene.step(10, np.array([[0.1, 0.0, 0.0, 0.0]]))
+    scene.step_passive(2)
+    scene.close()

@@ -48,20 +48,17 @@ class Company:
         kinematics: Sequence[KinematicCapsule] = (),
         gravity_mps2: float = GRAVITY_MPS2,
     ) -> None:
-        first, *others = robots
         self.scene = backend(
             SceneSpec(
                 tuple([plane()] if statics is None else statics),
                 tuple(kinematics),
-                first,
+                tuple(robots),
                 timestep_s=TIMESTEP_S,
                 solver_iterations=10,
                 gravity_mps2=gravity_mps2,
-                others=tuple(others),
             )
         )
-        self.robots: tuple[PhysicsRobot, ...] = (self.scene, *self.scene.others)
-        self.rest = [robot.rest_commands() for robot in robots]
+        self.robots: Sequence[PhysicsRobot] = self.scene.robots
 
     def place(
         self,
@@ -69,16 +66,15 @@ class Company:
         quaternion: Sequence[float] = UPRIGHT,
         actors: Sequence[Sequence[float]] = (),
     ) -> None:
-        first, *others = ([float(part) for part in place] for place in places_w)
-        for robot, place in zip(self.scene.others, others, strict=True):
-            robot.stand(place, quaternion)
+        for robot, place in zip(self.robots, places_w, strict=True):
+            robot.set_start_pose([float(part) for part in place], quaternion)
         self.actors = np.array(actors, float).reshape(-1, 4)
-        self.scene.place(first, quaternion, self.actors)
+        self.scene.reset(self.actors)
 
     def step(self, count: int = SUBSTEPS, actors: Sequence[Sequence[float]] | None = None) -> None:
         if actors is not None:
             self.actors = np.array(actors, float)
-        self.scene.step(count, self.rest[0], self.actors)
+        self.scene.step(count, self.actors)
 
     @property
     def states(self) -> np.ndarray:
@@ -92,8 +88,8 @@ class Company:
     def velocities(self) -> np.ndarray:
         return self.states[:, 7:10]
 
-    def touched(self) -> list[set[int]]:
-        return [set(robot.touched()) for robot in self.robots]
+    def contacts(self) -> list[set[int]]:
+        return [set(robot.contacts()) for robot in self.robots]
 
 
 # -- collisions ------------------------------------------------------------------------------------
@@ -110,7 +106,7 @@ def test_a_collision_keeps_momentum(backend, tmp_path):
     company = Company(backend, blocks, [], gravity_mps2=0.0)
     for offset, turns in ((0.0, False), (0.25, True)):
         company.place([0.0, 0.0, 1.0], [0.5, offset, 1.0])
-        company.robots[0].push([40.0, 0.0, 0.0])
+        company.robots[0].apply_force([40.0, 0.0, 0.0])
         company.step(20)
         assert company.velocities[0, 0] == pytest.approx(40.0 * 20 * TIMESTEP_S / masses[0], rel=1e-6)
 
@@ -146,7 +142,7 @@ def test_hulls_slide_on_hulls_by_the_product_of_their_frictions(backend, below, 
     for force, slides in ((0.85 * friction, False), (friction + 6.0, True)):
         seen = []
         for _ in range(2):
-            company.robots[above].push([force, 0.0, 0.0])
+            company.robots[above].apply_force([force, 0.0, 0.0])
             # Of which the first are those in which the tyres and servos of the lower one give way.
             company.step(40)
             seen.append((*company.positions[[below, above], 0], company.velocities[above, 0]))
@@ -155,7 +151,7 @@ def test_hulls_slide_on_hulls_by_the_product_of_their_frictions(backend, below, 
             assert gained[2] == pytest.approx(6.0 / MASS_KG * 40 * TIMESTEP_S, rel=0.2)
         else:
             assert gained[0] == pytest.approx(gained[1], abs=1e-3)
-    assert company.touched() == [
+    assert company.contacts() == [
         {1 + above} if number == below else {1 + below} if number == above else set() for number in range(3)
     ]
 
@@ -166,12 +162,12 @@ def test_wheels_meet_other_robots_if_they_meet_obstacles(backend, meet):
     company = Company(backend, [robot, robot], [], gravity_mps2=0.0)
     company.place([0.0, -0.4, 1.0], [0.0, 0.4, 1.0])
     for _ in range(20):
-        company.robots[0].push([0.0, 5.0, 0.0])
-        company.robots[1].push([0.0, -5.0, 0.0])
+        company.robots[0].apply_force([0.0, 5.0, 0.0])
+        company.robots[1].apply_force([0.0, -5.0, 0.0])
         company.step()
     between = TRACK_M + 2 * WHEEL_RADIUS_M if meet else 2 * HULL_HALF_WIDTH_M
     assert np.ptp(company.positions[:, 1]) == pytest.approx(between, abs=0.01)
-    assert company.touched() == [{1}, {0}]
+    assert company.contacts() == [{1}, {0}]
 
 
 def test_a_wheel_that_meets_obstacles_meets_hulls_and_no_wheels_that_do_not(backend):
@@ -179,8 +175,8 @@ def test_a_wheel_that_meets_obstacles_meets_hulls_and_no_wheels_that_do_not(back
     company = Company(backend, robots, [], gravity_mps2=0.0)
     company.place([0.0, -0.4, 1.0], [0.0, 0.4, 1.0])
     for _ in range(20):
-        company.robots[0].push([0.0, 5.0, 0.0])
-        company.robots[1].push([0.0, -5.0, 0.0])
+        company.robots[0].apply_force([0.0, 5.0, 0.0])
+        company.robots[1].apply_force([0.0, -5.0, 0.0])
         company.step()
     between = HULL_HALF_WIDTH_M + TRACK_M / 2 + WHEEL_RADIUS_M
     assert np.ptp(company.positions[:, 1]) == pytest.approx(between, abs=0.02)
@@ -192,11 +188,11 @@ def test_each_is_told_of_what_it_touches_itself(backend, tmp_path):
     passing = [[9.0, 9.0, 0.0, 0.0], [0.0, -3.0, 0.0, 0.0]]
     # Three in a pile, one on a box, one in a walker's way: those three have nothing to do with each other.
     company.place([0, 0, 0.1], [0, 0, 0.301], [0, 0, 0.502], [3, 0, 0.201], [0.0, -2.5, 0.1], actors=passing)
-    assert company.touched() == [set()] * 5
+    assert company.contacts() == [set()] * 5
     company.step(40)
     for step in range(1, 7):
         company.step(SUBSTEPS, [passing[0], [0.0, -3.0 + 0.5 * STEP_S * step, 0.0, 0.0]])
-    assert company.touched() == [{6}, {5, 7}, {6}, {1}, {4}]
+    assert company.contacts() == [{6}, {5, 7}, {6}, {1}, {4}]
     np.testing.assert_allclose(company.positions[:3, 2], [0.1, 0.3, 0.5], atol=5e-3)
 
 
@@ -208,7 +204,7 @@ def test_a_walker_pushes_whom_it_meets(backend):
     company.place([9.0, 9.0, WHEEL_RADIUS_M], [0.0, 0.0, WHEEL_RADIUS_M], actors=[[1.0, 0.0, 0.0, 0.0]])
     for step in range(1, 41):
         company.step(SUBSTEPS, [[1.0 - 0.5 * STEP_S * step, 0.0, 0.0, 0.0]])
-    assert company.touched() == [set(), {1}]
+    assert company.contacts() == [set(), {1}]
     assert company.positions[1, 0] == pytest.approx(0.0 - 0.25 - HULL_HALF_LENGTH_M, abs=0.04)
     assert company.velocities[1, 0] == pytest.approx(-0.5, abs=0.05)
     np.testing.assert_allclose(company.velocities[0], 0.0, atol=1e-3)
@@ -238,8 +234,8 @@ def test_each_has_its_own_weight_and_push(backend, heavy, tmp_path):
     company = Company(backend, [block(tmp_path)] * 2, [], gravity_mps2=0.0)
     company.robots[heavy].set_body(BodyVariation(mass_factor=2.0))
     company.place([0.0, 0.0, 1.0], [0.0, 3.0, 1.0])
-    company.robots[0].push([1.0, 0.0, 0.0])
-    company.robots[1].push([0.0, 0.0, 3.0])
+    company.robots[0].apply_force([1.0, 0.0, 0.0])
+    company.robots[1].apply_force([0.0, 0.0, 3.0])
     company.step(20)
     expected = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 3.0]]) * 20 * TIMESTEP_S / 2.0
     expected[heavy] /= 2.0
@@ -255,9 +251,9 @@ def test_no_trace_is_left_by_a_collision(backend):
         seen, met = [], [set(), set()]
         company.place([0.0, 0.0, 0.2], [0.75, 0.1, 0.2], actors=[[0.4, -1.0, 0.0, 0.0]])
         for step in range(1, 31):
-            company.robots[1].push([-150.0, 0.0, 0.0])
+            company.robots[1].apply_force([-150.0, 0.0, 0.0])
             company.step(SUBSTEPS, [[0.4, -1.0 + 0.02 * step, 0.0, 0.0]])
-            now = company.touched()
+            now = company.contacts()
             met = [one | other for one, other in zip(met, now, strict=True)]
             seen.append(repr((company.states.tolist(), company.robots[1].drive_state(), now)))
         assert met == [{3}, {1, 2}]

@@ -144,7 +144,7 @@ def test_a_push_gives_momentum(backend, tmp_path):
     stage = Stage(backend, robot=block(tmp_path), gravity_mps2=0.0)
     stage.place([0.0, 0.0, 5.0])
     force = np.array([3.0, -4.0, 5.0])
-    stage.scene.push(force.tolist())
+    stage.engine.apply_force(force.tolist())
     stage.step(20)
     # Impulse over mass, exact but for rounding; at the centre of mass it turns nothing.
     np.testing.assert_allclose(stage.velocity, force * 20 * TIMESTEP_S / MASS_KG, atol=1e-6)
@@ -158,7 +158,7 @@ def test_a_push_gives_momentum(backend, tmp_path):
 def test_a_projectile_flies_a_parabola(backend, tmp_path):
     stage = Stage(backend, robot=block(tmp_path))
     stage.place([0.0, 0.0, 50.0])
-    stage.scene.push([120.0, 0.0, 160.0])
+    stage.engine.apply_force([120.0, 0.0, 160.0])
     stage.step(20)
     start, speed = stage.position, stage.velocity
     stage.step(200)
@@ -188,7 +188,7 @@ def test_a_pendulum_keeps_its_energy_and_its_period(backend, tmp_path, degrees):
     angles = []
     for _ in range(1200):
         stage.step(1)
-        angles.append(stage.scene.joint_angles(["hinge"])[0] - start)
+        angles.append(stage.engine.joint_angles(["hinge"])[0] - start)
     angles = np.array(angles)
     # Amplitudes of first and last swings: energy goes with 1 - cos. Euler's semi-implicit step loses none
     # on the average; its amplitude swings by angular frequency x step / 2 = 1 %, energy by twice that.
@@ -267,7 +267,7 @@ def test_a_ball_rolls_down_without_slipping(backend, tmp_path, slope):
 @pytest.mark.parametrize("friction", [0.4, 0.8])
 def test_a_stop_takes_v_squared_over_two_mu_g(backend, tmp_path, friction):
     stage = on_slope(backend, sled(tmp_path, friction, 0.2, 0.05), 0.0, 0.05)
-    stage.scene.push([10.0 * MASS_KG * GRAVITY_MPS2, 0.0, 0.0])
+    stage.engine.apply_force([10.0 * MASS_KG * GRAVITY_MPS2, 0.0, 0.0])
     stage.step(6)
     start, speed = stage.position[0], stage.velocity[0]
     stage.step(200)

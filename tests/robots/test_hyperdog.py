@@ -235,7 +235,7 @@ def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
             actions = draws.uniform(low, high, (4, 2)).astype(np.float32)
         if step % 60 == 0:
             for scene, bearing in zip(scenes, draws.uniform(-np.pi, np.pi, 4), strict=True):
-                scene.push([200.0 * np.cos(bearing), 200.0 * np.sin(bearing), 0.0])
+                scene.robots[0].apply_force([200.0 * np.cos(bearing), 200.0 * np.sin(bearing), 0.0])
         outcome = batch.step(actions)
         lying = np.where(batch.motion.tilt() > np.deg2rad(40.0), lying + 1, 0)
         longest = max(longest, lying.max())

@@ -44,7 +44,7 @@ def leo_on_slope(backend, slope: float, yaw: float) -> Stage:
 
 
 def rockers(stage: Stage) -> np.ndarray:
-    return np.array(stage.scene.joint_angles(ROCKERS))
+    return np.array(stage.engine.joint_angles(ROCKERS))
 
 
 def stones(seed: int) -> HeightField:
@@ -182,7 +182,7 @@ def test_wheels_in_the_air_do_not_roll_sideways_at_the_joints_that_let_them_slip
     stage = Stage(BACKENDS["dart"], [plane(), pillar], robot=rover.body)
     stage.place([0.0, 0.0, 0.3])
     stage.step(600)
-    robot = stage.scene._first.skeleton
+    robot = stage.engine.skeleton
     assert stage.position[2] > 0.25
     assert np.abs(robot.getVelocities()).max() < 0.05
 
@@ -193,7 +193,7 @@ def test_across_a_slope_it_slides_iff_that_exceeds_half_its_friction(backend, fr
     for share, slides in ((0.93, False), (1.2, True)):
         slope = np.arctan(share * 0.5 * friction)
         stage = leo_on_slope(backend, slope, np.pi / 2)
-        stage.scene.set_wheel_contacts([friction] * 4, [0.0] * 4)
+        stage.engine.set_wheel_contacts([friction] * 4, [0.0] * 4)
         stage.step(60)
         before, start = stage.velocity, stage.position
         stage.step(80)
@@ -214,7 +214,7 @@ def test_the_same_drive_gives_the_same_bytes_after_a_new_start(backend):
         drive.start(0.2, position_w=(-5.0, 0.0, 0.3))
         for _ in range(20):
             drive.step(0.4, 0.3)
-        found.append((drive.stage.scene.body_state(), drive.stage.scene.drive_state()))
+        found.append((drive.stage.engine.body_state(), drive.stage.engine.drive_state()))
     assert found[0] == found[1]
 
 

@@ -158,7 +158,7 @@ def test_wheels_against_a_wall_stall_or_slip_as_torque_and_friction_say(backend,
     for step in range(60):
         drive.step(0.5, 0.0)
         turned += (step >= 30) * drive.stage.wheel_speeds * STEP_S
-    assert drive.stage.touched() == {1}
+    assert drive.stage.contacts() == {1}
     assert drive.stage.position[0] == pytest.approx(0.3, abs=0.01)
     assert (turned.sum() > allowed(backend, 0.5, 0.45) * 4 * 30 * STEP_S * 0.5 / WHEEL_RADIUS_M) == slips
     if not slips:

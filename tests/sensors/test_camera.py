@@ -13,7 +13,7 @@ from cameras import EVERYTHING, PERSON, camera_in, look, standing
 from conformance import check_gymnasium, check_kept, check_parallel_api, check_seeding, check_torchrl
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moments import moment_at
+from states import begin, measure, state_at
 
 import dune_rl
 from dune_rl.actors.actor import ActorConf
@@ -21,7 +21,7 @@ from dune_rl.config.compose import compose
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import CameraSensor
+from dune_rl.sensors.camera_sensor import CameraSensor
 from dune_rl.worlds.world import World
 
 
@@ -126,16 +126,16 @@ def at(scenes: int, x: float) -> object:
     """A moment of rovers side by side, `x` m ahead, each with an actor before it."""
     places = np.column_stack([np.full(scenes, x), np.arange(scenes) - 1.0, np.full(scenes, 0.6)])
     actors = np.concatenate([places + np.array([2.0, 0.0, -0.6]), np.zeros((scenes, 1))], axis=1)
-    return moment_at(places, np.zeros(scenes), actors[:, None])
+    return state_at(places, np.zeros(scenes), actors[:, None])
 
 
 def test_an_episode_s_beginning_leaves_the_other_scenes_their_pictures():
     sensor = sensor_of(3)
-    sensor.begin(np.array([True, True, True]), at(3, 0.0))
+    begin(sensor, np.array([True, True, True]), at(3, 0.0))
     first = sensor.read()
-    sensor.begin(np.array([False, True, False]), at(3, 1.0))
+    begin(sensor, np.array([False, True, False]), at(3, 1.0))
     second = sensor.read()
-    sensor.measure(at(3, 1.0))
+    measure(sensor, at(3, 1.0))
     third = sensor.read()
     assert list(first) == [f"camera_{name}" for name in EVERYTHING]
     for name in ("camera_rgb", "camera_depth"):
@@ -146,22 +146,22 @@ def test_an_episode_s_beginning_leaves_the_other_scenes_their_pictures():
 
 def test_no_episode_s_beginning_changes_nothing():
     sensor = sensor_of(2)
-    sensor.begin(np.array([True, True]), at(2, 0.0))
+    begin(sensor, np.array([True, True]), at(2, 0.0))
     before = sensor.read()
-    sensor.begin(np.array([False, False]), at(2, 2.0))
+    begin(sensor, np.array([False, False]), at(2, 2.0))
     assert all((sensor.read()[name] == before[name]).all() for name in before)
 
 
 def test_a_reading_is_the_reader_s_own():
     sensor = sensor_of(2)
-    sensor.begin(np.array([True, True]), at(2, 0.0))
+    begin(sensor, np.array([True, True]), at(2, 0.0))
     kept = sensor.read()
     copies = {name: value.copy() for name, value in kept.items()}
     for value in sensor.read().values():
         value[:] = 0
     for name, value in sensor.read().items():
         np.testing.assert_array_equal(value, copies[name])
-    sensor.measure(at(2, 1.0))
+    measure(sensor, at(2, 1.0))
     for name, value in kept.items():
         np.testing.assert_array_equal(value, copies[name])
 

@@ -119,9 +119,7 @@ def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
         light = Light.of(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
         camera = Camera(
-            camera_conf(width=16, height=12),
-            BakedScenery(build_scenery(with_boxes(WALL)), light),
-            actor_moving_meshes(()),
+            camera_conf(width=16, height=12), BakedScenery(build_scenery(with_boxes(WALL)), light), actor_moving_meshes(())
         )
         red, _, blue = look(camera)["rgb"][6].mean(axis=0)
         return red / blue

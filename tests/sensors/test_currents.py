@@ -14,7 +14,8 @@ from scenes import (
     plane,
     quaternion_of,
 )
-from wheels import ALL, WHEELS, Measured, moment, reading, within_bounds
+from states import begin, measure
+from wheels import ALL, WHEELS, Measured, reading, wheels_state, within_bounds
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
@@ -31,7 +32,7 @@ def currents(conf: CurrentsConf = PLAIN, scenes: int = 1, wheels: int = WHEELS) 
 
 def current(conf: CurrentsConf, torque: float, speed: float) -> float:
     sensor = currents(conf, wheels=1)
-    sensor.measure(moment([[0.0]], speed, torque))
+    measure(sensor, wheels_state([[0.0]], speed, torque))
     assert within_bounds(sensor)
     return float(reading(sensor)[0])
 
@@ -153,16 +154,24 @@ def test_currents_are_clipped_to_the_limit(limit):
 
 def test_each_scene_has_its_own():
     sensor = currents(scenes=2, wheels=2)
-    sensor.begin(np.array([True, True]), moment(np.zeros((2, 2)), 1.0, np.array([[1.0, 2.0], [3.0, 4.0]])))
+    begin(
+        sensor,
+        np.array([True, True]),
+        wheels_state(np.zeros((2, 2)), 1.0, np.array([[1.0, 2.0], [3.0, 4.0]])),
+    )
     np.testing.assert_array_equal(sensor.read()["currents"], [[1, 2], [3, 4]])
-    sensor.begin(np.array([True, False]), moment(np.zeros((2, 2)), 1.0, np.array([[0.0, 0.5], [3.0, 4.0]])))
+    begin(
+        sensor,
+        np.array([True, False]),
+        wheels_state(np.zeros((2, 2)), 1.0, np.array([[0.0, 0.5], [3.0, 4.0]])),
+    )
     np.testing.assert_array_equal(sensor.read()["currents"], [[0, 0.5], [3, 4]])
     assert sensor.bounds()["currents"][0].shape == (2,)
 
 
 def test_readings_are_the_asker_s_own():
     sensor = currents(wheels=1)
-    sensor.begin(ALL, moment([[0.0]], 1.0, 2.0))
+    begin(sensor, ALL, wheels_state([[0.0]], 1.0, 2.0))
     sensor.read()["currents"][:] = 9.0
     assert reading(sensor)[0] == 2.0
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moments import moment_at
 from mounted import depth_strip_conf
 from pydantic import ValidationError
 from scanning import flat_with, turned
 from scenes import about
+from states import begin, measure, state_at
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import actor_moving_meshes
@@ -121,7 +121,7 @@ def test_scenes_are_independent_and_the_reading_fits_its_bounds():
     positions = np.column_stack([rng.uniform(-1, 1, (3, 2)), np.full(3, 0.125)])
     yaws = np.array([0.0, 0.3, -0.2])
     actors = np.concatenate([rng.uniform(0, 3, (3, 1, 2)), np.zeros((3, 1, 2))], axis=-1)
-    strip.begin(np.ones(3, bool), moment_at(positions, yaws, actors))
+    begin(strip, np.ones(3, bool), state_at(positions, yaws, actors))
     ((name, (low, high)),) = strip.bounds().items()
     reading = strip.read()[name]
     assert name == "depth_strip"
@@ -133,7 +133,7 @@ def test_scenes_are_independent_and_the_reading_fits_its_bounds():
     assert len({row.tobytes() for row in reading}) == 3
     reading[:] = -1.0
     assert strip.read()[name].min() >= 0.0
-    strip.measure(moment_at(positions + 0.2, yaws, actors))
+    measure(strip, state_at(positions + 0.2, yaws, actors))
     assert (strip.read()[name] != reading).any()
 
 

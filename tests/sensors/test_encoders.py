@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scenes import STEP_S, WHEEL_RADIUS_M, Drive, Stage, every_backend
-from wheels import ALL, WHEELS, Measured, moment, reading, within_bounds
+from states import begin, group_state, measure, resting
+from wheels import ALL, WHEELS, Measured, reading, wheels_state, within_bounds
 
 from dune_rl.sensors.encoders import Encoders, EncodersConf
-from dune_rl.sensors.sensor import Moment
 
 IDEAL = EncodersConf(counts_per_turn=0)
 COUNT_RAD = 2 * np.pi / 100
@@ -20,10 +20,10 @@ def encoders(conf: EncodersConf = IDEAL, scenes: int = 1, wheels: int = WHEELS) 
 
 def after(sensor: Encoders, *angles: float) -> list[np.ndarray]:
     """Readings of a rover of one wheel, which begins at the first angle."""
-    sensor.begin(ALL, moment([[angles[0]]]))
+    begin(sensor, ALL, wheels_state([[angles[0]]]))
     found = []
     for angle in angles[1:]:
-        sensor.measure(moment([[angle]]))
+        measure(sensor, wheels_state([[angle]]))
         assert within_bounds(sensor)
         found.append(reading(sensor))
     return found
@@ -51,9 +51,9 @@ def test_each_wheel_is_told_in_the_order_of_its_joint(backend):
     stage.step(40, [1.0, 2.0, 3.0, 4.0])
     before = stage.wheel_angles
     sensor = encoders()
-    sensor.begin(ALL, moment(before[None]))
+    begin(sensor, ALL, wheels_state(before[None]))
     stage.step(10, [1.0, 2.0, 3.0, 4.0])
-    sensor.measure(moment(stage.wheel_angles[None]))
+    measure(sensor, wheels_state(stage.wheel_angles[None]))
     np.testing.assert_allclose(reading(sensor), [0.05, 0.1, 0.15, 0.2, 1, 2, 3, 4], rtol=0.01)
 
 
@@ -62,11 +62,11 @@ def test_a_wheel_that_spins_counts_what_the_rover_does_not_go(backend):
     sensor = encoders()
     stage = Stage(backend)
     stage.place([0.0, 0.0, 5.0])
-    sensor.begin(ALL, moment(stage.wheel_angles[None]))
+    begin(sensor, ALL, wheels_state(stage.wheel_angles[None]))
     turned = np.zeros(WHEELS)
     for _ in range(10):
         stage.step(10, 8.0)
-        sensor.measure(moment(stage.wheel_angles[None]))
+        measure(sensor, wheels_state(stage.wheel_angles[None]))
         turned += reading(sensor)[:WHEELS]
     np.testing.assert_allclose(turned, stage.wheel_angles, rtol=1e-5)
     assert turned.min() > 2.0
@@ -119,14 +119,14 @@ def test_faster_than_is_counted_is_told_as_the_fastest(fastest, counts_per_turn)
 
 def test_begin_counts_afresh_only_where_told():
     sensor = encoders(EncodersConf(counts_per_turn=100), scenes=2, wheels=1)
-    sensor.begin(np.array([True, True]), moment([[0.0], [0.0]]))
-    sensor.measure(moment([[0.5], [0.5]]))
+    begin(sensor, np.array([True, True]), wheels_state([[0.0], [0.0]]))
+    measure(sensor, wheels_state([[0.5], [0.5]]))
     other = reading(sensor, 1)
     # The first scene's robot is put down anew, its wheels at 0.
-    sensor.begin(np.array([True, False]), moment([[0.0], [0.5]]))
+    begin(sensor, np.array([True, False]), wheels_state([[0.0], [0.5]]))
     np.testing.assert_array_equal(reading(sensor, 0), 0.0)
     np.testing.assert_array_equal(reading(sensor, 1), other)
-    sensor.measure(moment([[0.5], [1.0]]))
+    measure(sensor, wheels_state([[0.5], [1.0]]))
     np.testing.assert_allclose(reading(sensor, 0)[0], 8 * COUNT_RAD, rtol=1e-6)
     np.testing.assert_allclose(reading(sensor, 1)[0], 8 * COUNT_RAD, rtol=1e-6)
 
@@ -140,11 +140,10 @@ def test_readings_are_the_asker_s_own():
     assert sensor.bounds()["encoders"][1].max() == 100.0
 
 
-def test_a_moment_without_wheels_is_refused():
-    sensor, now = encoders(), moment(np.zeros((1, WHEELS)))
-    blind = Moment(*[getattr(now, name) for name in Moment.__dataclass_fields__ if name != "wheels"])
-    with pytest.raises(ValueError, match=r"tells nothing of wheels.*needs_wheels"):
-        sensor.measure(blind)
+def test_a_state_without_joints_is_refused():
+    sensor, blind = encoders(), group_state(resting(1))
+    with pytest.raises(ValueError, match=r"the state has no joints.*needs_joints"):
+        measure(sensor, blind)
 
 
 @pytest.mark.parametrize(

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from instruments import moment
 from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from mounted import camera_conf, depth_strip_conf, lidar_3d_conf
+from states import begin, episode_state
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera
@@ -18,8 +18,8 @@ from dune_rl.sensors.depth_strip import DepthStrip
 from dune_rl.sensors.lidar_3d import Lidar3d
 from dune_rl.sensors.medium import InGrass
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.grass import Grass
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 # Full grass where x > 2, from 2 cells before it on interpolated.
@@ -30,8 +30,8 @@ LEVEL = np.eye(3)[None]
 
 
 def standing(episodes, steps, seed: int = 5):
-    now = moment(episodes, steps, seed)
-    now.position_w[:] = STANDING
+    now = episode_state(episodes, steps, seed)
+    now.motion.position_w[:] = STANDING
     return now
 
 
@@ -73,7 +73,7 @@ def test_rings_tell_grass_from_ground():
         1,
         ParticipatingMedia(foliage=world.grass.foliage),
     )
-    lidar.begin(np.array([True]), standing([0], 0))
+    begin(lidar, np.array([True]), standing([0], 0))
     found = {name.removeprefix("lidar_3d_"): value[0, ..., 0] for name, value in lidar.read().items()}
     green = found["segmentation"] == Segment.VEGETATION
     bare = lidar.scan(STANDING, LEVEL, NOBODY)["lidar_3d_range"][0, ..., 0]
@@ -93,9 +93,7 @@ def test_pixels_show_the_grass_that_takes_half_their_light():
     world = ahead_world()
     person = np.array([[[8.0, -0.26, 0.0, 0.0]]])
     bare = camera_in(world, ParticipatingMedia(), (ActorConf(),)).frames(STANDING, LEVEL, person)
-    seen = camera_in(world, ParticipatingMedia(foliage=world.grass.foliage), (ActorConf(),)).frames(
-        STANDING, LEVEL, person
-    )
+    seen = camera_in(world, ParticipatingMedia(foliage=world.grass.foliage), (ActorConf(),)).frames(STANDING, LEVEL, person)
     level = (0, 7, 8, 0)
     assert bare["segmentation"][level] == Segment.ACTOR
     assert seen["segmentation"][level] == Segment.VEGETATION
@@ -133,8 +131,7 @@ def test_a_picture_shows_it():
     look = bake_world(world, LightConf())
     view = Viewpoint((-1.0, 0.0, 0.8), (3.0, 0.0, 0.5))
     bare, grown = (
-        Renderer(look, air).paint(view, 80, 60)
-        for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
+        Renderer(look, air).paint(view, 80, 60) for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
     )
     np.testing.assert_array_equal(Renderer(look).paint(view, 80, 60), bare)
     assert (grown[:4] == bare[:4]).all()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moments import moment_at
 from mounted import height_scan_conf
 from pydantic import ValidationError
 from scanning import flat_with
+from states import begin, measure, state_at
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
@@ -138,9 +138,9 @@ def test_the_grid_stays_level_when_the_rover_pitches(source):
     scan = scan_in(hilly(), 2, source=source)
     positions = np.array([[0.0, 0.0, 0.125], [2.0, 1.0, 0.275]])
     yaws = np.array([0.4, -1.0])
-    scan.begin(np.array([True, True]), moment_at(positions, yaws))
+    begin(scan, np.array([True, True]), state_at(positions, yaws))
     level = scan.read()["height_scan"]
-    scan.measure(moment_at(positions, yaws, pitch=0.4))
+    measure(scan, state_at(positions, yaws, pitch=0.4))
     np.testing.assert_allclose(scan.read()["height_scan"], level, atol=1e-5)
     for scene in range(2):
         alone = heights(scan, positions[scene], yaws[scene])
@@ -149,7 +149,7 @@ def test_the_grid_stays_level_when_the_rover_pitches(source):
 
 def test_the_reading_has_the_shape_and_type_of_its_bounds():
     scan = scan_in(flat_with((1.5, 0.0, 0.0, 0.4, 0.4)), 3, rows=4, columns=7)
-    scan.measure(moment_at(np.stack([STANDING] * 3), np.zeros(3)))
+    measure(scan, state_at(np.stack([STANDING] * 3), np.zeros(3)))
     ((name, (low, high)),) = scan.bounds().items()
     reading = scan.read()[name]
     assert name == "height_scan"

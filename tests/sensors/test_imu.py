@@ -5,10 +5,9 @@ import pytest
 from mounted import imu_conf
 from scanning import sensed_speed, turned
 from scenes import SUBSTEPS, Drive, Stage, about, every_backend
+from states import motion_of
 
-from dune_rl.env.motion import Motion
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.imu import Imu, ImuConf
 
 LEVEL = np.eye(3)
@@ -47,11 +46,10 @@ def test_at_rest_it_reads_what_holds_it_up(axis, angle):
 @every_backend
 def test_a_resting_rover_reads_gravity_upward(backend):
     drive = Drive(backend)
-    motion = Motion(1, drive.rover)
     imu = Imu(imu_conf(), 1)
     for step in range(20):
         drive.stage.step(SUBSTEPS)
-        motion.update(drive.stage.state[None])
+        motion = motion_of(drive.stage.state)
         state = motion.rotation, motion.velocity_w, motion.angular_w
         if step == 0:
             imu.begin(ALL, *state)
@@ -65,13 +63,12 @@ def test_a_resting_rover_reads_gravity_upward(backend):
 def test_a_falling_rover_reads_nothing(backend):
     stage = Stage(backend)
     stage.place([0.0, 0.0, 6.0], about([0.6, 0.8, 0.0], 0.5))
-    motion = Motion(1, RoverZero(RoverZeroConf(), 1))
     imu = Imu(imu_conf(), 1)
-    motion.update(stage.state[None])
+    motion = motion_of(stage.state)
     imu.begin(ALL, motion.rotation, motion.velocity_w, motion.angular_w)
     for _ in range(5):
         stage.step(SUBSTEPS)
-        motion.update(stage.state[None])
+        motion = motion_of(stage.state)
         imu.measure(motion.rotation, motion.velocity_w, motion.angular_w, 0.05)
         reading = imu.reading(motion.rotation, motion.angular_b, motion.roll_pitch_yaw)[0]
         np.testing.assert_allclose(reading[:3], 0.0, atol=1e-4)
@@ -80,14 +77,13 @@ def test_a_falling_rover_reads_nothing(backend):
 @every_backend
 def test_acceleration_is_the_second_difference_of_true_positions(backend):
     drive = Drive(backend)
-    motion = Motion(1, drive.rover)
     imu = Imu(imu_conf(mount_b=(0.0, 0.0, 0.0)), 1)
     felt, places, speeds = [], [], []
-    motion.update(drive.stage.state[None])
+    motion = motion_of(drive.stage.state)
     imu.begin(ALL, motion.rotation, motion.velocity_w, motion.angular_w)
     for step in range(40):
         drive.step(1.0 if step < 20 else -0.5, 0.3)
-        motion.update(drive.stage.state[None])
+        motion = motion_of(drive.stage.state)
         acceleration_b = imu.measure(motion.rotation, motion.velocity_w, motion.angular_w, 0.05)
         felt.append(motion.rotation[0] @ acceleration_b[0])
         places.append(motion.position_w[0])
@@ -145,11 +141,10 @@ def test_gyroscope_attitude_and_ranges():
 @every_backend
 def test_a_turning_rover_s_gyroscope_tells_its_turn(backend):
     drive = Drive(backend)
-    motion = Motion(1, drive.rover)
     yaws, rates = [], []
     for _ in range(60):
         drive.step(0.0, 0.5)
-        motion.update(drive.stage.state[None])
+        motion = motion_of(drive.stage.state)
         yaws.append(motion.roll_pitch_yaw[0, 2])
         rates.append(sensed_speed(motion)[0, 1])
     turned_by = np.unwrap(yaws)[-1] - yaws[9]

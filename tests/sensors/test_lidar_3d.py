@@ -4,24 +4,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moments import moment_at
 from mounted import lidar_3d_conf, lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
+from states import begin, measure, state_at
 
 from dune_rl.actors.actor import ActorConf
 from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
-from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.props import upright_box
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import Prop, World
 
 EVERYTHING = ("range", "intensity", "segmentation")
@@ -37,11 +37,7 @@ def lidar_3d_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 
     solid = world.solid_mesh()
     settings = lidar_3d_conf(**{"outputs": EVERYTHING, **conf})
     return Lidar3d(
-        settings,
-        RayScene(solid.vertices, solid.faces),
-        beam_surface(world),
-        actor_moving_meshes(actors),
-        scenes,
+        settings, RayScene(solid.vertices, solid.faces), beam_surface(world), actor_moving_meshes(actors), scenes
     )
 
 
@@ -164,9 +160,7 @@ def test_a_world_s_look_follows_its_solid_faces():
     for index in np.unique(owner[owner >= 0]):
         prop, of = world.props[index], np.flatnonzero(owner == index)
         assert (look.segments[of] == (Segment.DECK if prop.drivable else Segment.OBSTACLE)).all()
-        np.testing.assert_allclose(
-            look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5
-        )
+        np.testing.assert_allclose(look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5)
     ground = look.luminance[:-1][owner < 0]
     # Grass and earth differ, and neither is black or white.
     assert 0.05 < ground.min() < 0.9 * ground.max() < 0.5
@@ -223,24 +217,24 @@ def test_scenes_are_independent_and_only_those_that_begin_scan_anew():
     yaws = np.array([0.3, -2.0, 1.0])
     rotations = np.array([turned(yaw) for yaw in yaws])
     actors = np.concatenate([rng.uniform(-4, 4, (3, 1, 2)), np.zeros((3, 1, 2))], axis=-1)
-    now = moment_at(positions, yaws, actors)
-    lidar.measure(now)
+    now = state_at(positions, yaws, actors)
+    measure(lidar, now)
     whole = lidar.read()
     for scene in range(3):
         alone = lidar.scan(*(of[[scene]] for of in (positions, rotations, actors)))
         for name, values in alone.items():
             np.testing.assert_array_equal(whole[name][scene], values[0])
-    lidar.begin(np.array([False, True, False]), moment_at(positions + 0.1, yaws, actors))
+    begin(lidar, np.array([False, True, False]), state_at(positions + 0.1, yaws, actors))
     changed = [(lidar.read()["lidar_3d_range"][i] != whole["lidar_3d_range"][i]).any() for i in range(3)]
     assert changed == [False, True, False]
-    lidar.begin(np.zeros(3, bool), now)
+    begin(lidar, np.zeros(3, bool), now)
 
 
 def test_readings_have_the_shapes_and_types_of_their_bounds():
     lidar = lidar_3d_in(build_flat(FlatConf()), scenes=2, n_rings=4, n_beams=30, fov_rad=2.0)
     bounds = lidar.bounds()
     assert list(bounds) == ["lidar_3d_range", "lidar_3d_intensity", "lidar_3d_segmentation"]
-    lidar.measure(moment_at(np.stack([STANDING] * 2), np.zeros(2)))
+    measure(lidar, state_at(np.stack([STANDING] * 2), np.zeros(2)))
     for name, values in lidar.read().items():
         low, high = bounds[name]
         assert values.shape == (2, *low.shape) == (2, 4, 30, 1)

@@ -19,8 +19,8 @@ from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.inspection.build import InspectionConf
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 PEOPLE = (ActorConf(), ActorConf(radius_m=0.4, height_m=1.6), ActorConf())

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scenes import HULL_HALF_LENGTH_M, STEP_S, WHEEL_RADIUS_M, Drive, box, every_backend, plane
-from wheels import ALL, TRACK_M, WHEELS, Measured, digests, geometry, moment, reading, within_bounds
+from states import begin, measure
+from wheels import ALL, TRACK_M, WHEELS, Measured, digests, geometry, reading, wheels_state, within_bounds
 
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.robots.heading import HeadingConf
@@ -34,10 +35,10 @@ def odometry(
 def roll(sensor: Odometry, *steps: tuple[float, float]) -> np.ndarray:
     """The reading after steps of (left, right) turns [rad]; wheels begin at angles of their own."""
     angle = np.array([[1.0, -2.0, 3.0, -4.0]])
-    sensor.begin(ALL, moment(angle))
+    begin(sensor, ALL, wheels_state(angle))
     for left, right in steps:
         angle = angle + np.array([left, right, left, right])
-        sensor.measure(moment(angle))
+        measure(sensor, wheels_state(angle))
         assert within_bounds(sensor)
     return reading(sensor)
 
@@ -65,7 +66,7 @@ def test_five_metres_straight(backend, yaw, speed, encoders):
 
 
 def turn_on_the_spot(backend, track_m: float, rate: float) -> tuple[float, float]:
-    """Told and true yaw [rad] after five seconds."""
+    """ScriptedSensor and true yaw [rad] after five seconds."""
     sensor = odometry(track_m)
     measured = Measured(Drive(backend), sensor)
     told, true = [0.0], [measured.drive.stage.yaw]
@@ -187,8 +188,8 @@ def test_even_wheels_go_round_a_circle_exactly(left, right, steps):
 
 def test_wheels_of_a_side_are_averaged():
     sensor = odometry()
-    sensor.begin(ALL, moment(np.zeros((1, 4))))
-    sensor.measure(moment([[0.1, 0.2, 0.3, 0.2]]))
+    begin(sensor, ALL, wheels_state(np.zeros((1, 4))))
+    measure(sensor, wheels_state([[0.1, 0.2, 0.3, 0.2]]))
     np.testing.assert_allclose(reading(sensor)[:3], [0.2 * WHEEL_RADIUS_M, 0.0, 0.0], atol=1e-9)
 
 
@@ -196,8 +197,8 @@ def test_other_robots_have_their_wheels_elsewhere():
     # Six wheels, the left ones first, and one that drives nothing of the sides.
     shape = DriveGeometry(0.1, 0.4, left=(0, 1, 2), right=(3, 4, 5))
     sensor = Odometry(OdometryConf(), IDEAL, shape, 1, 7, STEP_S)
-    sensor.begin(ALL, moment(np.zeros((1, 7))))
-    sensor.measure(moment([[0.0, 0.0, 0.0, 0.4, 0.4, 0.4, 9.0]]))
+    begin(sensor, ALL, wheels_state(np.zeros((1, 7))))
+    measure(sensor, wheels_state([[0.0, 0.0, 0.0, 0.4, 0.4, 0.4, 9.0]]))
     np.testing.assert_allclose(reading(sensor)[2:], [0.1, 0.02 / STEP_S, 0.1 / STEP_S], rtol=1e-6)
 
 
@@ -222,13 +223,13 @@ def test_bounds_hold_however_fast_wheels_turn(left, right, fastest):
 def test_begin_forgets_only_where_told():
     sensor = odometry(scenes=2)
     at = np.zeros((2, 4))
-    sensor.begin(np.array([True, True]), moment(at))
-    sensor.measure(moment(at + 0.4))
+    begin(sensor, np.array([True, True]), wheels_state(at))
+    measure(sensor, wheels_state(at + 0.4))
     other = reading(sensor, 1)
-    sensor.begin(np.array([True, False]), moment(at + 0.4))
+    begin(sensor, np.array([True, False]), wheels_state(at + 0.4))
     np.testing.assert_array_equal(reading(sensor, 0), 0.0)
     np.testing.assert_array_equal(reading(sensor, 1), other)
-    sensor.measure(moment(at + 0.8))
+    measure(sensor, wheels_state(at + 0.8))
     np.testing.assert_allclose(sensor.read()["odometry"][:, 0], [0.4 * WHEEL_RADIUS_M, 0.8 * WHEEL_RADIUS_M])
 
 

@@ -1,17 +1,13 @@
 """Position and heading: the true pose, and an error that wanders as a Gauss-Markov process does."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scanning import moment_of
 from scenes import STEP_S, Drive, about, every_backend
+from states import begin, group_state, measure, motion_of
 from wheels import Measured, reading, within_bounds
 
-from dune_rl.env.motion import Motion
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.position import Position, PositionConf
-from dune_rl.sensors.sensor import Moment
+from dune_rl.state import GroupState
 
 EXTENT = (-20.0, 30.0, -10.0, 15.0)
 HEIGHTS = (-1.0, 4.0)
@@ -23,16 +19,14 @@ def position(conf: PositionConf | None = None, scenes: int = 1, step_s: float = 
 
 def standing(
     places: np.ndarray, step: int = 0, seed: int = 0, first: int = 0, yaw: float | np.ndarray = 0.0
-) -> Moment:
+) -> GroupState:
     """Rovers at `places` (M, 3) in the episodes from `first` on, `step` control steps old."""
     places = np.asarray(places, float)
     scenes = len(places)
     states = np.zeros((scenes, 13))
     states[:, :3] = places
     states[:, 3:7] = [about([0, 0, 1], each) for each in np.broadcast_to(yaw, scenes)]
-    motion = Motion(scenes, RoverZero(RoverZeroConf(), scenes))
-    motion.update(states)
-    return replace(moment_of(motion, step=step), seed=seed, episodes=first + np.arange(scenes))
+    return group_state(motion_of(states), steps=step, seed=seed, streams=first + np.arange(scenes))
 
 
 def everywhere(scenes: int) -> np.ndarray:
@@ -42,10 +36,10 @@ def everywhere(scenes: int) -> np.ndarray:
 def errors(conf: PositionConf, scenes: int, steps: int, step_s: float = STEP_S, seed: int = 0) -> np.ndarray:
     """Error of x, y and z [m] of rovers at the origin, (steps + 1, M, 3), episode by episode."""
     sensor, places = position(conf, scenes, step_s), np.zeros((scenes, 3))
-    sensor.begin(everywhere(scenes), standing(places, seed=seed))
+    begin(sensor, everywhere(scenes), standing(places, seed=seed))
     found = [sensor.read()["position"][:, :3]]
     for step in range(1, steps + 1):
-        sensor.measure(standing(places, step, seed))
+        measure(sensor, standing(places, step, seed))
         assert within_bounds(sensor)
         found.append(sensor.read()["position"][:, :3])
     return np.array(found)
@@ -68,15 +62,15 @@ def test_a_driving_rover_s_pose_is_told(backend):
 def test_each_scene_has_its_own_pose_at_begin_and_after():
     places = np.array([[1.0, 2.0, 0.5], [-3.0, 4.0, 1.0]])
     sensor = position(scenes=2)
-    sensor.begin(everywhere(2), standing(places, yaw=np.array([0.3, -3.0])))
+    begin(sensor, everywhere(2), standing(places, yaw=np.array([0.3, -3.0])))
     np.testing.assert_allclose(sensor.read()["position"], [[1, 2, 0.5, 0.3], [-3, 4, 1, -3.0]], rtol=1e-6)
-    sensor.measure(standing(places + 1.0))
+    measure(sensor, standing(places + 1.0))
     np.testing.assert_allclose(sensor.read()["position"], [[2, 3, 1.5, 0], [-2, 5, 2, 0]], rtol=1e-6)
 
 
 def test_outside_its_world_a_rover_is_told_at_the_edge():
     sensor = position(scenes=2)
-    sensor.begin(everywhere(2), standing([[-99.0, 99.0, -99.0], [99.0, -99.0, 99.0]]))
+    begin(sensor, everywhere(2), standing([[-99.0, 99.0, -99.0], [99.0, -99.0, 99.0]]))
     assert within_bounds(sensor)
     np.testing.assert_array_equal(sensor.read()["position"][:, :3], [[-20, 15, -1], [30, -10, 4]])
 
@@ -93,7 +87,7 @@ def test_bounds_are_the_world_s_widened_by_the_drift():
 def test_a_half_turn_is_within_bounds_either_way():
     for yaw in (np.pi, -np.pi, np.nextafter(np.pi, 0), np.nextafter(-np.pi, 0)):
         sensor = position()
-        sensor.begin(everywhere(1), standing([[0.0, 0.0, 0.0]], yaw=yaw))
+        begin(sensor, everywhere(1), standing([[0.0, 0.0, 0.0]], yaw=yaw))
         assert within_bounds(sensor)
 
 
@@ -152,35 +146,37 @@ def test_equal_seeds_err_alike_and_others_do_not():
 def test_an_episode_s_error_does_not_depend_on_its_neighbours():
     alone, beside = position(DRIFTING), position(DRIFTING, scenes=3)
     nowhere = np.zeros((3, 3))
-    alone.begin(everywhere(1), standing(nowhere[:1], first=2))
-    beside.begin(everywhere(3), standing(nowhere))
+    begin(alone, everywhere(1), standing(nowhere[:1], first=2))
+    begin(beside, everywhere(3), standing(nowhere))
     np.testing.assert_array_equal(reading(alone), reading(beside, 2))
     for step in range(1, 6):
-        alone.measure(standing(nowhere[:1], step, first=2))
-        beside.measure(standing(nowhere, step))
+        measure(alone, standing(nowhere[:1], step, first=2))
+        measure(beside, standing(nowhere, step))
         np.testing.assert_array_equal(reading(alone), reading(beside, 2))
         # Others that begin anew leave it as it is.
         now = standing(nowhere, step)
         begun = np.array([True, False, False])
-        beside.begin(begun, replace(now, steps=np.where(begun, 0, now.steps)))
+        now.episode.steps[begun] = 0
+        begin(beside, begun, now)
         np.testing.assert_array_equal(reading(alone), reading(beside, 2))
 
 
 def test_begin_draws_anew_only_where_told_and_an_episode_repeats_itself():
     sensor, nowhere = position(DRIFTING, scenes=2), np.zeros((2, 3))
-    sensor.begin(everywhere(2), standing(nowhere))
+    begin(sensor, everywhere(2), standing(nowhere))
     first = sensor.read()["position"]
     for step in range(1, 4):
-        sensor.measure(standing(nowhere, step))
+        measure(sensor, standing(nowhere, step))
     later = sensor.read()["position"]
     now = standing(nowhere, 3)
-    sensor.begin(np.array([True, False]), replace(now, steps=np.array([0, 3])))
+    now.episode.steps[0] = 0
+    begin(sensor, np.array([True, False]), now)
     np.testing.assert_array_equal(sensor.read()["position"], [first[0], later[1]])
 
 
 def test_readings_are_the_asker_s_own():
     sensor = position()
-    sensor.begin(everywhere(1), standing([[1.0, 2.0, 3.0]]))
+    begin(sensor, everywhere(1), standing([[1.0, 2.0, 3.0]]))
     sensor.read()["position"][:] = 9.0
     sensor.bounds()["position"][0][:] = 9.0
     np.testing.assert_array_equal(reading(sensor), [1, 2, 3, 0])

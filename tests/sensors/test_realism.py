@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from instruments import Told, limits, moment
+from instruments import ScriptedSensor, limits
+from states import begin, episode_state, measure
 
 from dune_rl.sensors.realism.pipeline import (
     AngleNoiseConf,
@@ -21,25 +22,25 @@ STEP_S = 0.05
 IMU_HIGH = [156.9] * 3 + [34.9] * 3 + [PI32] * 3
 
 
-def imu(scenes: int) -> Told:
-    return Told({"imu": limits(IMU_HIGH)}, scenes)
+def imu(scenes: int) -> ScriptedSensor:
+    return ScriptedSensor({"imu": limits(IMU_HIGH)}, scenes)
 
 
-def speed(scenes: int) -> Told:
-    return Told({"velocity": limits([10.0, 34.9])}, scenes)
+def speed(scenes: int) -> ScriptedSensor:
+    return ScriptedSensor({"velocity": limits([10.0, 34.9])}, scenes)
 
 
-def run(sensor: Realism, told: Told, name: str, steps, truth, episodes=(0,)) -> np.ndarray:
+def run(sensor: Realism, told: ScriptedSensor, name: str, steps, truth, episodes=(0,)) -> np.ndarray:
     """Readings (steps + 1, M, n) of an episode in which `truth(step)` is told."""
     episodes = np.asarray(episodes)
     seen = []
     for step in range(steps + 1):
         told.now[name][:] = truth(step)
-        now = moment(episodes, step)
+        now = episode_state(episodes, step)
         if step == 0:
-            sensor.begin(np.ones(len(episodes), bool), now)
+            begin(sensor, np.ones(len(episodes), bool), now)
         else:
-            sensor.measure(now)
+            measure(sensor, now)
         seen.append(sensor.read()[name])
     return np.array(seen)
 
@@ -73,15 +74,15 @@ def test_each_scene_is_on_its_own_time_and_begins_without_a_past():
     sensor = Realism(told, RealismConf(rate_hz=10.0, latency_s=0.1), 2, STEP_S)
     both, second = np.array([True, True]), np.array([False, True])
     told.now["velocity"][:] = 0.0
-    sensor.begin(both, moment([0, 1], 0))
+    begin(sensor, both, episode_state([0, 1], 0))
     seen = []
     for step in range(1, 9):
         told.now["velocity"][:] = step
-        sensor.measure(moment([0, 1], [step, step if step < 4 else step - 3]))
+        measure(sensor, episode_state([0, 1], [step, step if step < 4 else step - 3]))
         if step == 3:
             told.now["velocity"][:] = 9.5
             before = sensor.read()["velocity"]
-            sensor.begin(second, moment([0, 3], [3, 0]))
+            begin(sensor, second, episode_state([0, 3], [3, 0]))
             after = sensor.read()["velocity"]
             assert np.array_equal(before[0], after[0])
             assert (after[1] == 9.5).all()
@@ -106,7 +107,7 @@ def test_without_faults_every_byte_stays():
 def test_readings_do_not_alias():
     told = speed(1)
     sensor = Realism(told, RealismConf(), 1, STEP_S)
-    sensor.begin(np.array([True]), moment([0], 0))
+    begin(sensor, np.array([True]), episode_state([0], 0))
     sensor.read()["velocity"][:] = 7.0
     assert (sensor.read()["velocity"] == 0.0).all()
     assert sensor.bounds() is told.bounds()
@@ -232,14 +233,14 @@ class Alike:
         return (self.each,) * size
 
 
-def begun(told: Told, faults: NoiseConf) -> dict[str, np.ndarray]:
+def begun(told: ScriptedSensor, faults: NoiseConf) -> dict[str, np.ndarray]:
     sensor = Realism(told, Alike(faults), 8, STEP_S)
-    sensor.begin(np.ones(8, bool), moment(np.arange(8), 0))
+    begin(sensor, np.ones(8, bool), episode_state(np.arange(8), 0))
     return sensor.read()
 
 
 def test_bounds_and_types_hold_for_any_reading():
-    told = Told({"bytes": limits(200, (3, 2), 10, np.uint8), "line": limits(2.0, (4,))}, 8)
+    told = ScriptedSensor({"bytes": limits(200, (3, 2), 10, np.uint8), "line": limits(2.0, (4,))}, 8)
     told.now["bytes"][:] = 100
     seen = begun(told, NoiseConf(noise=90.0, bias=20.0))
     assert seen["bytes"].dtype == np.uint8 and seen["bytes"].shape == (8, 3, 2)
@@ -248,7 +249,7 @@ def test_bounds_and_types_hold_for_any_reading():
 
 
 def test_bytes_are_the_nearest_not_the_next_lower():
-    told = Told({"bytes": limits(255, (400,), 0, np.uint8)}, 8)
+    told = ScriptedSensor({"bytes": limits(255, (400,), 0, np.uint8)}, 8)
     told.now["bytes"][:] = 100
     assert begun(told, NoiseConf(noise=1.0))["bytes"].mean() == pytest.approx(100.0, abs=0.1)
 
@@ -275,18 +276,18 @@ def test_an_episode_repeats_itself_wherever_and_whenever_it_is_played():
     told = imu(2)
     sensor = Realism(told, EVERYTHING, 2, STEP_S)
     told.now["imu"][:] = truth(0)
-    sensor.begin(np.array([True, True]), moment([40, 17], 0))
+    begin(sensor, np.array([True, True]), episode_state([40, 17], 0))
     neighbour = []
     for step in range(1, 8):
         told.now["imu"][:] = truth(step)
-        sensor.measure(moment([40, 17], step))
+        measure(sensor, episode_state([40, 17], step))
         neighbour.append(sensor.read()["imu"][0])
     told.now["imu"][:] = truth(0)
-    sensor.begin(np.array([False, True]), moment([40, 17], [7, 0]))
+    begin(sensor, np.array([False, True]), episode_state([40, 17], [7, 0]))
     again = [sensor.read()["imu"][1]]
     for step in range(1, 13):
         told.now["imu"][0], told.now["imu"][1] = truth(step + 7), truth(step)
-        sensor.measure(moment([40, 17], [step + 7, step]))
+        measure(sensor, episode_state([40, 17], [step + 7, step]))
         again.append(sensor.read()["imu"][1])
         neighbour.append(sensor.read()["imu"][0])
     assert np.array(again).tobytes() == alone.tobytes()

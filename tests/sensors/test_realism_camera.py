@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from instruments import Told, limits, moment
+from instruments import ScriptedSensor, limits
 from pydantic import ValidationError
+from states import begin, episode_state, measure
 
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.sensors.realism.camera import CameraFaults, CameraRealismConf, realistic_camera
@@ -13,7 +14,7 @@ SIZE = (24, 32)
 FAR = 50.0
 
 
-def camera(scenes: int, *outputs: str) -> Told:
+def camera(scenes: int, *outputs: str) -> ScriptedSensor:
     high = {"rgb": (3, 255), "grey": (1, 255), "segmentation": (1, 3)}
     bounds = {
         f"camera_{name}": limits(high[name][1], (*SIZE, high[name][0]), 0, np.uint8)
@@ -22,11 +23,11 @@ def camera(scenes: int, *outputs: str) -> Told:
     }
     if "depth" in outputs:
         bounds["camera_depth"] = limits(FAR, (*SIZE, 1), 0.0)
-    return Told(bounds, scenes)
+    return ScriptedSensor(bounds, scenes)
 
 
 def shown(
-    told: Told, conf: CameraRealismConf, frames, name: str = "camera_grey", first: int = 0
+    told: ScriptedSensor, conf: CameraRealismConf, frames, name: str = "camera_grey", first: int = 0
 ) -> np.ndarray:
     """Pictures (T, M, ...) of `frames`, each told to all scenes; the episodes are `first` and those after."""
     scenes = len(told.now[name])
@@ -34,11 +35,11 @@ def shown(
     seen = []
     for step, frame in enumerate(frames):
         told.now[name][:] = frame
-        now = moment(first + np.arange(scenes), step)
+        now = episode_state(first + np.arange(scenes), step)
         if step == 0:
-            sensor.begin(np.ones(scenes, bool), now)
+            begin(sensor, np.ones(scenes, bool), now)
         else:
-            sensor.measure(now)
+            measure(sensor, now)
         seen.append(sensor.read()[name])
     return np.array(seen)
 
@@ -59,11 +60,11 @@ def test_without_faults_every_byte_stays():
     for name, (_, high) in told.bounds().items():
         told.now[name][:] = rng.uniform(0, high.max(), told.now[name].shape)
     sensor = realistic_camera(told, CameraRealismConf(), 2, STEP_S)
-    sensor.begin(np.array([True, True]), moment([0, 1], 0))
+    begin(sensor, np.array([True, True]), episode_state([0, 1], 0))
     for step in (1, 2):
         assert all(seen.tobytes() == told.now[name].tobytes() for name, seen in sensor.read().items())
         told.now["camera_rgb"][:] += 3
-        sensor.measure(moment([0, 1], step))
+        measure(sensor, episode_state([0, 1], step))
     assert sensor.bounds() == told.bounds()
 
 
@@ -163,7 +164,7 @@ def test_segments_stay_as_they_are_and_outputs_are_independent():
     sensor = CameraFaults(told, CameraRealismConf(full_well_e=100.0, dirt=0.5), 1, STEP_S)
     for name in told.now:
         told.now[name][:] = 100 if name != "camera_segmentation" else 2
-    sensor.begin(np.array([True]), moment([0], 0))
+    begin(sensor, np.array([True]), episode_state([0], 0))
     seen = sensor.read()
     assert (seen["camera_segmentation"] == 2).all()
     grey, red = (seen[name][0, ..., 0].astype(float) for name in ("camera_grey", "camera_rgb"))
@@ -221,7 +222,7 @@ EVERYTHING = CameraRealismConf(
 )
 
 
-def play(sensor, told: Told, row: int, episode: int, steps: int, beside: int = 0) -> bytes:
+def play(sensor, told: ScriptedSensor, row: int, episode: int, steps: int, beside: int = 0) -> bytes:
     """An episode in scene `row`, all that it shows, while the other scene's goes on from `beside`."""
     episodes, at = np.array([900, 900]), np.array([beside, beside])
     seen = b""
@@ -231,10 +232,10 @@ def play(sensor, told: Told, row: int, episode: int, steps: int, beside: int = 0
         for name, now in told.now.items():
             now[row] = rng.uniform(0, 40 if name == "camera_depth" else 255, now.shape[1:])
         if step == 0:
-            sensor.begin(np.arange(2) == row, moment(episodes, at))
+            begin(sensor, np.arange(2) == row, episode_state(episodes, at))
         else:
             at[1 - row] += 1
-            sensor.measure(moment(episodes, at))
+            measure(sensor, episode_state(episodes, at))
         seen += b"".join(reading[row].tobytes() for reading in sensor.read().values())
     return seen
 
@@ -242,7 +243,7 @@ def play(sensor, told: Told, row: int, episode: int, steps: int, beside: int = 0
 def test_an_episode_repeats_itself_wherever_and_whenever_it_is_played():
     told = camera(2, "rgb", "depth")
     sensor = realistic_camera(told, EVERYTHING, 2, STEP_S)
-    sensor.begin(np.array([True, True]), moment([900, 900], 0))
+    begin(sensor, np.array([True, True]), episode_state([900, 900], 0))
     first = play(sensor, told, 0, 7, 9)
     other = play(sensor, told, 1, 8, 5, beside=8)
     assert play(sensor, told, 1, 7, 9, beside=20) == first
@@ -254,11 +255,11 @@ def test_a_neighbour_s_new_episode_changes_nothing():
     told = camera(2, "rgb", "depth")
     sensor = CameraFaults(told, EVERYTHING, 2, STEP_S)
     told.now["camera_rgb"][:] = 80
-    sensor.begin(np.array([True, True]), moment([0, 1], 0))
+    begin(sensor, np.array([True, True]), episode_state([0, 1], 0))
     told.now["camera_rgb"][:] = 200
-    sensor.measure(moment([0, 1], 1))
+    measure(sensor, episode_state([0, 1], 1))
     before = sensor.read()
-    sensor.begin(np.array([False, True]), moment([0, 2], [1, 0]))
+    begin(sensor, np.array([False, True]), episode_state([0, 2], [1, 0]))
     after = sensor.read()
     assert all(np.array_equal(before[name][0], after[name][0]) for name in before)
     assert not np.array_equal(before["camera_rgb"][1], after["camera_rgb"][1])

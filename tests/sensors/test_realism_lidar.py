@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from instruments import moment
 from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
+from states import begin, episode_state, measure
 from test_past_scan import STANDING, WALLS
 
 from dune_rl.sensors.lidar import LidarConf, beam_angles
@@ -23,7 +23,7 @@ def faulty(
     """`ranges` (n_beams,) as they are read in 200 episodes, (200, n_beams)."""
     faults = BeamFaults(LidarRealismConf(**settings), lidar)
     true = np.tile(np.asarray(ranges, np.float32), (SCENES, 1))
-    return faults.applied(true, moment(np.arange(SCENES), step, seed))
+    return faults.applied(true, episode_state(np.arange(SCENES), step, seed))
 
 
 def round_room(radius: float, lidar: LidarConf = CONF) -> np.ndarray:
@@ -126,11 +126,11 @@ def test_faults_depend_on_the_moment_alone():
     rng = np.random.default_rng(1)
     true = rng.uniform(0.1, 12.0, (4, 128)).astype(np.float32)
     before = true.copy()
-    seen = faults.applied(true, moment([4, 9, 2, 7], [1, 5, 0, 2]))
+    seen = faults.applied(true, episode_state([4, 9, 2, 7], [1, 5, 0, 2]))
     assert np.array_equal(true, before)
-    assert faults.applied(true, moment([4, 9, 2, 7], [1, 5, 0, 2])).tobytes() == seen.tobytes()
-    assert BeamFaults(conf, CONF).applied(true[[1]], moment([9], [5])).tobytes() == seen[1].tobytes()
-    for other in (moment([9], [6]), moment([8], [5]), moment([9], [5], seed=6)):
+    assert faults.applied(true, episode_state([4, 9, 2, 7], [1, 5, 0, 2])).tobytes() == seen.tobytes()
+    assert BeamFaults(conf, CONF).applied(true[[1]], episode_state([9], [5])).tobytes() == seen[1].tobytes()
+    for other in (episode_state([9], [6]), episode_state([8], [5]), episode_state([9], [5], seed=6)):
         assert not np.array_equal(faults.applied(true[[1]], other)[0], seen[1])
 
 
@@ -148,17 +148,17 @@ def scanner(faults: BeamFaults | None, delay: int = 2) -> Scanner:
 
 
 def standing(episodes, steps):
-    now = moment(episodes, steps)
-    now.position_w[:] = STANDING
-    now.rotation[:] = turned(0.3)
+    now = episode_state(episodes, steps)
+    now.motion.position_w[:] = STANDING
+    now.motion.rotation[:] = turned(0.3)
     return now
 
 
 def scans(sensor: Scanner, episodes, steps: int) -> list[dict[str, np.ndarray]]:
-    sensor.begin(np.array([True, True]), standing(episodes, 0))
+    begin(sensor, np.array([True, True]), standing(episodes, 0))
     seen = [sensor.read()]
     for step in range(1, steps):
-        sensor.measure(standing(episodes, step))
+        measure(sensor, standing(episodes, step))
         seen.append(sensor.read())
     return seen
 
@@ -184,12 +184,12 @@ def test_a_neighbour_s_new_episode_changes_nothing():
     conf = LidarRealismConf(noise_m=0.1, dropout=0.1)
     alone = scans(scanner(BeamFaults(conf, CONF)), [3, 4], 5)
     sensor = scanner(BeamFaults(conf, CONF))
-    sensor.begin(np.array([True, True]), standing([3, 4], 0))
+    begin(sensor, np.array([True, True]), standing([3, 4], 0))
     for step in range(1, 4):
-        sensor.measure(standing([3, 4], step))
-    sensor.begin(np.array([False, True]), standing([3, 6], [3, 0]))
+        measure(sensor, standing([3, 4], step))
+    begin(sensor, np.array([False, True]), standing([3, 6], [3, 0]))
     assert np.array_equal(sensor.read()["lidar"][0], alone[3]["lidar"][0])
-    sensor.measure(standing([3, 6], [4, 1]))
+    measure(sensor, standing([3, 6], [4, 1]))
     for name in ("lidar", "lidar_past"):
         assert np.array_equal(sensor.read()[name][0], alone[4][name][0])
 

@@ -20,8 +20,8 @@ from dune_rl.learning.checkpoint import write
 from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import policy_content
+from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar import LidarConf
-from dune_rl.sensors.suite import SensorsConf
 from dune_rl.visualization.contact_sheet import contact_sheet
 from dune_rl.visualization.film import film
 from dune_rl.visualization.overlay import with_overlays

@@ -21,8 +21,9 @@ from dune_rl.config.build import build_world
 from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_evaluation
 from dune_rl.env.registration import register_envs
 from dune_rl.errors import ConfigError, WorldError
-from dune_rl.worlds import HeightField, Prop, Settings, World, check_world, registry, upright_box
+from dune_rl.worlds import HeightField, Prop, Settings, World, check_world, upright_box
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
+from dune_rl.worlds.registry import WORLDS
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -129,7 +130,10 @@ BROKEN = {
     "untyped": ("broken:untyped", "whose parameter 'seed' has no type: write such as seed: int = 0."),
     "rest": ("broken:rest", "whose parameter **rest: int cannot be a setting"),
     "taken": ("broken:taken", "whose parameter 'name' has a name that settings use themselves."),
-    "returns": ("broken:returns", "which must return a World, and says that it returns int."),
+    "returns": (
+        "broken:returns",
+        "a function that returns a World, and says that it returns int.",
+    ),
     "arrays": ("broken:arrays", "whose parameters cannot be settings: Unable to generate"),
     "unfit": ("broken:unfit", "whose default for seed is unfit: Input should be a valid integer"),
 }
@@ -176,7 +180,7 @@ def test_names_that_clash(user: Path) -> None:
 
 def test_listing_and_other_worlds_import_no_package(user: Path) -> None:
     (user / "my_worlds.py").write_text("raise SystemExit('imported')")
-    assert "crater" in registry.names()
+    assert "crater" in WORLDS.names()
     compose(["+world=flat"])
     assert "my_worlds" not in sys.modules
 
@@ -187,7 +191,7 @@ def test_a_registered_function_travels_to_other_processes(user: Path) -> None:
     assert build_world(conf).terrain.height([0.0, 0.0]) == -2.0
     assert fault("+world=dish", "world.depth_m=-1") == "world.depth_m must be above 0.0 (got -1)"
     sent = pickle.dumps(conf)
-    del registry._USERS["dish"]
+    del WORLDS._user_parts["dish"]
     # As in a worker, which knows only what it is sent.
     there = pickle.loads(sent)
     assert build_world(there).terrain.height([0.0, 0.0]) == -2.0
@@ -201,12 +205,12 @@ def test_a_program_cannot_take_a_name(user: Path) -> None:
         return plain()
 
     with pytest.raises(WorldError, match="cannot be the world 'flat', which dune_rl has"):
-        registry.register(flat)
-    registry.register(dish, "bowl")
+        WORLDS.register(flat)
+    WORLDS.register(dish, "bowl")
     with pytest.raises(WorldError, match="cannot be the world 'bowl', which test_user_worlds:dish is"):
-        registry.register(flat, "bowl")
+        WORLDS.register(flat, "bowl")
     with pytest.raises(WorldError, match="a world cannot be called 'a/b'"):
-        registry.register(flat, "a/b")
+        WORLDS.register(flat, "a/b")
 
 
 @pytest.mark.parametrize(

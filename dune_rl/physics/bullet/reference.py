@@ -1,4 +1,4 @@
-"""PyBullet's own ray tests and pictures of a scene: what our sensors are compared with."""
+"""PyBullet's own ray tests and camera images of a scene: the reference that our sensors are timed against."""
 
 from collections.abc import Sequence
 
@@ -6,19 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.interface import StaticBody
-from dune_rl.physics.quiet import silent_stderr
+from dune_rl.physics.stderr import suppress_stderr
 
-with silent_stderr():
+with suppress_stderr():
     import pybullet
 
 Array = NDArray[np.float64]
 
 
 class BulletReference:
-    """Still bodies in a client of their own, to cast rays at and to look at.
+    """Static bodies in a PyBullet client of their own, for ray tests and camera images.
 
-    A grid of `heights` (256, 256, say) [m] at `spacing_m` may be given instead
-    of bodies: PyBullet has a shape of its own for that.
+    A grid of `heights` (rows, columns) [m] at `spacing_m` becomes PyBullet's heightfield shape.
     """
 
     def __init__(
@@ -30,14 +29,14 @@ class BulletReference:
         self._client = pybullet.connect(pybullet.DIRECT)
         for body in statics:
             mesh = {"vertices": body.vertices.tolist(), "indices": body.faces.ravel().tolist()}
-            seen = pybullet.createVisualShape(pybullet.GEOM_MESH, **mesh, physicsClientId=self._client)
-            solid = pybullet.createCollisionShape(
+            visual = pybullet.createVisualShape(pybullet.GEOM_MESH, **mesh, physicsClientId=self._client)
+            collision = pybullet.createCollisionShape(
                 pybullet.GEOM_MESH,
                 **mesh,
                 flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
                 physicsClientId=self._client,
             )
-            pybullet.createMultiBody(0.0, solid, seen, physicsClientId=self._client)
+            pybullet.createMultiBody(0.0, collision, visual, physicsClientId=self._client)
         if heights is not None:
             rows, columns = heights.shape
             field = pybullet.createCollisionShape(
@@ -48,18 +47,18 @@ class BulletReference:
                 numHeightfieldColumns=rows,
                 physicsClientId=self._client,
             )
-            # PyBullet puts the middle of the heights' range at the body's origin.
+            # PyBullet puts the middle of the range of heights at the body's origin.
             middle = (float(heights.min()) + float(heights.max())) / 2
             pybullet.createMultiBody(
                 0.0, field, basePosition=[0.0, 0.0, middle], physicsClientId=self._client
             )
 
     def cast(self, origins: list[list[float]], ends: list[list[float]]) -> None:
-        """Rays from `origins` to `ends`, at most 16,383, as its LiDARs are made of."""
+        """Cast rays from `origins` to `ends`, at most 16,383."""
         pybullet.rayTestBatch(origins, ends, physicsClientId=self._client)
 
     def look(self, eye: Array, ahead: Array, width: int, height: int, fov_rad: float) -> None:
-        """A picture by its software renderer, without shadows."""
+        """Render an image with PyBullet's software renderer, without shadows."""
         target = np.asarray(eye) + np.asarray(ahead)
         view = pybullet.computeViewMatrix(list(eye), target.tolist(), [0.0, 0.0, 1.0])
         lens = pybullet.computeProjectionMatrixFOV(np.rad2deg(fov_rad), width / height, 0.05, 100.0)
@@ -74,5 +73,5 @@ class BulletReference:
         )
 
     def close(self) -> None:
-        """Free its memory."""
+        """Free the client's memory."""
         pybullet.disconnect(physicsClientId=self._client)

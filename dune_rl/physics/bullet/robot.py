@@ -7,29 +7,31 @@ from pathlib import Path
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame
 from dune_rl.physics.interface import Coupling, RobotBody
-from dune_rl.physics.motors import Servos, work_w
-from dune_rl.physics.quiet import silent_stderr
-from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
+from dune_rl.physics.motors import Servos, motor_power_w
+from dune_rl.physics.stderr import suppress_stderr
+from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 
-with silent_stderr():
+with suppress_stderr():
     import pybullet
 
-# Collision groups. Spheres stand in for wheels; they are wider than the tyres
-# they stand for, so they roll on the ground and leave obstacles to the hull.
+# Collision groups. WHEEL is for spheres in place of wheels: they are wider than
+# the tyres, so they roll on the ground, and only the hull hits obstacles.
 GROUND, WHEEL, HULL, OBSTACLE = 1, 2, 4, 8
 
-_TOUCH_M = 1e-3
-# A coupling gives what it takes. What it is off by falls by this share a second: more than 10 and it
-# swings up. With 10 iterations Leo's rockers, on stones, are up to 1.2e-3 rad off, with 20 half of that.
+# Contact points closer than this count as contacts.
+_CONTACT_DISTANCE_M = 1e-3
+# The force limit of a coupling is never reached. Its position error falls by the share _GEAR_ERP a second:
+# above 10 it starts to oscillate. With 10 iterations Leo's rockers, on stones, have errors up to 1.2e-3 rad,
+# with 20 half of that.
 _GEAR_FORCE, _GEAR_ERP, GEAR_ITERATIONS = 1e4, 5.0, 20
 
 
 class BulletRobot:
-    """A `PhysicsRobot` of the PyBullet `client`, loaded by `place`.
+    """A `PhysicsRobot` in the PyBullet `client`.
 
-    `numbers` are those of the bodies that it may touch, by PyBullet's handles
-    of them, which may change. `hull_meets` are the collision groups that its
-    hull meets.
+    `body_numbers` maps PyBullet's handles of the bodies that are not ground to
+    body numbers; the scene updates it. `hull_mask` has the collision groups
+    that the hull collides with.
     """
 
     def __init__(
@@ -37,22 +39,22 @@ class BulletRobot:
         client: int,
         spec: RobotBody,
         timestep_s: float,
-        numbers: Mapping[int, int],
-        hull_meets: int,
+        body_numbers: Mapping[int, int],
+        hull_mask: int,
         *,
         measures_work: bool,
     ) -> None:
         self._client, self._spec, self._timestep_s = client, spec, timestep_s
-        self._numbers, self._hull_meets = numbers, hull_meets
+        self._body_numbers, self._hull_mask = body_numbers, hull_mask
         self._robot: int | None = None
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        self._push: Sequence[float] | None = None
+        self._force: Sequence[float] | None = None
         self._joints: dict[str, int] = {}
         self._drive_joints: list[int] = []
-        self._contacts: list[tuple[float, ...]] = []
+        self._wheel_contacts: list[tuple[float, ...]] = []
         self._motors = spec.motors
-        # Most wheels take a command as it is, once a control step; others need a look in every physics step.
-        self.plain = all(motor.is_plain for motor in self._motors)
+        # Ideal motors take a command once a control step; others need the joint states in every physics step.
+        self.has_ideal_motors = all(motor.is_ideal for motor in self._motors)
         self._torques = [motor.max_torque_nm for motor in self._motors]
         self._commands: Sequence[float] = spec.rest_commands()
         self._servos = Servos(self._motors, timestep_s)
@@ -63,27 +65,27 @@ class BulletRobot:
         self._speeds: Sequence[float] = ()
 
     def set_body(self, variation: BodyVariation) -> None:
-        self._motors = motors_at(self._spec.motors, variation.motor_strength)
+        self._motors = scale_motors(self._spec.motors, variation.motor_strength)
         self._servos = Servos(self._motors, self._timestep_s)
         self._torques = [motor.max_torque_nm for motor in self._motors]
-        as_is = variation.is_of_the_urdf
-        self._varied_urdf = None if as_is else varied_urdf(self._spec.urdf, variation)
+        unchanged = variation.keeps_masses
+        self._varied_urdf = None if unchanged else varied_urdf(self._spec.urdf, variation)
 
-    def stand(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         self._pose = (position_w, quaternion)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the robot from the scene."""
         if self._robot is not None:
             pybullet.removeBody(self._robot, physicsClientId=self._client)
         self._robot = None
 
-    def place(self) -> int:
-        """Load it where it is to stand; PyBullet's handle of it."""
+    def load(self) -> int:
+        """Load the robot at its start pose and return PyBullet's handle."""
         if self._varied_urdf is None:
             self._robot = self._load_robot(self._spec.urdf, *self._pose)
         else:
-            # PyBullet moves no centre of mass in place, and loads a URDF from files alone.
+            # PyBullet cannot move the centre of mass of a loaded body, and loads a URDF only from a file.
             handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
             try:
                 with open(handle, "w", encoding="utf-8") as file:
@@ -92,14 +94,14 @@ class BulletRobot:
             finally:
                 Path(name).unlink()
         self._commands = self._spec.rest_commands()
-        self._servos.rest()
+        self._servos.reset()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
-        self._push = None
-        self._contacts = [() for _ in self._ground_links]
+        self._force = None
+        self._wheel_contacts = [() for _ in self._ground_links]
         return self._robot
 
-    def forget(self) -> None:
-        """The engine is gone, and with it the robot."""
+    def release(self) -> None:
+        """Drop the handle after the client was disconnected."""
         self._robot = None
 
     def _load_robot(self, urdf: Path, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
@@ -109,7 +111,7 @@ class BulletRobot:
                 str(urdf),
                 basePosition=list(position_w),
                 baseOrientation=list(quaternion),
-                # Looks are drawn elsewhere: to read their meshes at every start would cost milliseconds.
+                # Rendering does not use the engine; reading visual meshes would cost milliseconds a reset.
                 flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_IGNORE_VISUAL_SHAPES,
                 physicsClientId=client,
             )
@@ -118,7 +120,7 @@ class BulletRobot:
         self._name_joints(robot)
         for link in range(-1, len(self._links) - 1):
             self._set_up_link(robot, link)
-        # Apart from the above: beside one of these, PyBullet gives a link's friction to the base instead.
+        # In a call of its own: together with one of these, PyBullet applies a link's friction to the base.
         pybullet.changeDynamics(
             robot,
             -1,
@@ -128,9 +130,9 @@ class BulletRobot:
             physicsClientId=client,
         )
         self._set_up_joints(robot)
-        told = pybullet.getDynamicsInfo(robot, -1, physicsClientId=client)
-        frame = InertialFrame(told[3], told[4])
-        self._frame = None if frame.is_the_links else frame
+        info = pybullet.getDynamicsInfo(robot, -1, physicsClientId=client)
+        frame = InertialFrame(info[3], info[4])
+        self._frame = None if frame.is_identity else frame
         return robot
 
     def _name_joints(self, robot: int) -> None:
@@ -144,20 +146,20 @@ class BulletRobot:
         self._links = {base: -1} | {info[12].decode(): info[0] for info in infos}
         self._movable = [info[0] for info in infos if info[2] != pybullet.JOINT_FIXED]
         self._axes = {info[0]: info[13] for info in infos}
-        fault = spec.missing_from(self._joints, self._links)
-        if fault:
-            raise PhysicsError(fault)
+        error = spec.describe_missing_names(self._joints, self._links)
+        if error:
+            raise PhysicsError(error)
         self._drive_joints = [self._joints[name] for name in spec.drive_joints]
         self._ground_links = [self._links[name] for name in spec.ground_links]
 
     def _set_up_link(self, robot: int, link: int) -> None:
         spec = self._spec
         if link in self._ground_links:
-            meets = spec.ground_links_meet_obstacles
-            group, mask = (HULL, self._hull_meets) if meets else (WHEEL, GROUND)
+            collides = spec.ground_links_meet_obstacles
+            group, mask = (HULL, self._hull_mask) if collides else (WHEEL, GROUND)
             friction = spec.ground_friction
         else:
-            group, mask, friction = HULL, self._hull_meets, spec.hull_friction
+            group, mask, friction = HULL, self._hull_mask, spec.hull_friction
         pybullet.setCollisionFilterGroupMask(robot, link, group, mask, physicsClientId=self._client)
         pybullet.changeDynamics(
             robot,
@@ -177,7 +179,7 @@ class BulletRobot:
             )
 
     def _set_up_joints(self, robot: int) -> None:
-        """Free the joints that PyBullet holds by motors of its own, and couple those that are."""
+        """Disable PyBullet's default motors of passive joints, set start angles, and add couplings."""
         client, spec = self._client, self._spec
         friction = {self._joints[joint.joint]: joint.friction_nm for joint in spec.passive}
         for joint in self._movable:
@@ -203,9 +205,9 @@ class BulletRobot:
                     robot, self._joints[motor.joint], motor.rest_rad, physicsClientId=client
                 )
         for coupling in spec.couplings:
-            self._couple(robot, coupling)
+            self._add_coupling(robot, coupling)
 
-    def _couple(self, robot: int, coupling: Coupling) -> None:
+    def _add_coupling(self, robot: int, coupling: Coupling) -> None:
         gear = pybullet.createConstraint(
             robot,
             self._joints[coupling.leader],
@@ -217,38 +219,38 @@ class BulletRobot:
             (0.0, 0.0, 0.0),
             physicsClientId=self._client,
         )
-        # Bullet keeps the leader's speed and so many times the follower's at a sum of 0.
+        # Bullet's constraint: leader speed + gearRatio * follower speed = 0.
         ratio = -1.0 / coupling.ratio
         pybullet.changeConstraint(
             gear, gearRatio=ratio, maxForce=_GEAR_FORCE, erp=_GEAR_ERP, physicsClientId=self._client
         )
 
-    def drive(self, commands: Sequence[float]) -> None:
+    def set_command(self, commands: Sequence[float]) -> None:
         self._commands = commands
 
-    def xy(self) -> tuple[float, float]:
-        """Where its centre of mass is, seen from above [m]."""
+    def position_xy(self) -> tuple[float, float]:
+        """Horizontal position of the base's centre of mass [m]."""
         (x, y, _), _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)
         return x, y
 
-    def begin(self, count: int) -> None:
-        """Have the motors take their commands for the next `count` physics steps."""
-        if self.plain:
-            self._hold(self._commands, self._torques)
+    def begin_step(self, count: int) -> None:
+        """Pass the commands to the motors for the next `count` physics steps."""
+        if self.has_ideal_motors:
+            self._set_motors(self._commands, self._torques)
         else:
-            self._servos.command(self._commands, count)
+            self._servos.set_commands(self._commands, count)
 
-    def push(self, force_w: Sequence[float]) -> None:
-        self._push = force_w if any(force_w) else None
+    def apply_force(self, force_w: Sequence[float]) -> None:
+        self._force = force_w if any(force_w) else None
 
-    def pushed(self) -> Sequence[float] | None:
-        """The force set by `push` since this was asked last; None where there is none."""
-        push, self._push = self._push, None
-        return push
+    def take_force(self) -> Sequence[float] | None:
+        """The force set by `apply_force` since the last call, which is removed; None if there is none."""
+        force, self._force = self._force, None
+        return force
 
-    def apply(self, force_w: Sequence[float]) -> None:
-        """Have a force (3) [N] act in the next physics step."""
-        # The engine forgets forces after each physics step.
+    def act_force(self, force_w: Sequence[float]) -> None:
+        """Apply a force (3) [N] in the next physics step."""
+        # The engine clears forces after each physics step.
         centre, _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)
         pybullet.applyExternalForce(
             self._robot, -1, force_w, centre, pybullet.WORLD_FRAME, physicsClientId=self._client
@@ -261,13 +263,13 @@ class BulletRobot:
         stiffness: Sequence[float] | None = None,
         damping: Sequence[float] | None = None,
     ) -> None:
-        # Negative ones are left as they are.
-        rigid = [-1.0] * len(self._ground_links)
-        rows = zip(friction, restitution, stiffness or rigid, damping or rigid, strict=True)
+        # PyBullet ignores negative values.
+        unchanged = [-1.0] * len(self._ground_links)
+        rows = zip(friction, restitution, stiffness or unchanged, damping or unchanged, strict=True)
         for wheel, row in enumerate(rows):
-            if row == self._contacts[wheel]:
+            if row == self._wheel_contacts[wheel]:
                 continue
-            self._contacts[wheel] = row
+            self._wheel_contacts[wheel] = row
             pybullet.changeDynamics(
                 self._robot,
                 self._ground_links[wheel],
@@ -278,20 +280,20 @@ class BulletRobot:
                 physicsClientId=self._client,
             )
 
-    def count_work(self) -> None:
-        """Sum up the motors' work of the physics step that was made."""
+    def add_work(self) -> None:
+        """Add the motors' work in the last physics step to `work_j`."""
         states = pybullet.getJointStates(self._robot, self._drive_joints, physicsClientId=self._client)
         _, speeds, _, torques = zip(*states, strict=True)
-        # A torque acts from the speed before a step to the one after it.
-        means = [(one + other) / 2 for one, other in zip(self._speeds, speeds, strict=True)]
+        # The joint speed changes linearly over a step under a constant torque.
+        means = [(before + after) / 2 for before, after in zip(self._speeds, speeds, strict=True)]
         self._speeds = speeds
-        self._work += work_w(self._motors, means, torques) * self._timestep_s
+        self._work += motor_power_w(self._motors, means, torques) * self._timestep_s
 
     def work_j(self) -> float:
-        done, self._work = self._work, 0.0
-        return done
+        work, self._work = self._work, 0.0
+        return work
 
-    def _hold(self, speeds: Sequence[float], torques: Sequence[float]) -> None:
+    def _set_motors(self, speeds: Sequence[float], torques: Sequence[float]) -> None:
         pybullet.setJointMotorControlArray(
             self._robot,
             self._drive_joints,
@@ -301,11 +303,11 @@ class BulletRobot:
             physicsClientId=self._client,
         )
 
-    def act(self) -> None:
-        """Have the motors do what they can toward their commands in the next physics step."""
+    def command_motors(self) -> None:
+        """Set target speeds and torque limits of the motors for the next physics step."""
         states = pybullet.getJointStates(self._robot, self._drive_joints, physicsClientId=self._client)
         angles, speeds, _, _ = zip(*states, strict=True)
-        self._hold(*self._servos.next(angles, speeds))
+        self._set_motors(*self._servos.targets(angles, speeds))
 
     def body_state(self) -> tuple[float, ...]:
         position, quaternion = pybullet.getBasePositionAndOrientation(
@@ -313,7 +315,7 @@ class BulletRobot:
         )
         linear, angular = pybullet.getBaseVelocity(self._robot, physicsClientId=self._client)
         if self._frame is not None:
-            position, quaternion, linear = self._frame.of_the_link(position, quaternion, linear, angular)
+            position, quaternion, linear = self._frame.link_state(position, quaternion, linear, angular)
         return (*position, *quaternion, *linear, *angular)
 
     def drive_state(self) -> tuple[float, ...]:
@@ -328,10 +330,12 @@ class BulletRobot:
         states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
         return tuple(state[0] for state in states)
 
-    def touched(self) -> list[int]:
-        # The ground has no number, so that what is left is collisions.
+    def contacts(self) -> list[int]:
+        # Ground has no number: what remains is collisions.
         contacts = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
-        numbers = self._numbers
+        numbers = self._body_numbers
         return [
-            numbers[contact[2]] for contact in contacts if contact[2] in numbers and contact[8] < _TOUCH_M
+            numbers[contact[2]]
+            for contact in contacts
+            if contact[2] in numbers and contact[8] < _CONTACT_DISTANCE_M
         ]

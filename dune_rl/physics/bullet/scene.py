@@ -10,24 +10,23 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.bullet.robot import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
-from dune_rl.physics.first_robot import AnswersAsFirst
-from dune_rl.physics.interface import CAPSULE_FRICTION, KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicCapsule, SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
-from dune_rl.physics.quiet import silent_stderr
+from dune_rl.physics.stderr import suppress_stderr
 
-with silent_stderr():
+with suppress_stderr():
     import pybullet
 
-# A kinematic body farther than this from the robot is moved once per control
-# step: it cannot touch the robot before the next one.
+# A kinematic body farther than this from all robots is moved once per control
+# step: it cannot touch a robot before the next one.
 _NEAR_M = 2.0
 
-# PyBullet's wheel takes no more vertices and indices in a mesh (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
+# Limits of a mesh in PyBullet's wheel (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
 _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
 
 
-class BulletScene(AnswersAsFirst[BulletRobot]):
-    """One PyBullet client in DIRECT mode."""
+class BulletScene:
+    """`PhysicsScene` in a PyBullet client of its own, in DIRECT mode."""
 
     def __init__(self, spec: SceneSpec) -> None:
         if not pybullet.isNumpyEnabled():
@@ -43,9 +42,9 @@ class BulletScene(AnswersAsFirst[BulletRobot]):
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise PhysicsError("PyBullet opened no further client in this process; use fewer scenes")
-        # A client holds some 30 MB, which PyBullet keeps until it is told to end it.
-        self._end = weakref.finalize(self, _disconnect, self._client)
-        self._end.atexit = False
+        # PyBullet keeps the memory of a client, some 30 MB, until it is disconnected.
+        self._disconnect = weakref.finalize(self, _disconnect, self._client)
+        self._disconnect.atexit = False
         iterations = spec.solver_iterations
         if any(robot.couplings for robot in spec.robots):
             iterations = max(iterations, GEAR_ITERATIONS)
@@ -60,34 +59,33 @@ class BulletScene(AnswersAsFirst[BulletRobot]):
             physicsClientId=self._client,
         )
         pybullet.setGravity(0.0, 0.0, -spec.gravity_mps2, physicsClientId=self._client)
-        self._numbers: dict[int, int] = {}
+        self._body_numbers: dict[int, int] = {}
         for number, body in enumerate(spec.statics):
             for vertices, faces in mesh_pieces(body.vertices, body.faces, _MOST_VERTICES, _MOST_FACES):
                 handle = self._add_static(replace(body, vertices=vertices, faces=faces))
                 if not body.ground:
-                    self._numbers[handle] = number
+                    self._body_numbers[handle] = number
         self._kinematics = [self._add_capsule(body) for body in spec.kinematics]
         self._centre_heights = [body.height_m / 2 for body in spec.kinematics]
-        for number, handle in enumerate(self._kinematics, start=len(spec.statics)):
-            self._numbers[handle] = number
+        for index, handle in enumerate(self._kinematics):
+            self._body_numbers[handle] = spec.kinematic_number(index)
         self._poses = np.zeros((len(self._kinematics), 4))
-        # Without others there is no hull to meet, and runs are as they ever were.
-        meets = GROUND | OBSTACLE | (HULL if spec.others else 0)
-        self._robots = [
+        # The mask of a lone robot has no HULL: it is part of what makes runs bit-identical over versions.
+        hull_mask = GROUND | OBSTACLE | (HULL if len(spec.robots) > 1 else 0)
+        self.robots = [
             BulletRobot(
                 self._client,
                 robot,
                 spec.timestep_s,
-                self._numbers,
-                meets,
+                self._body_numbers,
+                hull_mask,
                 measures_work=spec.measures_work,
             )
             for robot in spec.robots
         ]
-        self._first, self.others = self._robots[0], self._robots[1:]
-        self._placed: list[int] = []
-        self._plain = all(robot.plain for robot in self._robots)
-        self._measures_work = any(robot.measures_work for robot in self._robots)
+        self._loaded: list[int] = []
+        self._all_ideal = all(robot.has_ideal_motors for robot in self.robots)
+        self._measures_work = any(robot.measures_work for robot in self.robots)
 
     def _add_static(self, body: StaticBody) -> int:
         shape = pybullet.createCollisionShape(
@@ -121,23 +119,18 @@ class BulletScene(AnswersAsFirst[BulletRobot]):
         )
         handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
         pybullet.setCollisionFilterGroupMask(handle, -1, OBSTACLE, HULL, physicsClientId=self._client)
-        pybullet.changeDynamics(handle, -1, lateralFriction=CAPSULE_FRICTION, physicsClientId=self._client)
+        pybullet.changeDynamics(handle, -1, lateralFriction=KINEMATIC_FRICTION, physicsClientId=self._client)
         return handle
 
-    def place(
-        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
+    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
         # Setting poses and speeds back would keep the solver's warm-start
         # impulses (bullet3 #2442): a robot loaded anew has none.
-        for handle, robot in zip(self._placed, self._robots, strict=False):
+        for handle, robot in zip(self._loaded, self.robots, strict=False):
             robot.remove()
-            self._numbers.pop(handle, None)
-        self._first.stand(position_w, quaternion)
-        self._placed = [robot.place() for robot in self._robots]
-        if self.others:
-            self._numbers |= {
-                handle: number for number, handle in enumerate(self._placed, self._spec.first_robot)
-            }
+            self._body_numbers.pop(handle, None)
+        self._loaded = [robot.load() for robot in self.robots]
+        for index, handle in enumerate(self._loaded):
+            self._body_numbers[handle] = self._spec.robot_number(index)
         for index in range(len(self._kinematics)):
             self._move(index, kinematic_poses[index].tolist())
         self._poses[:] = kinematic_poses
@@ -151,54 +144,53 @@ class BulletScene(AnswersAsFirst[BulletRobot]):
             physicsClientId=self._client,
         )
 
-    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
-        self._first.drive(commands)
-        pushes = []
-        for robot in self._robots:
-            push = robot.pushed()
-            if push is not None:
-                pushes.append((robot, push))
-            robot.begin(count)
+    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+        forces: list[tuple[BulletRobot, Sequence[float]]] = []
+        for robot in self.robots:
+            force = robot.take_force()
+            if force is not None:
+                forces.append((robot, force))
+            robot.begin_step(count)
         near: list[tuple[int, list[float], list[float]]] = []
         if self._kinematics:
-            places = [robot.xy() for robot in self._robots]
+            positions = [robot.position_xy() for robot in self.robots]
             for index, (old, new) in enumerate(
                 zip(self._poses.tolist(), kinematic_poses.tolist(), strict=True)
             ):
-                if any(abs(new[0] - x) < _NEAR_M and abs(new[1] - y) < _NEAR_M for x, y in places):
+                if any(abs(new[0] - x) < _NEAR_M and abs(new[1] - y) < _NEAR_M for x, y in positions):
                     near.append((index, old, new))
                 else:
                     self._move(index, new)
             self._poses[:] = kinematic_poses
-        if not near and not pushes:
-            self.coast(count)
+        if not near and not forces:
+            self.step_passive(count)
             return
-        for part in range(1, count + 1):
-            share = part / count
+        for substep in range(1, count + 1):
+            share = substep / count
             for index, old, new in near:
-                pose = [a + (b - a) * share for a, b in zip(old[:3], new[:3], strict=True)]
-                self._move(index, [*pose, new[3]])
-            for robot, push in pushes:
-                robot.apply(push)
-            self.coast(1)
+                position = [a + (b - a) * share for a, b in zip(old[:3], new[:3], strict=True)]
+                self._move(index, [*position, new[3]])
+            for robot, force in forces:
+                robot.act_force(force)
+            self.step_passive(1)
 
-    def coast(self, count: int) -> None:
+    def step_passive(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation
         for _ in range(count):
-            if not self._plain:
-                for robot in self._robots:
-                    if not robot.plain:
-                        robot.act()
+            if not self._all_ideal:
+                for robot in self.robots:
+                    if not robot.has_ideal_motors:
+                        robot.command_motors()
             advance(physicsClientId=client)
             if self._measures_work:
-                for robot in self._robots:
+                for robot in self.robots:
                     if robot.measures_work:
-                        robot.count_work()
+                        robot.add_work()
 
     def close(self) -> None:
-        self._end()
-        for robot in self._robots:
-            robot.forget()
+        self._disconnect()
+        for robot in self.robots:
+            robot.release()
         self._client = None
 
 

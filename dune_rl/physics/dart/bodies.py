@@ -1,4 +1,4 @@
-"""What a robot meets in a DART scene: ground, obstacles, and capsules that move as they are told."""
+"""Static and kinematic bodies of a DART scene."""
 
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -7,135 +7,141 @@ from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart.files import is_open, write_meshes
+from dune_rl.physics.dart.files import is_open_surface, write_meshes
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.robot import NEVER_THE_LESSER, DartRobot, parsed
-from dune_rl.physics.interface import CAPSULE_FRICTION, SceneSpec, StaticBody
+from dune_rl.physics.dart.robot import ROBOT_FRICTION, DartRobot, parse_skeleton
+from dune_rl.physics.interface import KINEMATIC_FRICTION, SceneSpec, StaticBody
 
-# Bullet's margin round the triangles of a mesh that is no solid, which spheres alone do not feel.
+# Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
 _TRIANGLE_MARGIN_M = 0.01
 
 
-class Kind(NamedTuple):
-    """Links that have one friction with all that they touch."""
+class LinkMaterial(NamedTuple):
+    """Role and friction coefficient of a robot's link; links of equal material share collision bodies."""
 
-    stands: bool
+    is_ground_link: bool
     friction: float
 
 
-def kinds(robots: Sequence[DartRobot]) -> list[Kind]:
-    """Those that meet obstacles, those that do not stand first."""
-    hulls = [Kind(False, robot.spec.hull_friction) for robot in robots]
+def obstacle_materials(robots: Sequence[DartRobot]) -> list[LinkMaterial]:
+    """Materials of the links that collide with obstacles, hulls first, without duplicates."""
+    hulls = [LinkMaterial(False, robot.spec.hull_friction) for robot in robots]
     feet = [
-        Kind(True, robot.spec.ground_friction) for robot in robots if robot.spec.ground_links_meet_obstacles
+        LinkMaterial(True, robot.spec.ground_friction)
+        for robot in robots
+        if robot.spec.ground_links_meet_obstacles
     ]
     return list(dict.fromkeys([*hulls, *feet]))
 
 
-class Surroundings:
-    """Everything that never moves, in one skeleton.
+class StaticGeometry:
+    """All static bodies, in one skeleton.
 
-    As each pair has a friction of its own, all of it is there more than once:
-    the ground for the feet of each robot, and for hulls, and obstacles for
-    each `Kind` of links that meets them.
+    DART has one friction coefficient per shape, not per pair. So each static
+    body is present several times: ground once for the ground links of each
+    robot and once for each hull friction, obstacles once for each
+    `LinkMaterial` that collides with them.
     """
 
-    def __init__(self, statics: Sequence[StaticBody], meshes: "Meshes", robots: Sequence[DartRobot]) -> None:
+    def __init__(
+        self, statics: Sequence[StaticBody], meshes: "CollisionMeshes", robots: Sequence[DartRobot]
+    ) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("statics")
-        self.for_feet = [self._body() for _ in robots]
-        self._underfoot: list[list[tuple[Any, float]]] = [[] for _ in robots]
-        self._given: set[int] = set()
+        self.foot_ground = [self._add_body() for _ in robots]
+        self._foot_nodes: list[list[tuple[Any, float]]] = [[] for _ in robots]
+        self._robots_with_foot_friction: set[int] = set()
         self._terrain_friction = terrain_friction(statics)
-        hulls = [(robot.spec.hull_friction, _gap(robot.hull_is_balls)) for robot in robots]
-        grounds = {hull: self._body() for hull in dict.fromkeys(hulls)}
-        self.for_hull = [grounds[hull] for hull in hulls]
-        self.obstacles = {kind: self._body() for kind in kinds(robots)}
+        hulls = [(robot.spec.hull_friction, _margin_m(robot.has_spherical_hull)) for robot in robots]
+        grounds = {hull: self._add_body() for hull in dict.fromkeys(hulls)}
+        self.hull_ground = [grounds[hull] for hull in hulls]
+        self.obstacles = {material: self._add_body() for material in obstacle_materials(robots)}
         self.numbers: dict[Any, int] = {}
         for number, (static, shape) in enumerate(zip(statics, meshes.shapes, strict=True)):
             if static.ground:
-                hollow = meshes.hollow[number]
-                for robot, body, nodes in zip(robots, self.for_feet, self._underfoot, strict=True):
+                is_open = meshes.is_open[number]
+                for robot, body, nodes in zip(robots, self.foot_ground, self._foot_nodes, strict=True):
                     friction = static.friction * robot.spec.ground_friction
-                    node = _add_shape(body, shape, friction, -_gap(robot.feet_are_balls) * hollow)
-                    # Two coefficients multiply, and a robot's is 0 until it is set.
+                    node = _add_shape(body, shape, friction, -_margin_m(robot.has_spherical_feet) * is_open)
+                    # DART multiplies the two coefficients, and a robot's is 0 until it is set.
                     node.getDynamicsAspect().setRestitutionCoeff(static.restitution)
                     nodes.append((node, friction))
-                for (friction, gap), body in grounds.items():
-                    _add_shape(body, shape, static.friction * friction, -gap * hollow)
+                for (friction, margin), body in grounds.items():
+                    _add_shape(body, shape, static.friction * friction, -margin * is_open)
                 continue
-            for kind, body in self.obstacles.items():
-                self.numbers[_add_shape(body, shape, static.friction * kind.friction)] = number
+            for material, body in self.obstacles.items():
+                self.numbers[_add_shape(body, shape, static.friction * material.friction)] = number
         self.skeleton.setMobile(False)
 
-    def give_friction_to_feet(self, robot: int) -> float:
-        """Let a robot's links that stand on the ground say what friction they have there.
+    def use_foot_friction(self, robot: int) -> float:
+        """Make the coefficients of a robot's ground links, not the ground's, decide their friction.
 
-        Returns the ground's own.
+        Returns the ground's coefficient, which theirs are to be multiplied with.
         """
-        if robot not in self._given:
-            self._given.add(robot)
-            for node, _ in self._underfoot[robot]:
-                node.getDynamicsAspect().setFrictionCoeff(NEVER_THE_LESSER)
+        if robot not in self._robots_with_foot_friction:
+            self._robots_with_foot_friction.add(robot)
+            for node, _ in self._foot_nodes[robot]:
+                node.getDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
         return self._terrain_friction
 
-    def take_friction_back(self) -> None:
-        """Undo `give_friction_to_feet`."""
-        for robot in self._given:
-            for node, friction in self._underfoot[robot]:
+    def restore_friction(self) -> None:
+        """Undo `use_foot_friction` for all robots."""
+        for robot in self._robots_with_foot_friction:
+            for node, friction in self._foot_nodes[robot]:
                 node.getDynamicsAspect().setFrictionCoeff(friction)
-        self._given.clear()
+        self._robots_with_foot_friction.clear()
 
-    def _body(self) -> Any:
+    def _add_body(self) -> Any:
         return self.skeleton.createWeldJointAndBodyNodePair()[1]
 
 
-def _gap(balls: bool) -> float:
-    """How far the detector holds links off triangles that are no solid [m]."""
-    return 0.0 if balls else _TRIANGLE_MARGIN_M
+def _margin_m(only_spheres: bool) -> float:
+    """Distance [m] at which the detector keeps links off the triangles of an open surface."""
+    return 0.0 if only_spheres else _TRIANGLE_MARGIN_M
 
 
 def terrain_friction(statics: Iterable[StaticBody]) -> float:
-    """The ground's friction coefficient, 1 where there is none."""
+    """Friction coefficient of the ground, 1 if there is none."""
     return next((body.friction for body in statics if body.ground), 1.0)
 
 
-class Capsules:
-    """Bodies that move at the speed they are told, whatever they meet; they never turn.
+class KinematicBodies:
+    """The kinematic capsules, in one skeleton: they move at commanded speeds and do not turn.
 
-    Each is there for each `Kind` of links that meets it.
+    Each is present once for each `LinkMaterial` that collides with it.
     """
 
     def __init__(self, spec: SceneSpec, robots: Sequence[DartRobot]) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("kinematics")
-        self.bodies: dict[Kind, list[Any]] = {kind: [] for kind in kinds(robots)}
+        self.bodies: dict[LinkMaterial, list[Any]] = {material: [] for material in obstacle_materials(robots)}
         self.numbers: dict[Any, int] = {}
-        for number, capsule in enumerate(spec.kinematics, start=len(spec.statics)):
-            joint, mover = self.skeleton.createTranslationalJointAndBodyNodePair()
+        for index, capsule in enumerate(spec.kinematics):
+            joint, base = self.skeleton.createTranslationalJointAndBodyNodePair()
             joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
             shape = dartpy.dynamics.CapsuleShape(capsule.radius_m, capsule.height_m - 2 * capsule.radius_m)
-            for count, (kind, bodies) in enumerate(self.bodies.items()):
-                body = self.skeleton.createWeldJointAndBodyNodePair(mover)[1] if count else mover
-                self.numbers[_add_shape(body, shape, CAPSULE_FRICTION * kind.friction)] = number
+            for count, (material, bodies) in enumerate(self.bodies.items()):
+                body = self.skeleton.createWeldJointAndBodyNodePair(base)[1] if count else base
+                node = _add_shape(body, shape, KINEMATIC_FRICTION * material.friction)
+                self.numbers[node] = spec.kinematic_number(index)
                 bodies.append(body)
 
 
-def _add_shape(body: Any, shape: Any, friction: float, raised_m: float = 0.0) -> Any:
+def _add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> Any:
     node = body.createShapeNode(shape)
     node.createCollisionAspect()
     node.createDynamicsAspect().setFrictionCoeff(friction)
-    node.setRelativeTranslation([0.0, 0.0, raised_m])
+    node.setRelativeTranslation([0.0, 0.0, height_m])
     return node
 
 
-class Meshes:
-    """The shapes of static bodies, and the detector that has built its trees of them."""
+class CollisionMeshes:
+    """Mesh shapes of static bodies, and the collision detector that holds their bounding volume trees."""
 
     def __init__(self, statics: tuple[StaticBody, ...]) -> None:
         self.statics = statics
         self.detector = dartpy.collision.BulletCollisionDetector()
-        self.hollow = [is_open(body) for body in statics]
-        self.shapes = self._read()
-        # The detector forgets a mesh that is in no group.
+        self.is_open = [is_open_surface(body) for body in statics]
+        self.shapes = self._load()
+        # The detector drops meshes that are in no collision group.
         self._holder = dartpy.dynamics.Skeleton("meshes")
         body = self._holder.createWeldJointAndBodyNodePair()[1]
         for shape in self.shapes:
@@ -143,13 +149,13 @@ class Meshes:
         self._group = self.detector.createCollisionGroup()
         self._group.addShapeFrames([*body.getShapeNodes()])
 
-    def _read(self) -> list[Any]:
+    def _load(self) -> list[Any]:
         if not self.statics:
             return []
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            read = parsed(write_meshes(self.statics, self.hollow, folder), folder)
-            nodes = [] if read is None else read.getBodyNode(0).getShapeNodes()
+            skeleton = parse_skeleton(write_meshes(self.statics, self.is_open, folder), folder)
+            nodes = [] if skeleton is None else skeleton.getBodyNode(0).getShapeNodes()
             if len(nodes) != len(self.statics):
                 raise PhysicsError(
                     f"DART read {len(nodes)} of {len(self.statics)} meshes from {folder}; "
@@ -158,13 +164,14 @@ class Meshes:
             return [node.getShape() for node in nodes]
 
 
-# Scenes of one batch have the same statics; each entry lives as long as one of them does, and holds
-# the statics, so that no others can have their address.
-_in_use: WeakValueDictionary[int, Meshes] = WeakValueDictionary()
+# Scenes with the same statics share an entry, which lives as long as one of them. The entry holds the
+# statics, so that no other tuple can get the same id.
+_meshes_by_statics: WeakValueDictionary[int, CollisionMeshes] = WeakValueDictionary()
 
 
-def shared_meshes(statics: tuple[StaticBody, ...]) -> Meshes:
-    meshes = _in_use.get(id(statics))
+def load_shared_meshes(statics: tuple[StaticBody, ...]) -> CollisionMeshes:
+    """The meshes of `statics`, loaded once for all scenes with the same tuple."""
+    meshes = _meshes_by_statics.get(id(statics))
     if meshes is None:
-        _in_use[id(statics)] = meshes = Meshes(statics)
+        _meshes_by_statics[id(statics)] = meshes = CollisionMeshes(statics)
     return meshes

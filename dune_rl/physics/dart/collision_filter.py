@@ -1,4 +1,4 @@
-"""Who meets whom in a DART scene, and who touches whom."""
+"""Collision filter of a DART scene, and the contacts between its bodies."""
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -7,97 +7,108 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.physics.dart.bodies import Capsules, Kind, Surroundings
+from dune_rl.physics.dart.bodies import KinematicBodies, LinkMaterial, StaticGeometry
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
 
-# DART has no body without mass; beside this, a grain of sand weighs a ton.
-_MASS_KG, _MOMENT_KGM2 = 1e-9, 1e-12
+# DART refuses bodies without mass; a contact proxy has as good as none.
+_PROXY_MASS_KG, _PROXY_MOMENT_KGM2 = 1e-9, 1e-12
 
-Links = dict[Kind, list[Any]]
+Links = dict[LinkMaterial, list[Any]]
 
 
-class Meetings:
-    """Parts the bodies of a scene that do not meet, and tells which of the others touch.
+class CollisionFilter:
+    """Disables collision between excluded pairs of bodies, and reports contacts.
 
-    It comes after `DartRobot.place`, and adds to the skeletons: where two
-    robots meet there is no body to hold the product of their coefficients.
-    So each robot but the last has the collision shapes of its links once more
-    for each `Kind` of links of robots after it: shells, which meet these alone.
+    To be created after `DartRobot.load`; it adds bodies to the skeletons. A
+    contact between links of two robots has the product of their friction
+    coefficients, which DART has no place for. So every robot but the last gets
+    contact proxies: copies of its links' collision shapes for each
+    `LinkMaterial` of the robots after it, which collide with those links only.
     """
 
     def __init__(
         self,
         robots: Sequence[DartRobot],
-        surroundings: Surroundings,
-        capsules: Capsules,
-        first_robot: int,
-        collision_filter: Any,
+        static_geometry: StaticGeometry,
+        kinematics: KinematicBodies,
+        first_number: int,
+        engine_filter: Any,
     ) -> None:
-        self._robots, self._first_robot = robots, first_robot
-        self._surroundings, self._capsules = surroundings, capsules
-        self._blacklist = collision_filter.addBodyNodePairToBlackList
-        statics, moving = surroundings.skeleton.getBodyNodes(), capsules.skeleton.getBodyNodes()
-        self._part(moving, statics)
-        links = [_links(robot) for robot in robots]
-        for number, (robot, own) in enumerate(zip(robots, links, strict=True)):
-            for kind, bodies in own.items():
-                grounds = surroundings.for_feet if kind.stands else surroundings.for_hull
-                met = [grounds[number]]
-                if _is_outer(kind, robot):
-                    met += [surroundings.obstacles[kind], *capsules.bodies[kind]]
-                self._part(bodies, [body for body in (*statics, *moving) if body not in met])
-        shells = self._shells(robots, links)
-        self._part(shells, [*statics, *moving])
-        self._telling = [*surroundings.obstacles.values(), *moving, *shells]
+        self._robots, self._first_number = robots, first_number
+        self._static_geometry, self._kinematics = static_geometry, kinematics
+        self._disable_pair = engine_filter.addBodyNodePairToBlackList
+        statics, moving = static_geometry.skeleton.getBodyNodes(), kinematics.skeleton.getBodyNodes()
+        self._disable_pairs(moving, statics)
+        links = [_links_by_material(robot) for robot in robots]
+        for index, (robot, own) in enumerate(zip(robots, links, strict=True)):
+            for material, bodies in own.items():
+                ground = (
+                    static_geometry.foot_ground if material.is_ground_link else static_geometry.hull_ground
+                )
+                enabled = [ground[index]]
+                if _collides_with_obstacles(material, robot):
+                    enabled += [static_geometry.obstacles[material], *kinematics.bodies[material]]
+                self._disable_pairs(bodies, [body for body in (*statics, *moving) if body not in enabled])
+        proxies = self._add_contact_proxies(robots, links)
+        self._disable_pairs(proxies, [*statics, *moving])
+        self._reported = [*static_geometry.obstacles.values(), *moving, *proxies]
 
-    def look_again(self) -> None:
-        """Take note of shapes that bodies have got since."""
+    def refresh_shapes(self) -> None:
+        """Include shapes that were added to bodies since the filter was created."""
         self.__dict__.pop("_numbers", None)
 
     @cached_property
     def _numbers(self) -> dict[Any, int]:
-        """Numbers of the bodies of all shapes; the ground has none."""
-        numbers = self._surroundings.numbers | self._capsules.numbers
-        for number, robot in enumerate(self._robots, start=self._first_robot):
+        """Body numbers by shape; ground has none."""
+        numbers = self._static_geometry.numbers | self._kinematics.numbers
+        for number, robot in enumerate(self._robots, start=self._first_number):
             for body in robot.skeleton.getBodyNodes():
                 numbers |= dict.fromkeys(body.getShapeNodes(), number)
         return numbers
 
-    def _shells(self, robots: Sequence[DartRobot], links: Sequence[Links]) -> list[Any]:
-        """Have links of different robots meet, with the product of their coefficients."""
+    def _add_contact_proxies(self, robots: Sequence[DartRobot], links: Sequence[Links]) -> list[Any]:
+        """Enable collision between links of different robots, with the product of their coefficients."""
         outer = [
-            {kind: [*filter(_is_solid, bodies)] for kind, bodies in own.items() if _is_outer(kind, robot)}
+            {
+                material: [*filter(_has_collision_shape, bodies)]
+                for material, bodies in own.items()
+                if _collides_with_obstacles(material, robot)
+            }
             for robot, own in zip(robots, links, strict=True)
         ]
-        shells: list[Links] = []
-        for number, own in enumerate(outer):
-            after = dict.fromkeys(kind for other in outer[number + 1 :] for kind in other)
-            shells.append(
+        proxies: list[Links] = []
+        for index, own in enumerate(outer):
+            later = dict.fromkeys(material for other in outer[index + 1 :] for material in other)
+            proxies.append(
                 {
-                    met: [_shell(link, kind.friction * met.friction) for kind in own for link in own[kind]]
-                    for met in after
+                    other: [
+                        _add_contact_proxy(link, material.friction * other.friction)
+                        for material in own
+                        for link in own[material]
+                    ]
+                    for other in later
                 }
             )
         for one, other in combinations(range(len(robots)), 2):
-            theirs = [*_all(links[other]), *_all(shells[other])]
-            self._part(_all(links[one]), theirs)
-            for kind, worn in shells[one].items():
-                met = outer[other].get(kind, ())
-                self._part(worn, [body for body in theirs if body not in met])
-        return [shell for worn in shells for shell in _all(worn)]
+            others = [*_flatten(links[other]), *_flatten(proxies[other])]
+            self._disable_pairs(_flatten(links[one]), others)
+            for material, bodies in proxies[one].items():
+                enabled = outer[other].get(material, ())
+                self._disable_pairs(bodies, [body for body in others if body not in enabled])
+        return [body for own in proxies for body in _flatten(own)]
 
-    def _part(self, ones: Iterable[Any], others: Sequence[Any]) -> None:
+    def _disable_pairs(self, ones: Iterable[Any], others: Sequence[Any]) -> None:
         for one in ones:
             for other in others:
-                self._blacklist(one, other)
+                self._disable_pair(one, other)
 
-    def touched(self, robot: int, result: Any) -> list[int]:
-        """Numbers of the bodies that a robot, counted from 0, touches in the engine's last `result`."""
-        # The ground, of which there is always something, does not tell.
-        if not any(map(result.inCollision, self._telling)):
+    def contacts(self, robot: int, result: Any) -> list[int]:
+        """Numbers of the bodies, without ground, that robot `robot` touches in a collision result."""
+        # A result always has contacts with ground, so this test is what saves time.
+        if not any(map(result.inCollision, self._reported)):
             return []
-        numbers, own, found = self._numbers, self._first_robot + robot, set()
+        numbers, own, found = self._numbers, self._first_number + robot, set()
         for contact in result.getContacts():
             one = numbers.get(contact.collisionObject1.getShapeFrame())
             other = numbers.get(contact.collisionObject2.getShapeFrame())
@@ -108,37 +119,37 @@ class Meetings:
         return sorted(found)
 
 
-def _links(robot: DartRobot) -> Links:
+def _links_by_material(robot: DartRobot) -> Links:
     """The links that have a shape."""
-    spec, found = robot.spec, dict[Kind, list[Any]]()
+    spec, links = robot.spec, dict[LinkMaterial, list[Any]]()
     for body in robot.skeleton.getBodyNodes():
         if body.getNumShapeNodes():
-            stands = body.getName() in spec.ground_links
-            kind = Kind(stands, spec.ground_friction if stands else spec.hull_friction)
-            found.setdefault(kind, []).append(body)
-    return found
+            is_ground_link = body.getName() in spec.ground_links
+            friction = spec.ground_friction if is_ground_link else spec.hull_friction
+            links.setdefault(LinkMaterial(is_ground_link, friction), []).append(body)
+    return links
 
 
-def _is_outer(kind: Kind, robot: DartRobot) -> bool:
-    """Whether a robot's links of a kind meet more than the ground."""
-    return not kind.stands or robot.spec.ground_links_meet_obstacles
+def _collides_with_obstacles(material: LinkMaterial, robot: DartRobot) -> bool:
+    return not material.is_ground_link or robot.spec.ground_links_meet_obstacles
 
 
-def _is_solid(link: Any) -> bool:
+def _has_collision_shape(link: Any) -> bool:
     return any(node.hasCollisionAspect() for node in link.getShapeNodes())
 
 
-def _all(links: Links) -> list[Any]:
+def _flatten(links: Links) -> list[Any]:
     return [body for bodies in links.values() for body in bodies]
 
 
-def _shell(link: Any, friction: float) -> Any:
-    _, shell = link.createWeldJointAndBodyNodePair()
-    shell.setInertia(dartpy.dynamics.Inertia(_MASS_KG, np.zeros(3), _MOMENT_KGM2 * np.eye(3)))
+def _add_contact_proxy(link: Any, friction: float) -> Any:
+    """Weld a body with the link's collision shapes, and another friction coefficient, to the link."""
+    _, proxy = link.createWeldJointAndBodyNodePair()
+    proxy.setInertia(dartpy.dynamics.Inertia(_PROXY_MASS_KG, np.zeros(3), _PROXY_MOMENT_KGM2 * np.eye(3)))
     for node in link.getShapeNodes():
         if node.hasCollisionAspect():
-            copy = shell.createShapeNode(node.getShape())
+            copy = proxy.createShapeNode(node.getShape())
             copy.setRelativeTransform(node.getRelativeTransform())
             copy.createCollisionAspect()
             copy.createDynamicsAspect().setFrictionCoeff(friction)
-    return shell
+    return proxy

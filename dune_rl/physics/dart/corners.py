@@ -1,4 +1,4 @@
-"""Corners that robots' boxes get in DART when they come down on the ground, so that they lie still there."""
+"""Additional collision shapes in the corners of robots' boxes, which let them rest on ground in DART."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -7,24 +7,25 @@ from typing import Any
 import numpy as np
 
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.robot import NEVER_THE_LESSER, DartRobot
+from dune_rl.physics.dart.robot import ROBOT_FRICTION, DartRobot
 
 _CORNER_M = 0.02
 
 
-class Corners:
-    """Puts small cubes into the corners of boxes that touch one of the bodies `grounds`.
+class CornerContacts:
+    """Adds small cubes to the corners of boxes that touch one of the bodies `grounds`.
 
-    DART's detector finds one point between a box and a triangle of a mesh,
-    another one in each step, and keeps none: on large triangles a box rocks on
-    points that come and go, and sinks by centimetres a second, in the end
-    through the ground. A cube in each corner gives it points that stay. As
-    each costs a microsecond a step, a box has none before it needs them.
+    DART's detector finds one contact point between a box and a triangle of a
+    mesh, another one in each step, and keeps none: on large triangles a box
+    rocks on points that appear and vanish, and sinks by centimetres a second,
+    in the end through the ground. A cube in each corner has contact points
+    that persist. As each costs a microsecond a step, boxes get them only when
+    they touch ground.
     """
 
     def __init__(self, robots: Sequence[DartRobot], grounds: Sequence[Any]) -> None:
         self._grounds = list(dict.fromkeys(grounds))
-        self._surfaces = {node for body in self._grounds for node in body.getShapeNodes()}
+        self._ground_nodes = {node for body in self._grounds for node in body.getShapeNodes()}
         self._boxes = {
             node: body
             for robot in robots
@@ -34,26 +35,26 @@ class Corners:
         }
 
     @property
-    def are_wanted(self) -> bool:
-        """Whether there are boxes without them."""
+    def has_boxes_left(self) -> bool:
+        """Whether there are boxes without corner cubes."""
         return bool(self._boxes)
 
-    def grow(self, result: Any) -> bool:
-        """Do so by the engine's last `result`; whether any did."""
+    def add_where_touching(self, result: Any) -> bool:
+        """Add cubes to the boxes that touch ground in a collision result; whether there were any."""
         if not any(map(result.inCollision, self._grounds)):
             return False
-        lying = set()
+        touching = set()
         for contact in result.getContacts():
             frames = {contact.collisionObject1.getShapeFrame(), contact.collisionObject2.getShapeFrame()}
-            if not frames.isdisjoint(self._surfaces):
-                lying |= frames & self._boxes.keys()
-        # In their own order, as sets have none that lasts.
-        for box in [box for box in self._boxes if box in lying]:
-            _add_corners(self._boxes.pop(box), box)
-        return bool(lying)
+            if not frames.isdisjoint(self._ground_nodes):
+                touching |= frames & self._boxes.keys()
+        # In the order of the dict: the order of a set differs between processes.
+        for box in [box for box in self._boxes if box in touching]:
+            _add_corner_cubes(self._boxes.pop(box), box)
+        return bool(touching)
 
 
-def _add_corners(body: Any, box: Any) -> None:
+def _add_corner_cubes(body: Any, box: Any) -> None:
     size = np.array(box.getShape().getSize())
     edge = min(_CORNER_M, float(size.min()) / 2)
     cube = dartpy.dynamics.BoxShape([edge] * 3)
@@ -62,4 +63,4 @@ def _add_corners(body: Any, box: Any) -> None:
         to_corner = dartpy.math.Isometry3(np.eye(3), np.array(signs) * (size - edge) / 2)
         corner.setRelativeTransform(box.getRelativeTransform().multiply(to_corner))
         corner.createCollisionAspect()
-        corner.createDynamicsAspect().setFrictionCoeff(NEVER_THE_LESSER)
+        corner.createDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)

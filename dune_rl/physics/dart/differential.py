@@ -1,4 +1,4 @@
-"""Differentials in DART: a body carried at the mean of two arms, which turn opposite to each other."""
+"""Differentials in DART: a body held at the mean angle of two arms that turn opposite to each other."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,19 +7,20 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.interface import Coupling
 
 _TORQUE_NM = 1e4
-# Farther off than this, the body is put where it belongs.
-_OFF_RAD = 2.5e-4
+# A larger error of the body's angle is corrected by setting the position.
+_MAX_ERROR_RAD = 2.5e-4
 
 
 class Differential:
-    """Carries the body of a skeleton at the mean of its arms, of which the second hangs on the first.
+    """Keeps the body of a skeleton at the mean angle of two arms; the second is a child of the first.
 
-    See `dart_joints.chain`. DART couples joints one way: what follows feels what
-    leads at once, and acts back on it a step later. That is stable only where
-    what follows is light, as the body is beside arms that stand on the ground:
-    the joint between the arms turns freely, and a servo turns the body by half
-    of that. A blow to an arm, which no servo foresees, leaves the body behind
-    by some milliradians, and after the step it is turned by so much.
+    See `joints.chain_differential`. DART couples joints in one direction: the
+    follower reacts to the leader at once, and acts back on it a step later.
+    That is stable only if the follower is light. Compared with arms that stand
+    on the ground the body is: so the joint between the arms turns freely, and
+    a servo turns the body by half of its angle. After an impact on an arm,
+    which the servo cannot anticipate, the body lags by some milliradians; it
+    is then rotated by that much after the step.
     """
 
     def __init__(self, robot: Any, coupling: Coupling, timestep_s: float) -> None:
@@ -33,38 +34,39 @@ class Differential:
         self._axis = joint.getAxis()
 
     def after(self, impulses: Sequence[float]) -> None:
-        """Lead the body in the next physics step to where its arms will be.
+        """Command the body's servo to follow the arms in the next physics step.
 
-        `impulses` [N m s] are those of all joints' constraints in the last one.
+        `impulses` [N m s] are the constraint impulses of all joints in the last one.
         """
         robot, both, step = self._robot, self._both, self._step_s
         body, between = robot.getPositions(both).tolist()
-        off = body + between / 2
-        if abs(off) > _OFF_RAD:
-            self._turn(off)
+        error = body + between / 2
+        if abs(error) > _MAX_ERROR_RAD:
+            self._rotate_body(error)
             robot.setPosition(self.body, -between / 2)
-            off = 0.0
-        speed = -off / step - robot.getVelocity(self.between) / 2
+            error = 0.0
+        speed = -error / step - robot.getVelocity(self.between) / 2
         robot.setCommands(both, [speed, impulses[self.body] / step / 2])
 
-    def _turn(self, angle: float) -> None:
-        """Turn the body, and not its arms, about their axis."""
+    def _rotate_body(self, angle: float) -> None:
+        """Rotate the body, without its arms, about their axis."""
         turn = dartpy.math.Isometry3(dartpy.math.AngleAxis(angle, self._axis).to_rotation_matrix(), [0.0] * 3)
-        there = self._base_joint.getRelativeTransform()
-        there = there.multiply(self._hinge).multiply(turn).multiply(self._hinge.inverse())
-        self._base_joint.setTransform(there)
+        pose = self._base_joint.getRelativeTransform()
+        pose = pose.multiply(self._hinge).multiply(turn).multiply(self._hinge.inverse())
+        self._base_joint.setTransform(pose)
 
 
 def is_chained(robot: Any, coupling: Coupling) -> bool:
-    """Whether the follower hangs on the leader in the skeleton `robot`."""
-    mount = robot.getJoint(coupling.follower).getParentBodyNode()
-    return bool(mount.getParentJoint().getName() == coupling.leader)
+    """Whether the follower is a child of the leader's link in the skeleton `robot`."""
+    parent = robot.getJoint(coupling.follower).getParentBodyNode()
+    return bool(parent.getParentJoint().getName() == coupling.leader)
 
 
-def set_up(robot: Any, coupling: Coupling) -> None:
-    """Have the joint between the arms turn with the friction, the damping and the limits of both arms."""
+def configure_differential(robot: Any, coupling: Coupling) -> None:
+    """Give the joint between the arms the friction, damping and limits of both arms, and the body a servo."""
     body, between = robot.getJoint(coupling.leader), robot.getJoint(coupling.follower)
-    # Between the arms is twice the angle of either: a torque there does twice the work, damping four times.
+    # The angle between the arms is twice that of either: a torque there does twice the work, damping
+    # four times.
     between.setCoulombFriction(0, (body.getCoulombFriction(0) + between.getCoulombFriction(0)) / 2)
     damping = body.getDampingCoefficient(0) + between.getDampingCoefficient(0)
     between.setDampingCoefficient(0, damping / 4)

@@ -1,4 +1,4 @@
-"""Joints that a robot has in DART beside those of its URDF, for what the engine has no setting for."""
+"""Joints added to a robot's URDF for DART: tyre compliance, lateral slip, and differentials."""
 
 from xml.etree.ElementTree import Element, SubElement
 
@@ -10,47 +10,47 @@ from dune_rl.physics.interface import Coupling, RobotBody
 
 Array = NDArray[np.float64]
 
-# Ends the names of joints and links that stand for the give of a tyre, and for its slip along the axle.
-TYRE, GRIP = "/tyre", "/grip"
+# Suffixes of the names of joints and links for the compliance of a tyre, and for its slip along the axle.
+TYRE, SLIP = "/tyre", "/grip"
 
-_HARDLY_ANY_KG = "1e-3"
+_NEGLIGIBLE_KG = "1e-3"
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def hang(wheel_joint: Element, root: Element) -> None:
-    """Let a wheel move up and down on its mount."""
-    _insert(wheel_joint, TYRE, root, "prismatic", np.zeros(3), _UP)
+def add_tyre_joint(wheel_joint: Element, root: Element) -> None:
+    """Insert a vertical sliding joint between a wheel and the link that it is mounted on."""
+    _insert_joint(wheel_joint, TYRE, root, "prismatic", np.zeros(3), _UP)
 
 
-def let_slip(wheel_joint: Element, root: Element) -> None:
-    """Let a wheel whose contact sticks move along its axle.
+def add_slip_joint(wheel_joint: Element, root: Element) -> None:
+    """Insert a joint that lets a wheel whose contact sticks move along its axle.
 
-    A ball rolls sideways about an axis through its middle, so that only what
-    rubs on it along the axle turns it, and not what presses it from any side.
-    Other shapes do not roll so: they slide along the axle. Either way the wheel
-    leaves its weight to what it hangs on, which moves as the whole does.
+    A sphere rolls sideways about an axis through its centre, so that only
+    friction along the axle turns it, and no normal force. Other shapes cannot
+    roll sideways: they slide along the axle. Either way the wheel's mass is
+    moved to the link that it is mounted on, which moves with the robot.
     """
-    turn, place = _pose(wheel_joint)
-    axle = turn.apply(_axis(wheel_joint))
-    wheel, mount = (_link(root, name) for name in (_child(wheel_joint), _mount(wheel_joint).get("link", "")))
+    rotation, position = _pose(wheel_joint)
+    axle = rotation.apply(_axis(wheel_joint))
+    wheel, mount = (_link(root, name) for name in (_child(wheel_joint), _parent(wheel_joint).get("link", "")))
     mass = wheel.find("inertial/mass")
     if mass is not None:
-        centre = place + turn.apply(_numbers(wheel.find("inertial/origin"), "xyz"))
+        centre = position + rotation.apply(_numbers(wheel.find("inertial/origin"), "xyz"))
         for inertial in mount.findall("inertial"):
-            SubElement(inertial, "origin", {"xyz": _told(centre)})
-            for light in inertial.findall("mass"):
-                light.set("value", mass.get("value", "0"))
-        mass.set("value", _HARDLY_ANY_KG)
+            SubElement(inertial, "origin", {"xyz": _format(centre)})
+            for mount_mass in inertial.findall("mass"):
+                mount_mass.set("value", mass.get("value", "0"))
+        mass.set("value", _NEGLIGIBLE_KG)
     shapes = wheel.findall("collision")
     if len(shapes) == 1 and shapes[0].find("geometry/sphere") is not None:
-        middle = place + turn.apply(_numbers(shapes[0].find("origin"), "xyz"))
-        _insert(wheel_joint, GRIP, root, "continuous", middle, np.cross(axle, _UP))
+        centre = position + rotation.apply(_numbers(shapes[0].find("origin"), "xyz"))
+        _insert_joint(wheel_joint, SLIP, root, "continuous", centre, np.cross(axle, _UP))
     else:
-        _insert(wheel_joint, GRIP, root, "prismatic", np.zeros(3), axle)
+        _insert_joint(wheel_joint, SLIP, root, "prismatic", np.zeros(3), axle)
 
 
 def differentials(spec: RobotBody, joints: dict[str, Element]) -> list[Coupling]:
-    """The couplings of two joints of one body, on one axis and without motors, that turn opposite."""
+    """Couplings with ratio -1 of two joints of one link, on one axis and without motors."""
     coupled = [name for coupling in spec.couplings for name in (coupling.leader, coupling.follower)]
     return [
         coupling
@@ -65,49 +65,51 @@ def differentials(spec: RobotBody, joints: dict[str, Element]) -> list[Coupling]
 
 
 def _on_one_axis(leader: Element, follower: Element) -> bool:
-    if _mount(leader).get("link") != _mount(follower).get("link"):
+    if _parent(leader).get("link") != _parent(follower).get("link"):
         return False
-    (turn, place), (other_turn, other_place) = _pose(leader), _pose(follower)
-    axis, other_axis = turn.apply(_axis(leader)), other_turn.apply(_axis(follower))
-    return bool(np.allclose(axis, other_axis) and np.allclose(np.cross(other_place - place, axis), 0.0))
+    (rotation, position), (other_rotation, other_position) = _pose(leader), _pose(follower)
+    axis, other_axis = rotation.apply(_axis(leader)), other_rotation.apply(_axis(follower))
+    return bool(np.allclose(axis, other_axis) and np.allclose(np.cross(other_position - position, axis), 0.0))
 
 
-def chain(leader: Element, follower: Element) -> None:
-    """Have the follower's joint of a differential turn on the leader's link, and no more on the body's."""
-    (turn, place), (other_turn, other_place) = _pose(leader), _pose(follower)
-    _mount(follower).set("link", _child(leader))
-    _place(follower, turn.inv().apply(other_place - place))
-    _origin(follower).set("rpy", _told((turn.inv() * other_turn).as_euler("xyz")))
+def chain_differential(leader: Element, follower: Element) -> None:
+    """Make the follower's joint of a differential a child of the leader's link instead of the body's."""
+    (rotation, position), (other_rotation, other_position) = _pose(leader), _pose(follower)
+    _parent(follower).set("link", _child(leader))
+    _set_position(follower, rotation.inv().apply(other_position - position))
+    _origin(follower).set("rpy", _format((rotation.inv() * other_rotation).as_euler("xyz")))
 
 
-def _insert(wheel_joint: Element, ending: str, root: Element, kind: str, place: Array, axis: Array) -> None:
-    """Put a joint, and a link of hardly any mass, between a wheel and what it hangs on."""
-    mount = _mount(wheel_joint)
-    name = f"{wheel_joint.get('name')}{ending}"
+def _insert_joint(
+    wheel_joint: Element, suffix: str, root: Element, kind: str, position: Array, axis: Array
+) -> None:
+    """Insert a joint, and a link of negligible mass, between a wheel and the link that it is mounted on."""
+    parent = _parent(wheel_joint)
+    name = f"{wheel_joint.get('name')}{suffix}"
     joint = SubElement(root, "joint", {"name": name, "type": kind})
-    SubElement(joint, "parent", {"link": mount.get("link", "")})
+    SubElement(joint, "parent", {"link": parent.get("link", "")})
     SubElement(joint, "child", {"link": name})
-    SubElement(joint, "axis", {"xyz": _told(axis)})
+    SubElement(joint, "axis", {"xyz": _format(axis)})
     SubElement(joint, "limit", {"effort": "1e9", "velocity": "1e9", "lower": "-1", "upper": "1"})
-    # Light beside any wheel; nothing at all would be a mass that DART replaces by 1 kg.
+    # Small compared with any wheel; DART replaces a mass of 0 by 1 kg.
     inertial = SubElement(SubElement(root, "link", {"name": name}), "inertial")
-    SubElement(inertial, "mass", {"value": _HARDLY_ANY_KG})
+    SubElement(inertial, "mass", {"value": _NEGLIGIBLE_KG})
     moments = {"ixx": "1e-6", "iyy": "1e-6", "izz": "1e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
     SubElement(inertial, "inertia", moments)
-    mount.set("link", name)
-    if place.any():
-        _place(joint, place)
-        _place(wheel_joint, _pose(wheel_joint)[1] - place)
+    parent.set("link", name)
+    if position.any():
+        _set_position(joint, position)
+        _set_position(wheel_joint, _pose(wheel_joint)[1] - position)
 
 
 def _link(root: Element, name: str) -> Element:
     return next(link for link in root.findall("link") if link.get("name") == name)
 
 
-def _mount(joint: Element) -> Element:
-    mount = joint.find("parent")
-    assert mount is not None, "a joint has a parent"
-    return mount
+def _parent(joint: Element) -> Element:
+    parent = joint.find("parent")
+    assert parent is not None, "a joint has a parent"
+    return parent
 
 
 def _child(joint: Element) -> str:
@@ -120,8 +122,8 @@ def _origin(joint: Element) -> Element:
     return SubElement(joint, "origin") if origin is None else origin
 
 
-def _place(joint: Element, place: Array) -> None:
-    _origin(joint).set("xyz", _told(place))
+def _set_position(joint: Element, position: Array) -> None:
+    _origin(joint).set("xyz", _format(position))
 
 
 def _pose(joint: Element) -> tuple[Rotation, Array]:
@@ -133,9 +135,9 @@ def _axis(joint: Element) -> Array:
     return _numbers(joint.find("axis"), "xyz", "1 0 0")
 
 
-def _numbers(element: Element | None, name: str, otherwise: str = "0 0 0") -> Array:
-    return np.array((otherwise if element is None else element.get(name, otherwise)).split(), float)
+def _numbers(element: Element | None, name: str, default: str = "0 0 0") -> Array:
+    return np.array((default if element is None else element.get(name, default)).split(), float)
 
 
-def _told(numbers: Array) -> str:
+def _format(numbers: Array) -> str:
     return " ".join(repr(float(number)) for number in numbers)

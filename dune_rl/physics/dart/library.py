@@ -1,4 +1,4 @@
-"""dartpy, or the error that says how to get it."""
+"""Import of dartpy, with an error message that says how to install it."""
 
 from dune_rl.errors import PhysicsError
 

@@ -7,36 +7,37 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart.differential import Differential, is_chained, set_up
+from dune_rl.physics.dart.differential import Differential, configure_differential, is_chained
 from dune_rl.physics.dart.files import robot_urdf
-from dune_rl.physics.dart.gears import Gears, drives_any
-from dune_rl.physics.dart.grip import Grip
+from dune_rl.physics.dart.gears import Gears, has_driven_coupling
+from dune_rl.physics.dart.grip import LateralSlip
 from dune_rl.physics.dart.joints import TYRE
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.tyres import YieldingGround
+from dune_rl.physics.dart.tyres import CompliantGround
 from dune_rl.physics.interface import RobotBody
-from dune_rl.physics.motors import Servos, work_w
-from dune_rl.physics.varied_body import BodyVariation, motors_at, varied_urdf
+from dune_rl.physics.motors import Servos, motor_power_w
+from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 
-# DART takes the lesser coefficient of two bodies that touch. The robot's is always the greater, so
-# that the other body's, which is the product of both, counts.
-NEVER_THE_LESSER = 1e3
+# DART uses the smaller friction coefficient of the two shapes of a contact. The robot's is always larger,
+# so that the other shape's, which is the product of both bodies', is used.
+ROBOT_FRICTION = 1e3
 
-# Four rigid wheels on rigid ground can share a weight in many ways, and servos on one body push against
-# each other by any torque at all: a direct solver then has a rover stand on two of its wheels, and turn
-# by fits and starts. Tyres that give by less than a millimetre and servos that give way by 0.5 % of a
-# rover's speed settle both. The servos' softness is that of every scene in the process.
+# The loads of four rigid wheels on rigid ground are not unique, and neither are the torques of servos on one
+# body: a direct solver then puts a rover's weight on two of its wheels, and its yaw rate jumps. Tyres that
+# yield by less than a millimetre and servos that yield by 0.5 % of a rover's speed make both unique. The
+# servos' softness applies to every scene in the process.
 _TYRE_STIFFNESS_NPM = 1e5
 _SOFTNESS = 0.07
 dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
 
+# No robot drives down a slope faster than this.
 _FALL_MPS = 0.5
 
 
 class DartRobot:
-    """A `PhysicsRobot` but for what it touches: a skeleton, made anew by `place`.
+    """A `PhysicsRobot` without its contacts: a skeleton that `load` creates anew.
 
-    `terrain_friction` is the ground's, until `set_foot_contacts` says another.
+    `terrain_friction` is the ground's coefficient, which holds until `set_foot_contacts` is called.
     """
 
     skeleton: Any
@@ -46,201 +47,206 @@ class DartRobot:
     ) -> None:
         self.spec, self._timestep_s = spec, timestep_s
         self._foot_friction = [spec.ground_friction * terrain_friction] * len(spec.ground_links)
-        self._as_read = _read_robot(spec)
+        self._template = _load_template(spec)
         self.skeleton = None
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         self._motors = spec.motors
-        # Most wheels take a command as it is, once a control step; others need a look in every physics step.
-        self._plain = all(motor.is_plain for motor in self._motors) and not drives_any(spec)
+        # Ideal motors take a command once a control step; others need the joint states in every physics step.
+        self._has_ideal_motors = all(motor.is_ideal for motor in self._motors) and not has_driven_coupling(
+            spec
+        )
         self._servos = Servos(self._motors, timestep_s)
         self._commands: Sequence[float] = spec.rest_commands()
-        self._push: Sequence[float] | None = None
+        self._force: Sequence[float] | None = None
         self._measures_work = measures_work and bool(self._motors)
         self._work = 0.0
         self._speeds: Sequence[float] = ()
         self._gears: Gears | None = None
         self._differentials: list[Differential] = []
-        self._grip: Grip | None = None
+        self._slip: LateralSlip | None = None
 
     @property
-    def feet_are_balls(self) -> bool:
-        """Whether all that it stands on is spheres."""
-        return self._are_balls(feet=True)
+    def has_spherical_feet(self) -> bool:
+        """Whether all collision shapes of ground links are spheres."""
+        return self._has_only_spheres(feet=True)
 
     @property
-    def hull_is_balls(self) -> bool:
-        """Whether all the rest of it is spheres."""
-        return self._are_balls(feet=False)
+    def has_spherical_hull(self) -> bool:
+        """Whether all other collision shapes are spheres."""
+        return self._has_only_spheres(feet=False)
 
-    def _are_balls(self, *, feet: bool) -> bool:
+    def _has_only_spheres(self, *, feet: bool) -> bool:
         ground_links = self.spec.ground_links
-        bodies = [body for body in self._as_read.getBodyNodes() if (body.getName() in ground_links) == feet]
+        bodies = [body for body in self._template.getBodyNodes() if (body.getName() in ground_links) == feet]
         nodes = [node for body in bodies for node in body.getShapeNodes() if node.hasCollisionAspect()]
         return all(isinstance(node.getShape(), dartpy.dynamics.SphereShape) for node in nodes)
 
     def set_body(self, variation: BodyVariation) -> None:
-        self._motors = motors_at(self.spec.motors, variation.motor_strength)
+        self._motors = scale_motors(self.spec.motors, variation.motor_strength)
         self._servos = Servos(self._motors, self._timestep_s)
-        text = None if variation.is_of_the_urdf else varied_urdf(self.spec.urdf, variation)
-        self._as_read = _read_robot(replace(self.spec, motors=self._motors), text)
+        text = None if variation.keeps_masses else varied_urdf(self.spec.urdf, variation)
+        self._template = _load_template(replace(self.spec, motors=self._motors), text)
 
-    def stand(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         self._pose = (position_w, quaternion)
 
-    def place(self) -> Any:
-        """A skeleton of it where it is to stand, at rest."""
-        self.skeleton = robot = self._as_read.clone()
+    def load(self) -> Any:
+        """Create the skeleton at the start pose, at rest, and return it."""
+        self.skeleton = robot = self._template.clone()
         self._base, self._base_joint = robot.getBodyNode(0), robot.getJoint(0)
         position, (x, y, z, w) = self._pose
         self._base_joint.setTransform(
             dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position))
         )
-        self._drives = [self._index(joint) for joint in self.spec.drive_joints]
+        self._drives = [self._dof_index(joint) for joint in self.spec.drive_joints]
         self._feet = [robot.getBodyNode(name) for name in self.spec.ground_links]
-        self._ground: YieldingGround | None = None
+        self._ground: CompliantGround | None = None
         self._differentials = [
             Differential(robot, coupling, self._timestep_s)
             for coupling in self.spec.couplings
             if is_chained(robot, coupling)
         ]
         if self.spec.sideways_friction_share != 1.0:
-            self._grip = Grip(robot, self._feet, self.spec.sideways_friction_share, self._timestep_s)
-            self._grip.set_friction(self._foot_friction)
-        self._gives = self._giving_way() if self._leads else []
+            self._slip = LateralSlip(robot, self._feet, self.spec.sideways_friction_share, self._timestep_s)
+            self._slip.set_friction(self._foot_friction)
+        self._servo_compliances = self._compute_servo_compliances() if self._compensates_load else []
         self._impulses = [0.0] * robot.getNumDofs()
-        self._gears = self._gear_up()
-        self._geared: Sequence[float] = (0.0,) * len(self._motors)
+        self._gears = self._make_gears()
+        self._gear_torques: Sequence[float] = (0.0,) * len(self._motors)
         self._commands = self.spec.rest_commands()
-        self._servos.rest()
-        self._push = None
+        self._servos.reset()
+        self._force = None
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
 
-    def _gear_up(self) -> Gears | None:
+    def _make_gears(self) -> Gears | None:
         couplings = [each for each in self.spec.couplings if not is_chained(self.skeleton, each)]
         if not couplings:
             return None
         return Gears(self.skeleton, couplings, self.spec.drive_joints, self._timestep_s)
 
     @property
-    def _leads(self) -> bool:
-        """Whether what servos give way by is made up for: much, where wheels are light beside rotors."""
-        return not self._plain and all(
+    def _compensates_load(self) -> bool:
+        """Whether commands compensate for the softness of servos, which matters if rotors outweigh wheels."""
+        return not self._has_ideal_motors and all(
             motor.mode == "velocity" and motor.rotor_inertia_kgm2 > 0.0 for motor in self._motors
         )
 
-    def _giving_way(self) -> list[float]:
-        """The speed [rad/s] by which each motor's servo gives way to an impulse of 1 N m s."""
-        ease = self.skeleton.getInvMassMatrix().diagonal()[self._drives]
-        gives: list[float] = (_SOFTNESS * ease).tolist()
-        return gives
+    def _compute_servo_compliances(self) -> list[float]:
+        """Speed [rad/s] at which each motor's servo yields under an impulse of 1 N m s."""
+        inverse_inertias = self.skeleton.getInvMassMatrix().diagonal()[self._drives]
+        compliances: list[float] = (_SOFTNESS * inverse_inertias).tolist()
+        return compliances
 
-    def forget(self) -> None:
-        """The scene is gone, and with it the robot."""
+    def release(self) -> None:
+        """Drop the references to the engine's objects."""
         self.skeleton = self._base = self._base_joint = None
 
-    def _index(self, joint: str) -> int:
+    def _dof_index(self, joint: str) -> int:
         index: int = self.skeleton.getJoint(joint).getIndexInSkeleton(0)
         return index
 
-    def drive(self, commands: Sequence[float]) -> None:
+    def set_command(self, commands: Sequence[float]) -> None:
         self._commands = commands
 
-    def xy(self) -> tuple[float, float]:
-        """Where its base link is, seen from above [m]."""
+    def position_xy(self) -> tuple[float, float]:
+        """Horizontal position of the base link [m]."""
         x, y = self._base_joint.getPositions()[3:5].tolist()
         return x, y
 
-    def falls(self) -> bool:
-        """Whether it comes down faster than it drives down any slope."""
+    def is_falling(self) -> bool:
+        """Whether the base moves down faster than in any drive down a slope."""
         return bool(self._base_joint.getVelocities()[5] < -_FALL_MPS)
 
-    def begin(self, count: int) -> None:
-        """Have the motors take their commands for the next `count` physics steps."""
-        if self._plain:
+    def begin_step(self, count: int) -> None:
+        """Pass the commands to the motors for the next `count` physics steps."""
+        if self._has_ideal_motors:
             self.skeleton.setCommands(self._drives, self._commands)
         else:
-            self._servos.command(self._commands, count)
+            self._servos.set_commands(self._commands, count)
 
     @property
-    def has_work_before(self) -> bool:
-        """Whether `before` does anything."""
-        return self._ground is not None or not self._plain
+    def acts_before_steps(self) -> bool:
+        """Whether `before_physics_step` does anything."""
+        return self._ground is not None or not self._has_ideal_motors
 
-    def before(self) -> None:
-        """Do what the physics step to come asks for."""
+    def before_physics_step(self) -> None:
+        """Set the commands of ground and motors for the next physics step."""
         if self._ground is not None:
-            self._ground.lead()
-        if not self._plain:
-            self._act()
+            self._ground.command_servos()
+        if not self._has_ideal_motors:
+            self._command_motors()
 
-    def _act(self) -> None:
-        """Have the motors do what they can toward their commands."""
+    def _command_motors(self) -> None:
+        """Set target speeds and torque limits of the motors."""
         robot, drives = self.skeleton, self._drives
         angles, speeds = robot.getPositions(drives).tolist(), robot.getVelocities(drives).tolist()
-        targets, torques = self._servos.next(angles, speeds)
-        if self._gives:
-            # For what all of them bear together, as on a slope. For what each bears alone they would push
-            # against each other.
+        targets, torques = self._servos.targets(angles, speeds)
+        if self._servo_compliances:
+            # Compensates for the mean load, as on a slope. Compensation for each motor's own load would make
+            # the motors work against each other.
             impulses = self._impulses
             mean = sum([impulses[index] for index in drives]) / len(drives)
-            targets = [target + give * mean for target, give in zip(targets, self._gives, strict=True)]
+            targets = [
+                target + compliance * mean
+                for target, compliance in zip(targets, self._servo_compliances, strict=True)
+            ]
         robot.setCommands(drives, targets)
         if self._gears is None:
             robot.setForceUpperLimits(drives, torques)
             robot.setForceLowerLimits(drives, [-torque for torque in torques])
             return
-        self._geared = geared = self._gears.on_drives.tolist()
-        most = [gear + torque for gear, torque in zip(geared, torques, strict=True)]
-        least = [gear - torque for gear, torque in zip(geared, torques, strict=True)]
-        robot.setForceUpperLimits(drives, most)
-        robot.setForceLowerLimits(drives, least)
+        self._gear_torques = gear_torques = self._gears.drive_torques.tolist()
+        upper = [gear + torque for gear, torque in zip(gear_torques, torques, strict=True)]
+        lower = [gear - torque for gear, torque in zip(gear_torques, torques, strict=True)]
+        robot.setForceUpperLimits(drives, upper)
+        robot.setForceLowerLimits(drives, lower)
 
     @property
-    def has_work_after(self) -> bool:
-        """Whether `after` does anything."""
+    def acts_after_steps(self) -> bool:
+        """Whether `after_physics_step` does anything."""
         slips = self.spec.sideways_friction_share != 1.0
-        return slips or self._leads or bool(self.spec.couplings) or self._measures_work
+        return slips or self._compensates_load or bool(self.spec.couplings) or self._measures_work
 
-    def after(self) -> None:
-        """Do what a physics step that was made asks for."""
+    def after_physics_step(self) -> None:
+        """Update couplings, slip and work after a physics step."""
         if self._gears is not None:
             self._gears.after()
-        if self._gives or self._differentials or self._grip is not None:
+        if self._servo_compliances or self._differentials or self._slip is not None:
             self._impulses = impulses = self.skeleton.getJointConstraintImpulses().tolist()
             for differential in self._differentials:
                 differential.after(impulses)
-            if self._grip is not None:
-                self._grip.after(impulses)
+            if self._slip is not None:
+                self._slip.after(impulses)
         if self._measures_work:
-            self._count_work()
+            self._add_work()
 
-    def _count_work(self) -> None:
+    def _add_work(self) -> None:
         speeds = self.skeleton.getVelocities(self._drives).tolist()
-        # A torque acts from the speed before a step to the one after it.
-        means = [(one + other) / 2 for one, other in zip(self._speeds, speeds, strict=True)]
+        # The joint speed changes linearly over a step under a constant torque.
+        means = [(before + after) / 2 for before, after in zip(self._speeds, speeds, strict=True)]
         self._speeds = speeds
-        self._work += work_w(self._motors, means, self._torques()) * self._timestep_s
+        self._work += motor_power_w(self._motors, means, self._torques()) * self._timestep_s
 
     def work_j(self) -> float:
-        done, self._work = self._work, 0.0
-        return done
+        work, self._work = self._work, 0.0
+        return work
 
-    def push(self, force_w: Sequence[float]) -> None:
-        self._push = force_w if any(force_w) else None
+    def apply_force(self, force_w: Sequence[float]) -> None:
+        self._force = force_w if any(force_w) else None
 
-    def pushed(self) -> Sequence[float] | None:
-        """The force set by `push` since this was asked last; None where there is none."""
-        push, self._push = self._push, None
-        return push
+    def take_force(self) -> Sequence[float] | None:
+        """The force set by `apply_force` since the last call, which is removed; None if there is none."""
+        force, self._force = self._force, None
+        return force
 
-    def apply(self, force_w: Sequence[float]) -> None:
-        """Have a force (3) [N] act in the physics step to come."""
-        # The engine keeps a force in the body's frame, which may turn.
+    def act_force(self, force_w: Sequence[float]) -> None:
+        """Apply a force (3) [N] in the next physics step."""
+        # Set again in each step, because the engine keeps a force in the body's frame, which may turn.
         self._base.setExtForce(force_w, self._base.getLocalCOM(), False, True)
 
-    def let_go(self) -> None:
-        """End what `apply` has begun."""
+    def clear_force(self) -> None:
+        """Remove the force of `act_force`."""
         self._base.clearExternalForces()
 
     def set_foot_contacts(
@@ -250,28 +256,31 @@ class DartRobot:
         stiffness: Sequence[float] | None,
         damping: Sequence[float] | None,
     ) -> None:
-        """Set what each of the links that it stands on is to the ground; see `set_wheel_contacts`."""
-        for foot, grip, bounce in zip(self._feet, friction, restitution, strict=True):
+        """Set the contact parameters of each ground link; see `PhysicsRobot.set_wheel_contacts`."""
+        for foot, foot_friction, foot_restitution in zip(self._feet, friction, restitution, strict=True):
             for node in foot.getShapeNodes():
                 if node.hasDynamicsAspect():
-                    node.getDynamicsAspect().setFrictionCoeff(grip)
-                    node.getDynamicsAspect().setRestitutionCoeff(bounce)
-        if self._grip is not None:
-            self._grip.set_friction(friction)
+                    node.getDynamicsAspect().setFrictionCoeff(foot_friction)
+                    node.getDynamicsAspect().setRestitutionCoeff(foot_restitution)
+        if self._slip is not None:
+            self._slip.set_friction(friction)
         if stiffness is None or damping is None:
             return
         if self._ground is None:
-            self._ground = YieldingGround(self.skeleton, self._feet, self._timestep_s, _SOFTNESS)
+            self._ground = CompliantGround(self.skeleton, self._feet, self._timestep_s, _SOFTNESS)
         self._ground.set(stiffness, damping)
 
     def _torques(self) -> list[float]:
         impulses: list[float] = self.skeleton.getJointConstraintImpulses()[self._drives].tolist()
-        # In plain numbers: of a state that diverges they overflow without a warning.
+        # Python floats, which overflow without a warning if the state diverges.
         step_s = self._timestep_s
-        return [impulse / step_s - geared for impulse, geared in zip(impulses, self._geared, strict=True)]
+        return [
+            impulse / step_s - gear_torque
+            for impulse, gear_torque in zip(impulses, self._gear_torques, strict=True)
+        ]
 
     def body_state(self) -> tuple[float, ...]:
-        # Asking the joint costs a tenth of asking the body for what it derives from it.
+        # The joint's getters cost a tenth of the body's, which derives its state from the joint.
         joint = self._base_joint
         rx, ry, rz, px, py, pz = joint.getPositions().tolist()
         ax, ay, az, vx, vy, vz = joint.getVelocities().tolist()
@@ -291,27 +300,27 @@ class DartRobot:
         if self.skeleton is None:
             return (0.0,) * len(joints)
         positions = self.skeleton.getPositions().tolist()
-        # The second arm of a differential hangs on the first.
+        # The second arm of a differential is a child of the first.
         for differential in self._differentials:
             positions[differential.between] += positions[differential.body]
-        return tuple(positions[self._index(joint)] for joint in joints)
+        return tuple(positions[self._dof_index(joint)] for joint in joints)
 
 
-def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
-    robot = parsed(robot_urdf(spec, text), spec.urdf.parent)
+def _load_template(spec: RobotBody, text: str | None = None) -> Any:
+    robot = parse_skeleton(robot_urdf(spec, text), spec.urdf.parent)
     if robot is None:
         raise PhysicsError(f"DART cannot load {spec.urdf}")
     for body in robot.getBodyNodes():
         for node in body.getShapeNodes():
             if node.hasDynamicsAspect():
-                node.getDynamicsAspect().setFrictionCoeff(NEVER_THE_LESSER)
+                node.getDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
     joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
     for name, joint in joints.items():
         if joint.getNumDofs() == 1:
             joint.setDampingCoefficient(0, 0.0)
             joint.setCoulombFriction(0, 0.0)
             joint.setLimitEnforcement(True)
-            # A motor's speed is its own affair.
+            # The motor model limits the speed.
             joint.setVelocityLowerLimit(0, -math.inf)
             joint.setVelocityUpperLimit(0, math.inf)
             if name.endswith(TYRE):
@@ -327,10 +336,11 @@ def _read_robot(spec: RobotBody, text: str | None = None) -> Any:
         joint.setPosition(0, motor.rest_rad)
     for coupling in spec.couplings:
         if is_chained(robot, coupling):
-            set_up(robot, coupling)
+            configure_differential(robot, coupling)
     return robot
 
 
-def parsed(urdf: str, folder: Path) -> Any:
-    # The reader takes a path as it is: it does not know percent signs.
+def parse_skeleton(urdf: str, folder: Path) -> Any:
+    """Skeleton of the text of a URDF, whose paths are relative to `folder`; None if DART cannot parse it."""
+    # DART does not decode percent signs in a path.
     return dartpy.utils.DartLoader().parseSkeletonString(urdf, f"file://{folder.resolve()}/")

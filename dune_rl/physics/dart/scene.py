@@ -6,47 +6,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.dart.bodies import Capsules, Surroundings, shared_meshes, terrain_friction
-from dune_rl.physics.dart.collision_filter import Meetings
-from dune_rl.physics.dart.corners import Corners
+from dune_rl.physics.dart.bodies import (
+    KinematicBodies,
+    StaticGeometry,
+    load_shared_meshes,
+    terrain_friction,
+)
+from dune_rl.physics.dart.collision_filter import CollisionFilter
+from dune_rl.physics.dart.corners import CornerContacts
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.first_robot import AnswersAsFirst
 from dune_rl.physics.interface import SceneSpec
 
-# A kinematic body farther than this from the robot is moved once per control
-# step: it cannot touch the robot before the next one.
+# A kinematic body farther than this from all robots is moved once per control
+# step: it cannot touch a robot before the next one.
 _NEAR_M = 2.0
 
-# Finer takes more of the sweeps and changes no rate of turn by 1 %.
+# A smaller tolerance needs more sweeps and changes no yaw rate by 1 %.
 _CONE_TOLERANCE = 1e-3
 
 
-class DartScene(AnswersAsFirst["_SceneRobot"]):
-    """One DART world, with Bullet's collision detector and DART's own contact solvers."""
+class DartScene:
+    """`PhysicsScene` in a DART world, with Bullet's collision detector and DART's own contact solvers."""
 
     def __init__(self, spec: SceneSpec) -> None:
         self._spec = spec
-        self._meshes = shared_meshes(spec.statics)
-        self._robots = [_SceneRobot(spec, number) for number in range(len(spec.robots))]
-        self._first, self.others = self._robots[0], self._robots[1:]
-        self._surroundings = Surroundings(spec.statics, self._meshes, self._robots)
+        self._meshes = load_shared_meshes(spec.statics)
+        self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
+        self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
 
-    def place(
-        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
-        # All that remembers is made anew: the robots, the kinematic bodies, and the world with the
-        # collision detector's pairs and contacts. Meshes, which are slow to build, remember nothing.
+    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+        # Everything with state is created anew: the robots, the kinematic bodies, and the world with the
+        # collision detector's pairs and contacts. Meshes, which are slow to build, have no state.
         self.close()
         spec = self._spec
-        self._first.stand(position_w, quaternion)
-        skeletons = [robot.place() for robot in self._robots]
-        self._surroundings.take_friction_back()
-        self._capsules = Capsules(spec, self._robots)
-        self._rest(self._centres(kinematic_poses))
+        skeletons = [robot.load() for robot in self.robots]
+        self._static_geometry.restore_friction()
+        self._kinematics = KinematicBodies(spec, self.robots)
+        self._place_kinematics(self._centres(kinematic_poses))
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
         world.setGravity([0.0, 0.0, -spec.gravity_mps2])
@@ -57,15 +57,15 @@ class DartScene(AnswersAsFirst["_SceneRobot"]):
         solver.setCollisionDetector(self._meshes.detector)
         if self._cone is not None:
             solver.setBoxedLcpSolver(self._cone)
-        self._filter = solver.getCollisionOption().collisionFilter
-        self._meetings = Meetings(
-            self._robots, self._surroundings, self._capsules, spec.first_robot, self._filter
+        self._engine_filter = solver.getCollisionOption().collisionFilter
+        self._collision_filter = CollisionFilter(
+            self.robots, self._static_geometry, self._kinematics, spec.robot_number(0), self._engine_filter
         )
-        for robot in self._robots:
-            robot.enter(world, self._surroundings, self._meetings)
-        self._watches = False
-        self._corners = Corners(self._robots, self._surroundings.for_hull)
-        for skeleton in (self._surroundings.skeleton, self._capsules.skeleton, *skeletons):
+        for robot in self.robots:
+            robot.bind(world, self._static_geometry, self._collision_filter)
+        self._checks_corners_each_step = False
+        self._corners = CornerContacts(self.robots, self._static_geometry.hull_ground)
+        for skeleton in (self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons):
             world.addSkeleton(skeleton)
 
     def _centres(self, kinematic_poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -73,105 +73,112 @@ class DartScene(AnswersAsFirst["_SceneRobot"]):
         centres[:, 2] += self._centre_heights
         return centres
 
-    def _rest(self, centres: NDArray[np.float64]) -> None:
-        capsules, still = self._capsules.skeleton, np.zeros(centres.size)
-        self._capsule_centres = centres
-        capsules.setPositions(centres.ravel())
-        capsules.setVelocities(still)
-        capsules.setCommands(still)
+    def _place_kinematics(self, centres: NDArray[np.float64]) -> None:
+        """Put the kinematic bodies at `centres` (K, 3) [m], at rest."""
+        skeleton, zeros = self._kinematics.skeleton, np.zeros(centres.size)
+        self._kinematic_centres = centres
+        skeleton.setPositions(centres.ravel())
+        skeleton.setVelocities(zeros)
+        skeleton.setCommands(zeros)
 
-    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
-        self._first.drive(commands)
-        self._grow_corners()
-        # A robot that falls on its back goes deep in the steps between.
-        self._watches = self._corners.are_wanted and any(robot.falls() for robot in self._robots)
-        pushes = []
-        for robot in self._robots:
-            push = robot.pushed()
-            if push is not None:
-                pushes.append((robot, push))
-            robot.begin(count)
+    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+        self._add_corners()
+        # A robot that falls on its back penetrates deeply within the physics steps of one control step.
+        self._checks_corners_each_step = self._corners.has_boxes_left and any(
+            robot.is_falling() for robot in self.robots
+        )
+        forces: list[tuple[_SceneRobot, Sequence[float]]] = []
+        for robot in self.robots:
+            force = robot.take_force()
+            if force is not None:
+                forces.append((robot, force))
+            robot.begin_step(count)
         if not len(kinematic_poses):
-            self._advance(count, pushes)
+            self._advance(count, forces)
             return
         centres = self._centres(kinematic_poses)
-        places = np.array([robot.xy() for robot in self._robots])
-        near = (np.abs(centres[:, None, :2] - places) < _NEAR_M).all(axis=2).any(axis=1)
+        positions = np.array([robot.position_xy() for robot in self.robots]).reshape(-1, 2)
+        near = (np.abs(centres[:, None, :2] - positions) < _NEAR_M).all(axis=2).any(axis=1)
         if not near.any():
-            self._rest(centres)
-            self._advance(count, pushes)
+            self._place_kinematics(centres)
+            self._advance(count, forces)
             return
-        start = np.where(near[:, None], self._capsule_centres, centres)
-        self._capsules.skeleton.setPositions(start.ravel())
-        # They move at these speeds by themselves, and what they meet feels it.
+        start = np.where(near[:, None], self._kinematic_centres, centres)
+        self._kinematics.skeleton.setPositions(start.ravel())
+        # The engine moves them at these speeds, and contacts take the speeds into account.
         speeds = (centres - start).ravel() / (count * self._spec.timestep_s)
-        self._capsules.skeleton.setCommands(speeds)
-        self._advance(count, pushes)
-        self._rest(centres)
+        self._kinematics.skeleton.setCommands(speeds)
+        self._advance(count, forces)
+        self._place_kinematics(centres)
 
-    def _forget_contacts(self) -> None:
-        """Have the detector find all contacts anew in the next physics step.
+    def _clear_contact_cache(self) -> None:
+        """Make the collision detector recompute all contacts in the next physics step.
 
-        It does so by itself whenever a body is made anywhere in the process: when another scene begins an
-        episode, say. Contacts kept for longer than a step would depend on that in their last bits.
+        It does so by itself whenever a body is created anywhere in the process: when another scene is reset,
+        for example. Contacts kept for longer than a control step would make the last bits depend on that.
         """
-        # Any change of the filter does it; that a body does not meet itself is none.
-        base = self._first.skeleton.getBodyNode(0)
-        self._filter.addBodyNodePairToBlackList(base, base)
+        if not self.robots:
+            return
+        # Any change of the filter has this effect; a body never collides with itself anyway.
+        base = self.robots[0].skeleton.getBodyNode(0)
+        self._engine_filter.addBodyNodePairToBlackList(base, base)
 
-    def coast(self, count: int) -> None:
+    def step_passive(self, count: int) -> None:
         self._advance(count, ())
 
-    def _advance(self, count: int, pushes: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
-        self._forget_contacts()
+    def _advance(self, count: int, forces: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
+        self._clear_contact_cache()
         advance = self._world.step
-        before_each = [robot.before for robot in self._robots if robot.has_work_before]
-        after_each = [robot.after for robot in self._robots if robot.has_work_after]
+        before_each = [robot.before_physics_step for robot in self.robots if robot.acts_before_steps]
+        after_each = [robot.after_physics_step for robot in self.robots if robot.acts_after_steps]
         for _ in range(count):
-            for robot, push in pushes:
-                robot.apply(push)
+            for robot, force in forces:
+                robot.act_force(force)
             for before in before_each:
                 before()
             # False: joints keep their commands.
             advance(False)
             for after in after_each:
                 after()
-            if self._watches:
-                self._grow_corners()
-        for robot, _ in pushes:
-            robot.let_go()
+            if self._checks_corners_each_step:
+                self._add_corners()
+        for robot, _ in forces:
+            robot.clear_force()
 
-    def _grow_corners(self) -> None:
-        if self._corners.are_wanted and self._corners.grow(self._world.getLastCollisionResult()):
-            self._meetings.look_again()
+    def _add_corners(self) -> None:
+        corners = self._corners
+        if corners.has_boxes_left and corners.add_where_touching(self._world.getLastCollisionResult()):
+            self._collision_filter.refresh_shapes()
 
     def close(self) -> None:
-        # What the engine holds goes with the last reference to it.
+        # The engine frees its memory with the last reference to the world.
         self._world = None
-        for robot in self._robots:
-            robot.forget()
+        for robot in self.robots:
+            robot.release()
 
 
 class _SceneRobot(DartRobot):
-    """Robot `number` of a scene, which it enters after each `place`."""
+    """Robot `index` of a scene; the scene binds it to its world after each `load`."""
 
-    def __init__(self, spec: SceneSpec, number: int) -> None:
+    def __init__(self, spec: SceneSpec, index: int) -> None:
         super().__init__(
-            spec.robots[number],
+            spec.robots[index],
             spec.timestep_s,
             measures_work=spec.measures_work,
             terrain_friction=terrain_friction(spec.statics),
         )
-        self._number = number
+        self._index = index
         self._world: Any = None
-        self._meetings: Any = None
+        self._collision_filter: Any = None
 
-    def enter(self, world: Any, surroundings: Surroundings, meetings: Meetings) -> None:
-        self._world, self._surroundings, self._meetings = world, surroundings, meetings
+    def bind(self, world: Any, static_geometry: StaticGeometry, collision_filter: CollisionFilter) -> None:
+        """Set the objects of the scene that contacts depend on."""
+        self._world, self._static_geometry = world, static_geometry
+        self._collision_filter = collision_filter
 
-    def forget(self) -> None:
-        super().forget()
-        self._world = self._meetings = None
+    def release(self) -> None:
+        super().release()
+        self._world = self._collision_filter = None
 
     def set_wheel_contacts(
         self,
@@ -180,12 +187,12 @@ class _SceneRobot(DartRobot):
         stiffness: Sequence[float] | None = None,
         damping: Sequence[float] | None = None,
     ) -> None:
-        ground = self._surroundings.give_friction_to_feet(self._number)
-        grip = [coefficient * ground for coefficient in friction]
-        self.set_foot_contacts(grip, restitution, stiffness, damping)
+        ground = self._static_geometry.use_foot_friction(self._index)
+        coefficients = [coefficient * ground for coefficient in friction]
+        self.set_foot_contacts(coefficients, restitution, stiffness, damping)
 
-    def touched(self) -> list[int]:
-        return self._meetings.touched(self._number, self._world.getLastCollisionResult())
+    def contacts(self) -> list[int]:
+        return self._collision_filter.contacts(self._index, self._world.getLastCollisionResult())
 
 
 def _cone_solver(sweeps: int) -> Any:

@@ -1,4 +1,4 @@
-"""How a robot's wheels stand on ground that yields, in a DART scene."""
+"""Compliant ground under a robot's wheels in DART."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,74 +8,75 @@ import numpy as np
 from dune_rl.physics.dart.joints import TYRE
 from dune_rl.physics.dart.library import dartpy
 
-# Stiffer wheels share a weight by fits and starts: on ground of 1e7 N/m a rover is 7 % slower in its curves.
-_STIFFEST_NPM, _MOST_DAMPING_NSPM = 2e5, 4e3
+# Above these the load distribution over the wheels jumps: on ground of 1e7 N/m a rover is 7 % slower in
+# curves.
+_MAX_STIFFNESS_NPM, _MAX_DAMPING_NSPM = 2e5, 4e3
 
 
-class YieldingGround:
-    """The give of the ground under each wheel, as motion of the sliding joint that the wheel hangs on.
+class CompliantGround:
+    """Compliance of the ground under each wheel, as motion of the wheel's tyre joint.
 
-    DART's contacts are rigid, and it takes them after the springs and dampers
-    of joints: on a spring, a wheel that lands stops alone, the body above it
-    goes on, and the spring is as soft as the wheel is light. So the sliding
-    joints become servos, which are solved together with contacts: what lands
-    lands as a whole, and bounces by the restitution of its contacts, of which
-    the servos take some 0.1. Before each physics step a servo is told how fast a
-    spring and a damper would yield under what bore on its wheel in the last
-    one.
+    DART's contacts are rigid, and solved after the springs and dampers of
+    joints: with a spring, a wheel that lands stops alone while the body above
+    it moves on, and the lighter the wheel the softer the spring. So the tyre
+    joints become servos, which are solved together with contacts: the robot
+    lands as a whole, and rebounds by the restitution of its contacts, which
+    the servos reduce by some 0.1. Before each physics step a servo's command
+    is the speed of a spring and a damper under the wheel's load in the last
+    step.
 
-    `wheels` are the bodies of the skeleton `robot` that stand on the ground;
-    the contacts of those that hang on no such joint stay rigid. `softness` is
-    that of servos, `JointConstraint.getConstraintForceMixing`.
+    `wheels` are the ground links' bodies in the skeleton `robot`; the contacts
+    of those without a tyre joint stay rigid. `softness` is the constraint
+    force mixing of servos, `JointConstraint.getConstraintForceMixing`.
     """
 
     def __init__(self, robot: Any, wheels: Sequence[Any], timestep_s: float, softness: float) -> None:
         self._robot, self._step_s = robot, timestep_s
         joints = {joint.getName(): joint for joint in robot.getJoints()}
         names = [f"{wheel.getParentJoint().getName()}{TYRE}" for wheel in wheels]
-        self._hung = [number for number, name in enumerate(names) if name in joints]
-        hung_on = [joints[names[number]] for number in self._hung]
-        self._dofs = [joint.getIndexInSkeleton(0) for joint in hung_on]
-        self._of_dofs = np.array(self._dofs, int)
-        mass = np.array([_hanging_kg(wheels[number]) for number in self._hung])
+        self._sprung = [number for number, name in enumerate(names) if name in joints]
+        tyre_joints = [joints[names[number]] for number in self._sprung]
+        self._dofs = [joint.getIndexInSkeleton(0) for joint in tyre_joints]
+        self._dof_array = np.array(self._dofs, int)
+        mass = np.array([_sprung_mass_kg(wheels[number]) for number in self._sprung])
         above = (robot.getMass() - mass.sum()) / len(wheels)
-        # The speed [m/s] by which a servo gives way to an impulse of 1 N s.
-        self._give = softness * (1.0 / mass + 1.0 / above)
-        self._load, self._told = np.zeros((2, len(self._hung)))
-        for joint in hung_on:
+        # Speed [m/s] at which a servo yields under an impulse of 1 N s.
+        self._servo_compliance = softness * (1.0 / mass + 1.0 / above)
+        self._load, self._commands = np.zeros((2, len(self._sprung)))
+        for joint in tyre_joints:
             joint.setSpringStiffness(0, 0.0)
             joint.setActuatorType(dartpy.dynamics.ActuatorType.SERVO)
 
     def set(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
-        """Have the ground yield as springs of `stiffness` [N/m] and `damping` [N s/m], a number a wheel.
+        """Set the ground's `stiffness` [N/m] and `damping` [N s/m], one of each per wheel.
 
-        It is never harder than 2e5 N/m with 4e3 N s/m.
+        They are limited to 2e5 N/m and 4e3 N s/m.
         """
-        self._stiffness = np.minimum(stiffness, _STIFFEST_NPM)[self._hung]
-        damper = np.minimum(damping, _MOST_DAMPING_NSPM)[self._hung]
-        # The spring at the end of a step is that at its start and what the step adds.
+        self._stiffness = np.minimum(stiffness, _MAX_STIFFNESS_NPM)[self._sprung]
+        damper = np.minimum(damping, _MAX_DAMPING_NSPM)[self._sprung]
+        # Implicit integration: the spring's force at the end of a step includes what the step adds.
         self._damping = damper + self._stiffness * self._step_s
-        # Where the ground gives way more easily than servos do, the load of one step is no measure of that
-        # of the next: they would swing against each other.
-        lag = 2.0 * self._give * self._damping * self._step_s
-        self._trust = lag / (1.0 + lag)
+        # If the ground is softer than the servos, the load of one step does not predict that of the next:
+        # without a low-pass filter the two oscillate.
+        lag = 2.0 * self._servo_compliance * self._damping * self._step_s
+        self._filter_gain = lag / (1.0 + lag)
 
-    def lead(self) -> None:
-        """Tell the servos how fast to yield in the physics step to come."""
-        if not self._hung:
+    def command_servos(self) -> None:
+        """Set the speeds of the servos in the next physics step."""
+        if not self._sprung:
             return
         robot, dofs = self._robot, self._dofs
-        # What contacts and servos do to a joint together, less what its servo does.
+        # Force of contacts and servo on a joint, minus that of its servo.
         load = robot.getConstraintForces() - robot.getJointConstraintImpulses() / self._step_s
-        self._load += self._trust * (load[self._of_dofs] - self._load)
-        yielding = (self._load - self._stiffness * robot.getPositions(dofs)) / self._damping
-        # A servo gives way by itself to what it bears: that much less is told.
-        self._told += yielding - robot.getVelocities(dofs)
-        robot.setCommands(dofs, self._told)
+        self._load += self._filter_gain * (load[self._dof_array] - self._load)
+        speeds = (self._load - self._stiffness * robot.getPositions(dofs)) / self._damping
+        # A servo yields under load by itself: the command is reduced by that.
+        self._commands += speeds - robot.getVelocities(dofs)
+        robot.setCommands(dofs, self._commands)
 
 
-def _hanging_kg(wheel: Any) -> float:
-    """Mass of a wheel and of the links that it hangs on, up to the sliding joint."""
+def _sprung_mass_kg(wheel: Any) -> float:
+    """Mass of a wheel and of the links between it and its tyre joint."""
     mass = float(wheel.getMass())
     while not wheel.getParentJoint().getName().endswith(TYRE):
         wheel = wheel.getParentBodyNode()

@@ -9,7 +9,8 @@ from pydantic import Field, model_validator
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.realism.pipeline import Realism, RealismConf, Rows
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, Sensor
+from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
+from dune_rl.state import GroupState, State
 
 Floats = NDArray[np.float32]
 
@@ -18,8 +19,7 @@ _LIGHT: Floats = srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(25
 _LEVELS = 2**14
 _BYTES = np.searchsorted((_LIGHT[1:] + _LIGHT[:-1]) / 2, np.linspace(0.0, 1.0, _LEVELS)).astype(np.uint8)
 
-_COLOURED = ("camera_rgb", "camera_grey")
-_DEPTH = "camera_depth"
+_COLOURED = ("rgb", "grey")
 # What an automatic exposure aims at, the mean of a picture, in linear light: a grey of 18 %.
 _MEAN_LIGHT = 0.18
 _MOST_GAIN = 8.0
@@ -88,14 +88,17 @@ class CameraFaults:
     step is seen twice rather than smeared.
     """
 
-    def __init__(self, sensor: Sensor, conf: CameraRealismConf, num_scenes: int, step_s: float) -> None:
-        self._sensor, self._conf, self._step_s = sensor, conf, step_s
+    def __init__(
+        self, sensor: Sensor, conf: CameraRealismConf, num_rows: int, step_s: float, name: str = "camera"
+    ) -> None:
+        self._sensor, self._conf, self._step_s, self._name = sensor, conf, step_s, name
+        self._depth_name = f"{name}_depth"
         self._bounds = sensor.bounds()
         self._seen: dict[str, Reading] = {
-            name: np.zeros((num_scenes, *low.shape), low.dtype) for name, (low, _) in self._bounds.items()
+            name: np.zeros((num_rows, *low.shape), low.dtype) for name, (low, _) in self._bounds.items()
         }
-        coloured = [name for name in _COLOURED if name in self._bounds]
-        self._gain = {name: np.full((num_scenes, 1, 1, 1), conf.gain, np.float32) for name in coloured}
+        coloured = [key for key in (f"{name}_{output}" for output in _COLOURED) if key in self._bounds]
+        self._gain = {name: np.full((num_rows, 1, 1, 1), conf.gain, np.float32) for name in coloured}
         # To find memory for a batch of pictures costs more than what is worked out in it.
         self._scratch: dict[str, tuple[NDArray[Any], ...]] = {
             name: tuple(np.empty(self._seen[name].shape, kind) for kind in (np.intp, np.float32, np.float32))
@@ -108,7 +111,7 @@ class CameraFaults:
             above = 1.0 - (np.arange(height) + 0.5) / height
             age = (conf.readout_s * above + conf.shutter_s / 2) / step_s
             self._age = age.astype(np.float32).reshape(height, 1, 1)
-        self._clear = np.ones((num_scenes, height, width, 1), np.float32)
+        self._clear = np.ones((num_rows, height, width, 1), np.float32)
         self._perfect = not (
             conf.shutter_s or conf.readout_s or conf.auto_exposure_s or conf.full_well_e or conf.dirt
         ) and (conf.gain == 1.0)
@@ -117,33 +120,35 @@ class CameraFaults:
         """Those of the sensor within."""
         return self._bounds
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Look in the scenes in `mask` (M,), with a lens soiled anew, and nothing seen before."""
-        self._sensor.begin(mask, now)
+        self._sensor.begin(mask, now, state)
         rows = np.flatnonzero(mask)
         if self._conf.dirt:
             self._soil(rows, now)
         self._take(rows, now, first=True)
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Look again."""
-        self._sensor.measure(now)
+        self._sensor.measure(now, state)
         self._take(slice(None), now, first=False)
 
     def read(self) -> dict[str, Reading]:
         """The latest pictures."""
         return {name: seen.copy() for name, seen in self._seen.items()}
 
-    def _take(self, rows: Rows, now: Moment, first: bool) -> None:
+    def _take(self, rows: Rows, now: GroupState, first: bool) -> None:
         for name, frames in self._sensor.read().items():
             frame = frames[rows]
             if name in self._gain and not self._perfect:
                 frame = self._picture(name, frame, rows, now, first)
-            elif name == _DEPTH:
+            elif name == self._depth_name:
                 frame = self._depth(frame, rows, now)
             self._seen[name][rows] = frame
 
-    def _picture(self, name: str, frame: Reading, rows: Rows, now: Moment, first: bool) -> NDArray[np.uint8]:
+    def _picture(
+        self, name: str, frame: Reading, rows: Rows, now: GroupState, first: bool
+    ) -> NDArray[np.uint8]:
         """Bytes (N, height, width, channels) of the perfect `frame`."""
         conf = self._conf
         index, light, work = (scratch[: len(frame)] for scratch in self._scratch[name])
@@ -165,7 +170,9 @@ class CameraFaults:
         light *= gain
         if conf.full_well_e is not None:
             size = int(np.prod(frame.shape[1:]))
-            noise = normal(now.seed, f"{name} noise", now.episodes[rows], now.steps[rows], size)
+            noise = normal(
+                now.episode.seed, f"{name} noise", now.episode.streams[rows], now.episode.steps[rows], size
+            )
             # Electrons e of a pixel vary by √(e + read²); there are full_well / gain of them in white.
             per_electron = gain / np.float32(conf.full_well_e)
             np.add(light, per_electron * np.float32(conf.read_noise_e**2), out=work)
@@ -191,13 +198,13 @@ class CameraFaults:
         exposed: Floats = gains[rows]
         return exposed
 
-    def _depth(self, frame: Floats, rows: Rows, now: Moment) -> Floats:
+    def _depth(self, frame: Floats, rows: Rows, now: GroupState) -> Floats:
         """Depth (N, height, width, 1) [m] as stereo measures it: an error of disparity grows with depth²."""
         conf = self._conf
-        low, high = self._bounds[_DEPTH]
-        depth, at = frame, (now.episodes[rows], now.steps[rows], int(np.prod(frame.shape[1:])))
+        low, high = self._bounds[self._depth_name]
+        depth, at = frame, (now.episode.streams[rows], now.episode.steps[rows], int(np.prod(frame.shape[1:])))
         if conf.depth_noise_per_m:
-            noise = normal(now.seed, "camera_depth noise", *at).reshape(frame.shape)
+            noise = normal(now.episode.seed, f"{self._depth_name} noise", *at).reshape(frame.shape)
             depth = depth + noise * (np.float32(conf.depth_noise_per_m) * frame * frame)
         if conf.depth_quantum_m:
             depth = np.rint(depth / np.float32(conf.depth_quantum_m)) * np.float32(conf.depth_quantum_m)
@@ -205,16 +212,21 @@ class CameraFaults:
         if conf.depth_far_m is not None:
             lost |= frame > np.float32(conf.depth_far_m)
         if conf.depth_dropout:
-            lost |= uniform(now.seed, "camera_depth return", *at).reshape(frame.shape) < conf.depth_dropout
+            lost |= (
+                uniform(now.episode.seed, f"{self._depth_name} return", *at).reshape(frame.shape)
+                < conf.depth_dropout
+            )
         measured: Floats = np.where(lost, high, np.minimum(np.maximum(depth, low), high))
         return measured
 
-    def _soil(self, rows: NDArray[np.int64], now: Moment) -> None:
+    def _soil(self, rows: NDArray[np.int64], now: GroupState) -> None:
         """Smudges on the lenses of `rows`: soft discs, of a tenth to a third of the picture's width."""
         conf = self._conf
         height, width = self._clear.shape[1:3]
-        first = np.zeros_like(now.steps[rows])
-        drawn = uniform(now.seed, "camera dirt", now.episodes[rows], first, 4 * conf.smudges)
+        first = np.zeros_like(now.episode.steps[rows])
+        drawn = uniform(
+            now.episode.seed, f"{self._name} dirt", now.episode.streams[rows], first, 4 * conf.smudges
+        )
         drawn = drawn.reshape(-1, conf.smudges, 4, 1, 1)
         y, x = (np.mgrid[0:height, 0:width].astype(np.float32) + np.float32(0.5)) / np.float32(width)
         clear = np.ones((len(rows), height, width), np.float32)
@@ -235,9 +247,9 @@ def _means(light: Floats) -> Floats:
 
 
 def realistic_camera(
-    sensor: Sensor, conf: CameraRealismConf | None, num_scenes: int, step_s: float
+    sensor: Sensor, conf: CameraRealismConf | None, num_rows: int, step_s: float, name: str = "camera"
 ) -> Sensor:
     """A camera's sensor with the faults of `conf`, rate and latency included; itself where there are none."""
     if conf is None:
         return sensor
-    return Realism(CameraFaults(sensor, conf, num_scenes, step_s), conf, num_scenes, step_s)
+    return Realism(CameraFaults(sensor, conf, num_rows, step_s, name), conf, num_rows, step_s)

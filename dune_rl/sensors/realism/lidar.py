@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.sensors.realism.pipeline import RealismConf
-from dune_rl.sensors.sensor import Moment
+from dune_rl.state import GroupState
 
 Floats = NDArray[np.float32]
 
@@ -51,8 +51,8 @@ class LidarRealismConf(RealismConf):
 class BeamFaults:
     """Ranges as a real LiDAR gives them; they depend on the true ones and on the moment alone."""
 
-    def __init__(self, conf: LidarRealismConf, lidar: LidarConf) -> None:
-        self._conf, self._name = conf, "lidar"
+    def __init__(self, conf: LidarRealismConf, lidar: LidarConf, name: str = "lidar") -> None:
+        self._conf, self._name = conf, name
         self._limits_m, self._count = (lidar.min_range_m, lidar.range_m), lidar.n_beams
         angles = beam_angles(lidar)
         self._full_circle = bool(np.isclose(lidar.fov_rad, 2 * np.pi))
@@ -62,23 +62,29 @@ class BeamFaults:
         self._cos, self._sin = np.float32(np.cos(apart)), np.float32(np.sin(apart))
 
     @classmethod
-    def of_rings(cls, conf: LidarRealismConf, limits_m: tuple[float, float], count: int) -> Self:
+    def of_rings(
+        cls, conf: LidarRealismConf, limits_m: tuple[float, float], count: int, name: str = "lidar 3d"
+    ) -> Self:
         """For `count` beams of rings, whose ranges end at `limits_m`; all count as met head-on."""
-        faults = cls(conf, LidarConf())
-        faults._name, faults._limits_m, faults._count, faults._slanted = "lidar 3d", limits_m, count, False
+        faults = cls(conf, LidarConf(), name)
+        faults._limits_m, faults._count, faults._slanted = limits_m, count, False
         return faults
 
-    def applied(self, ranges: Floats, now: Moment) -> Floats:
+    def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, n_beams) [m] with faults: `range_m` where nothing returns, otherwise within limits."""
         conf = self._conf
         nearest, farthest = (np.float32(limit) for limit in self._limits_m)
         returned = ranges < farthest
         if conf.dropout > 0.0 or conf.half_return_m is not None:
-            chance = uniform(now.seed, f"{self._name} return", now.episodes, now.steps, self._count)
+            chance = uniform(
+                now.episode.seed, f"{self._name} return", now.episode.streams, now.episode.steps, self._count
+            )
             returned &= chance < self._return_share(ranges, now)
         measured = ranges
         if conf.noise_m > 0.0 or conf.noise_share > 0.0:
-            noise = normal(now.seed, f"{self._name} noise", now.episodes, now.steps, self._count)
+            noise = normal(
+                now.episode.seed, f"{self._name} noise", now.episode.streams, now.episode.steps, self._count
+            )
             noise *= np.float32(conf.noise_m) + np.float32(conf.noise_share) * ranges
             measured = ranges + noise
         if conf.quantum_m > 0.0:
@@ -86,7 +92,7 @@ class BeamFaults:
         measured = np.minimum(np.maximum(measured, nearest), farthest)
         return np.where(returned, measured, farthest)
 
-    def _return_share(self, ranges: Floats, now: Moment) -> Floats:
+    def _return_share(self, ranges: Floats, now: GroupState) -> Floats:
         """Share (M, n_beams) of beams that return.
 
         Photons come back at random (a Poisson process), and one is enough:
@@ -99,9 +105,9 @@ class BeamFaults:
         if conf.half_return_m is None:
             return np.full_like(ranges, stays)
         low, high = conf.reflectance
-        first = np.zeros_like(now.steps)
+        first = np.zeros_like(now.episode.steps)
         reflectance = low + (high - low) * uniform(
-            now.seed, f"{self._name} reflectance", now.episodes, first, 1
+            now.episode.seed, f"{self._name} reflectance", now.episode.streams, first, 1
         )
         near: Floats = np.reciprocal(np.maximum(ranges, np.float32(1e-3)))
         light = near * near * self._cos_slant(near)

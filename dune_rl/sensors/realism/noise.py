@@ -8,8 +8,9 @@ from pydantic import Field
 
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.draws import normal
-from dune_rl.sensors.sensor import Bounds, Counts, Moment, Reading
+from dune_rl.sensors.sensor import Bounds, Counts, Reading
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState
 
 Array = NDArray[np.float64]
 # Which scenes: their numbers, or all of them.
@@ -57,7 +58,7 @@ class Faults:
     """
 
     def __init__(
-        self, name: str, bounds: Bounds, channels: tuple[NoiseConf, ...], num_scenes: int, period_s: float
+        self, name: str, bounds: Bounds, channels: tuple[NoiseConf, ...], num_rows: int, period_s: float
     ) -> None:
         low, high = bounds
         if len(channels) != low.size:
@@ -82,31 +83,39 @@ class Faults:
         # What has no fault keeps its bytes, which to wrap would round.
         self._turning = np.flatnonzero(faulty & np.array([conf.wraps for conf in channels]))
         self._drifts = bool(self._walk.any() or self._wander_size.any())
-        self._bias = np.zeros((num_scenes, self._entries))
-        self._wander = np.zeros((num_scenes, self._entries))
+        self._bias = np.zeros((num_rows, self._entries))
+        self._wander = np.zeros((num_rows, self._entries))
 
-    def begin(self, rows: Rows, now: Moment) -> None:
+    def begin(self, rows: Rows, now: GroupState) -> None:
         """Draw the biases of the episodes in `rows`."""
-        never: Counts = np.zeros_like(now.steps[rows])
-        drawn = normal(now.seed, f"{self._name} bias", now.episodes[rows], never, 2 * self._entries)
+        never: Counts = np.zeros_like(now.episode.steps[rows])
+        drawn = normal(
+            now.episode.seed, f"{self._name} bias", now.episode.streams[rows], never, 2 * self._entries
+        )
         self._bias[rows] = drawn[:, : self._entries] * self._bias_size
         self._wander[rows] = drawn[:, self._entries :] * self._wander_size
 
-    def advance(self, rows: Rows, now: Moment) -> None:
+    def advance(self, rows: Rows, now: GroupState) -> None:
         """Let the biases drift for a period."""
         if not self._drifts:
             return
         entries = self._entries
-        drawn = normal(now.seed, f"{self._name} drift", now.episodes[rows], now.steps[rows], 2 * entries)
+        drawn = normal(
+            now.episode.seed,
+            f"{self._name} drift",
+            now.episode.streams[rows],
+            now.episode.steps[rows],
+            2 * entries,
+        )
         self._bias[rows] += drawn[:, :entries] * self._walk
         self._wander[rows] = self._wander[rows] * self._kept + drawn[:, entries:] * self._stirred
 
-    def applied(self, reading: Reading, rows: Rows, now: Moment) -> Reading:
+    def applied(self, reading: Reading, rows: Rows, now: GroupState) -> Reading:
         """What the instruments in `rows` make of their true `reading` (len(rows), ...)."""
         value = reading.reshape(len(reading), -1) + (self._bias[rows] + self._wander[rows])
         if self._noise.any():
-            place = now.episodes[rows], now.steps[rows], self._entries
-            value += normal(now.seed, f"{self._name} noise", *place) * self._noise
+            place = now.episode.streams[rows], now.episode.steps[rows], self._entries
+            value += normal(now.episode.seed, f"{self._name} noise", *place) * self._noise
         if len(self._stepped):
             value[:, self._stepped] = np.rint(value[:, self._stepped] / self._quantum) * self._quantum
         if len(self._turning):

@@ -8,8 +8,9 @@ from pydantic import Field, model_validator
 
 from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, NoiseConf, Rows
 from dune_rl.sensors.realism.presets import Kind, preset
-from dune_rl.sensors.sensor import Bounds, Flags, Moment, Reading, Sensor
+from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
 from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
 
 
 class RealismConf(Settings):
@@ -154,27 +155,27 @@ class Realism:
     What is random depends on the seed, the episode and its step alone.
     """
 
-    def __init__(self, sensor: Sensor, conf: RealismConf, num_scenes: int, step_s: float) -> None:
+    def __init__(self, sensor: Sensor, conf: RealismConf, num_rows: int, step_s: float) -> None:
         self._sensor = sensor
-        self.needs_wheels = getattr(sensor, "needs_wheels", False)
+        self.needs_joints = getattr(sensor, "needs_joints", False)
         self._every, delay = conf.steps(step_s)
         self._faults: dict[str, Faults] = {}
         self._ring: dict[str, Reading] = {}
         for name, bounds in sensor.bounds().items():
             low = bounds[0]
-            self._ring[name] = np.zeros((delay + 1, num_scenes, *low.shape), low.dtype)
+            self._ring[name] = np.zeros((delay + 1, num_rows, *low.shape), low.dtype)
             channels = conf.channels(low.size)
             if channels:
-                self._faults[name] = Faults(name, bounds, channels, num_scenes, self._every * step_s)
+                self._faults[name] = Faults(name, bounds, channels, num_rows, self._every * step_s)
         self._slots, self._newest = delay + 1, 0
 
     def bounds(self) -> dict[str, Bounds]:
         """Those of the sensor within."""
         return self._sensor.bounds()
 
-    def begin(self, mask: Flags, now: Moment) -> None:
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Read, and forget what the scenes in `mask` (M,) have read before."""
-        self._sensor.begin(mask, now)
+        self._sensor.begin(mask, now, state)
         rows = np.flatnonzero(mask)
         for name, reading in self._sensor.read().items():
             fresh = reading[rows]
@@ -183,10 +184,10 @@ class Realism:
                 fresh = self._faults[name].applied(fresh, rows, now)
             self._ring[name][:, rows] = fresh
 
-    def measure(self, now: Moment) -> None:
+    def measure(self, now: GroupState, state: State) -> None:
         """Read where a reading is due, and let the others stand."""
-        self._sensor.measure(now)
-        due = now.steps % self._every == 0
+        self._sensor.measure(now, state)
+        due = now.episode.steps % self._every == 0
         rows: Rows = slice(None) if due.all() else np.flatnonzero(due)
         readings = self._sensor.read() if due.any() else {}
         before = self._newest
@@ -208,9 +209,9 @@ class Realism:
         return {name: ring[oldest].copy() for name, ring in self._ring.items()}
 
 
-def realistic(sensor: Sensor, conf: RealismConf | None, num_scenes: int, step_s: float) -> Sensor:
+def realistic(sensor: Sensor, conf: RealismConf | None, num_rows: int, step_s: float) -> Sensor:
     """`sensor` with the faults of `conf`; itself where there are none."""
-    return sensor if conf is None else Realism(sensor, conf, num_scenes, step_s)
+    return sensor if conf is None else Realism(sensor, conf, num_rows, step_s)
 
 
 def _merged(part: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from typing import Any
 
 from dune_rl.errors import ConfigError
 from dune_rl.paths import cache_folder, package_folder
-from dune_rl.worlds import registry
 from dune_rl.worlds.appearance import is_appearance_cached
 from dune_rl.worlds.cache.background_builder import Preparation
 from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
@@ -28,6 +27,7 @@ from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.registry import build, own_settings
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
@@ -61,10 +61,10 @@ class WorldStore:
     def get(self, conf: WorldSettings) -> World:
         """The world of `conf`, read or else built and kept; it warns and raises as building it does."""
         if self.cache is None or not isinstance(conf, _SHELVED):
-            return registry.build(conf)
+            return build(conf)
         key = world_key(conf)
         if not isinstance(conf, _KEPT):
-            world = registry.build(conf)
+            world = build(conf)
             world.disk_cache = _appearance_cache(self.cache, key, {}, [])
             return world
         return self._kept(self.cache, key) or self._built(self.cache, key, conf)
@@ -127,7 +127,7 @@ class WorldStore:
     def _built(self, cache: CacheFolder, key: str, conf: WorldSettings) -> World:
         with warnings.catch_warnings(record=True) as caught, record_dependencies() as sources:
             warnings.simplefilter("always")
-            world = registry.build(conf)
+            world = build(conf)
             # It would be asked for at once, and takes longer than all the rest of some worlds.
             _ = world.clearance_field
         told = [str(w.message) for w in caught if issubclass(w.category, WorldWarning)]
@@ -178,7 +178,7 @@ def request(conf: WorldSettings, seen: bool) -> str:
 def requested(line: bytes) -> tuple[WorldSettings, bool]:
     """What a line asks for; `ValueError` or `KeyError` where it makes no sense."""
     asked = json.loads(line)
-    return registry.ours(asked["world"]), bool(asked["seen"])
+    return own_settings(asked["world"]), bool(asked["seen"])
 
 
 def shared_store() -> WorldStore:

@@ -14,36 +14,38 @@ from dune_rl.robots.rover_zero.robot import RoverZero
 
 
 class PuppetScene:
-    """A `PhysicsScene` that returns `state` (13,) and `touching`, which a test sets between steps.
+    """A `PhysicsScene` of one robot, itself; a test sets its `state` (13,) and contacts `touching`.
 
-    It keeps the forces that it is pushed by in `pushes`.
+    It keeps the forces that are applied to it in `pushes`.
     """
-
-    others = ()
 
     def __init__(self, spec: SceneSpec) -> None:
         self.spec = spec
         self.state = np.zeros(13)
         self.touching: list[int] = []
         self.pushes: list[list[float]] = []
+        self.robots = (self,)
 
-    def place(
-        self, position_w: Sequence[float], quaternion: Sequence[float], kinematic_poses: NDArray[np.float64]
-    ) -> None:
+    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         self.state = np.array([*position_w, *quaternion, *[0.0] * 6])
+
+    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
         self.touching = []
 
-    def step(self, count: int, commands: Sequence[float], kinematic_poses: NDArray[np.float64]) -> None:
+    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         pass
 
-    def push(self, force_w: Sequence[float]) -> None:
+    def set_command(self, commands: Sequence[float]) -> None:
+        pass
+
+    def apply_force(self, force_w: Sequence[float]) -> None:
         self.pushes.append(list(force_w))
 
     def body_state(self) -> tuple[float, ...]:
         return tuple(self.state.tolist())
 
     def drive_state(self) -> tuple[float, ...]:
-        return (0.0,) * (3 * len(self.spec.robot.drive_joints))
+        return (0.0,) * (3 * len(self.spec.robots[0].drive_joints))
 
     def work_j(self) -> float:
         return 0.0
@@ -51,7 +53,7 @@ class PuppetScene:
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         return (0.0,) * len(joints)
 
-    def touched(self) -> Sequence[int]:
+    def contacts(self) -> Sequence[int]:
         return self.touching
 
     def close(self) -> None:

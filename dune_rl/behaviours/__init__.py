@@ -1,0 +1,1 @@
+"""Behaviours: what moves the agents that no policy of the user drives."""

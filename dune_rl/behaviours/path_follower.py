@@ -1,0 +1,165 @@
+"""Agents that walk there and back on smooth paths: where they start, where they go, and the scripted walk."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple, Self
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.behaviours.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
+from dune_rl.errors import WorldError
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.settings import Settings
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+SamplePoints = Callable[[np.random.Generator, int, float], Array]
+
+# Random paths that are kept for the agents of a group in a world.
+_BANK_SIZE = 128
+_MIN_PATHS = 8
+_MAX_PATHS = 64
+_START_TRIES = 50
+
+
+class PathConf(Settings):
+    """The path of each agent: through `waypoints`, or without any a random one, drawn at every reset."""
+
+    waypoints: tuple[tuple[float, float], ...] = ()
+    length_range_m: tuple[float, float] = (6.0, 16.0)
+    # Distance to the robots at which an episode may start, where the path reaches that far.
+    start_distance_m: float = Field(2.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Self:
+        if len(self.waypoints) == 1:
+            raise ValueError("waypoints needs at least two points, or none for a random path (got 1)")
+        if any(math.dist(a, b) < 0.1 for a, b in pairwise(self.waypoints)):
+            raise ValueError("waypoints must lie at least 0.1 m apart, each from the next")
+        if not 1.0 <= self.length_range_m[0] < self.length_range_m[1]:
+            raise ValueError(f"length_range_m must rise from at least 1.0 (got {list(self.length_range_m)})")
+        return self
+
+
+class _WorldPaths(NamedTuple):
+    """Paths of one world: the loops of all agents of a scene, and which of them each may walk."""
+
+    bank: PathBank
+    choices: tuple[NDArray[np.int64], ...]
+
+
+class PathFollower:
+    """Start poses, goals and scripted poses of N = M * G agents on paths, rows scene after scene.
+
+    Each agent walks a closed loop: a path to its far end and back. `goals_w` (N, 2) [m] is the end that an
+    agent which is driven from outside goes to; it changes to the other end by `renew`. A scripted agent moves
+    along the loop at constant speed by `advance`.
+    """
+
+    def __init__(
+        self, conf: PathConf, count: int, radius_m: float, worlds: SharedPerScene[World], kind: str = "walker"
+    ) -> None:
+        self.conf, self.count = conf, count
+        self._radius_m, self._kind, self._worlds = radius_m, kind, worlds
+        rows = len(worlds) * count
+        # Kept for as long as a world is used.
+        self._paths: WeakKeyDictionary[World, _WorldPaths] = WeakKeyDictionary()
+        self.goals_w = np.zeros((rows, 2))
+        self._loop = np.zeros((len(worlds), count), np.int64)
+        self._travelled = np.zeros((len(worlds), count))
+        self._outbound = np.ones(rows, bool)
+
+    def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
+        """Find the paths of `world` unless they are known.
+
+        `sample_points(rng, n, radius_m)` draws free points (n, 2). Raises `WorldError` where no path fits.
+        """
+        if world not in self._paths:
+            self._paths[world] = self._make_paths(world, sample_points, rng)
+
+    def forget_paths(self) -> None:
+        """Forget the paths of all worlds."""
+        self._paths.clear()
+
+    def _make_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> _WorldPaths:
+        conf = self.conf
+        loops: list[Array] = []
+        choices: list[NDArray[np.int64]] = []
+        each = min(_MAX_PATHS, max(_MIN_PATHS, _BANK_SIZE // self.count))
+        for _ in range(self.count):
+            if conf.waypoints:
+                paths = [spline_path(np.asarray(conf.waypoints), world.terrain)]
+                if (world.clearance(paths[0][:, :2]) < self._radius_m).any():
+                    raise WorldError(
+                        f"the waypoints of a {self._kind} lead through an obstacle of {world.name}: "
+                        "move its waypoints"
+                    )
+            else:
+                room = self._radius_m + 0.1
+                paths = random_paths(world, sample_points, rng, each, room, conf.length_range_m)
+            choices.append(np.arange(len(loops), len(loops) + len(paths)))
+            loops += [there_and_back(path) for path in paths]
+        return _WorldPaths(PathBank.of(loops), tuple(choices))
+
+    def paths(self, agent: int, scene: int = 0) -> list[Array]:
+        """The paths, one way, that an agent of a scene may walk, each (P, 2) [m]."""
+        bank, choices = self._paths[self._worlds[scene]]
+        starts, counts = bank.starts[choices[agent]], bank.lengths[choices[agent]] // 2 + 1
+        return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
+
+    def reset(self, scene: int, rng: np.random.Generator, avoid_xy: Array) -> Array:
+        """Start poses (G, 4: x, y, z, yaw) of a scene's agents, each on a path drawn with `rng`.
+
+        They keep `start_distance_m` from the points `avoid_xy` (R, 2); where no place on an agent's paths is
+        that far away, it takes the farthest that was tried.
+        """
+        bank, choices = self._paths[self._worlds[scene]]
+        poses = np.zeros((self.count, 4))
+        for agent in range(self.count):
+            farthest = -1.0
+            for _ in range(_START_TRIES):
+                loop = rng.choice(choices[agent])
+                travelled = rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
+                pose = bank.pose(loop, np.asarray(travelled))
+                apart = float(np.hypot(*(pose[:2] - avoid_xy).T).min(initial=np.inf))
+                if apart > farthest:
+                    farthest = apart
+                    self._loop[scene, agent] = loop
+                    self._travelled[scene, agent] = travelled
+                    poses[agent] = pose
+                    self.goals_w[scene * self.count + agent] = bank.far_end(loop)[:2]
+                if apart >= self.conf.start_distance_m:
+                    break
+        self._outbound[scene * self.count : (scene + 1) * self.count] = True
+        return poses
+
+    def advance(self, distance_m: float) -> Array:
+        """Poses (N, 4) after another `distance_m` along each agent's loop."""
+        self._travelled += distance_m
+        poses = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
+        return poses.reshape(-1, 4)
+
+    def renew(self, mask: Flags) -> None:
+        """Send the agents in `mask` (N,) to the other end of their path."""
+        outbound = self._outbound ^ mask
+        groups = self._worlds.groups
+        far = query_grouped(groups, self._far_end, self._loop)[..., :2].reshape(-1, 2)
+        near = query_grouped(groups, self._near_end, self._loop)[..., :2].reshape(-1, 2)
+        ends = np.where(outbound[:, None], far, near)
+        self.goals_w = np.where(mask[:, None], ends, self.goals_w)
+        self._outbound = outbound
+
+    def _pose(self, world: World, loop: NDArray[np.int64], travelled_m: Array) -> Array:
+        return self._paths[world].bank.pose(loop, travelled_m)
+
+    def _far_end(self, world: World, loop: NDArray[np.int64]) -> Array:
+        return self._paths[world].bank.far_end(loop)
+
+    def _near_end(self, world: World, loop: NDArray[np.int64]) -> Array:
+        bank = self._paths[world].bank
+        return bank.poses[bank.starts[loop]]

@@ -1,0 +1,40 @@
+"""The behaviours there are: ours, those of installed packages, and those that a program registers."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.registry import Registry
+from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
+
+
+class Behaviour(Protocol):
+    """What decides for N agents of a group that no policy of the user drives."""
+
+    def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
+        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
+        ...
+
+    def act(self, state: State, group: GroupState) -> NDArray[Any]:
+        """The actions (N, A) of the agents for the next control step."""
+        ...
+
+
+class BehaviourSettings(Settings):
+    """Settings of a behaviour; `name` says of which, so that settings read from a file find their class."""
+
+    name: str
+
+
+BEHAVIOURS: Registry[Behaviour] = Registry(
+    "behaviour",
+    "dune_rl.behaviours.registry:BEHAVIOURS",
+    own={},
+    base=BehaviourSettings,
+    product=Behaviour,
+    form="a class with reset and act, made with (num_rows), or a function that returns such an object",
+    function_leading=("num_rows",),
+    class_leading=("num_rows",),
+)

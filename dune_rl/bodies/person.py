@@ -1,0 +1,76 @@
+"""A person on foot: an upright capsule that walks as a unicycle does."""
+
+from typing import Literal, Self
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from dune_rl.physics.interface import KinematicCapsule
+from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.scenery import ColouredMesh, Segment
+from dune_rl.settings import Settings
+
+_SIDES = 24
+# Upper ends of the clothes as shares of the height, and their colours (sRGB).
+_CLOTHES = (
+    (0.05, (0.10, 0.09, 0.08)),
+    (0.47, (0.16, 0.20, 0.34)),
+    (0.55, (0.93, 0.45, 0.10)),
+    (0.58, (0.86, 0.87, 0.84)),
+    (0.68, (0.93, 0.45, 0.10)),
+    (0.71, (0.86, 0.87, 0.84)),
+    (0.82, (0.93, 0.45, 0.10)),
+    (0.91, (0.80, 0.60, 0.47)),
+    (1.00, (0.95, 0.80, 0.12)),
+)
+
+
+class PersonConf(Settings):
+    """Size and motion limits of a person: never backwards, and turns take time."""
+
+    name: Literal["person"] = "person"
+    speed_mps: float = Field(1.0, gt=0.0, le=5.0)
+    max_turn_radps: float = Field(3.0, gt=0.0, le=50.0)
+    radius_m: float = Field(0.25, gt=0.0, le=2.0)
+    height_m: float = Field(1.75, gt=0.0, le=5.0)
+
+    @model_validator(mode="after")
+    def _is_a_capsule(self) -> Self:
+        if self.height_m <= 2 * self.radius_m:
+            raise ValueError(f"height_m ({self.height_m}) must be more than twice radius_m ({self.radius_m})")
+        return self
+
+    def collision_shape(self, name: str) -> KinematicCapsule:
+        """The capsule that physics moves, called `name`."""
+        return KinematicCapsule(name, self.radius_m, self.height_m)
+
+    def mesh(self) -> MovingMesh:
+        """The shape that sensors see, its origin on the ground."""
+        return MovingMesh(_capsule_in_clothes(self.radius_m, self.height_m))
+
+
+def _capsule_in_clothes(radius_m: float, height_m: float) -> ColouredMesh:
+    bends = np.linspace(0.0, np.pi / 2, 7)
+    round_end = np.column_stack([np.sin(bends), 1.0 - np.cos(bends)]) * radius_m
+    seams = height_m * np.array([top for top, _ in _CLOTHES[:-1]])
+    seams = seams[(seams > radius_m * 1.05) & (seams < height_m - radius_m * 1.05)]
+    sides = np.column_stack([np.full(len(seams), radius_m), seams])
+    upper = np.column_stack([round_end[::-1, 0], height_m - round_end[::-1, 1]])
+    mesh = trimesh.creation.revolve(np.concatenate([round_end, sides, upper]), sections=_SIDES)
+    middle = mesh.triangles_center[:, 2] / height_m
+    return ColouredMesh(
+        mesh.vertices,
+        mesh.faces.astype(np.int32),
+        _clothes_colour(middle),
+        np.full(len(mesh.faces), Segment.ACTOR, np.uint8),
+    )
+
+
+def _clothes_colour(share: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Linear RGB (F, 3) at shares (F,) of the height."""
+    tops = np.array([top for top, _ in _CLOTHES])
+    colours = srgb_to_linear(np.array([colour for _, colour in _CLOTHES]))
+    return colours[np.minimum(np.searchsorted(tops, share), len(tops) - 1)]

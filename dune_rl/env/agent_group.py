@@ -1,0 +1,282 @@
+"""An agent group: equal agents with one body, one controller, one sensor pass, one task and one set of
+metrics.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.bodies.person import PersonConf
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.collision_counter import CollisionCounter
+from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
+from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.proximity import Outline
+from dune_rl.metrics.episode import MetricsConf, MetricSet
+from dune_rl.physics.interface import PhysicsRobot
+from dune_rl.robots.battery import BatteryConf
+from dune_rl.robots.robot import Robot
+from dune_rl.sensors.sensor import Bounds, Reading
+from dune_rl.sensors.suite import SensorsConf, SensorSuite
+from dune_rl.state import GroupState, State
+from dune_rl.tasks.task import Task, TaskConf
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+RobotFactory = Callable[[int], Robot]
+Observe = Callable[[], dict[str, Reading]]
+
+
+class Controller(Protocol):
+    """What drives the agents of a group that no user drives: a behaviour, or a frozen policy."""
+
+    def reset(self, mask: Flags, state: State, group: GroupState) -> None:
+        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
+        ...
+
+    def act(self, state: State, group: GroupState, observe: Observe) -> Array:
+        """Actions (N, A) within the group's bounds; `observe` gives the group's observation."""
+        ...
+
+
+@dataclass(frozen=True)
+class GroupSetup:
+    """What a group is made of.
+
+    `body` is a factory of N robots or the settings of a kinematic body, `controller` drives it, None from
+    outside. `paths` are those that kinematic agents start on and walk between; `follows_paths` has them
+    walk there as scripted. A group without `task` has no goals of its own, earns nothing and never ends an
+    episode.
+    """
+
+    name: str
+    count: int
+    body: RobotFactory | PersonConf
+    controller: Controller | None = None
+    paths: PathConf | None = None
+    follows_paths: bool = False
+    sensors: SensorsConf | None = None
+    task: TaskConf | None = None
+    metrics: MetricsConf | None = None
+
+    @property
+    def is_external(self) -> bool:
+        """Whether its actions come from outside."""
+        return self.controller is None and not self.follows_paths
+
+
+@dataclass(frozen=True)
+class GroupStep:
+    """What a control step gives each agent of a group, rows (N,).
+
+    `terminated` and `truncated` are the agent's own ends: set in the step in which they happen, and from
+    then on until its scene is reset.
+    """
+
+    reward: Floats
+    terminated: Flags
+    truncated: Flags
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The rewards (N,) of a control step, and the group's state with the goals that were renewed after it."""
+
+    reward: Floats
+    state: GroupState
+
+
+class AgentGroup:
+    """The agents of one group in M scenes, rows scene after scene: N = M * G.
+
+    An agent that is done before the others of its scene waits: it stands still, earns nothing, and its
+    metrics are final.
+    """
+
+    def __init__(
+        self,
+        setup: GroupSetup,
+        body: ArticulatedBody | KinematicBody,
+        goals: GoalTracker,
+        spawners: Spawners,
+        num_rows: int,
+        collision_gap_steps: int,
+    ) -> None:
+        self.setup, self.name, self.count = setup, setup.name, setup.count
+        self.body, self.goals, self.spawners = body, goals, spawners
+        self.suite: SensorSuite | None = None
+        self.names = tuple(f"{setup.name}_{agent}" for agent in range(setup.count))
+        self.collisions = CollisionCounter(num_rows, collision_gap_steps)
+        self.task = None if setup.task is None else Task(setup.task, num_rows)
+        self._metrics = None
+        if setup.metrics is not None and self.task is not None:
+            self._metrics = MetricSet(setup.metrics, num_rows)
+        self.done = np.zeros(num_rows, bool)
+        self.terminated = np.zeros(num_rows, bool)
+        self.truncated = np.zeros(num_rows, bool)
+        low, high = self._bounds()
+        self.action_bounds = low.astype(np.float32), high.astype(np.float32)
+        self.action_size = len(low)
+        self._rest = self._rest_action()
+        self.outline, self.radius_m = self._shape()
+
+    def equip(self, suite: SensorSuite) -> None:
+        """Give the agents their sensors; called once, when all groups are known."""
+        self.suite = suite
+        if isinstance(self.body, ArticulatedBody):
+            self.body.reads_joints = suite.needs_joints
+
+    def _shape(self) -> tuple[Outline, float]:
+        """The outline seen from above, and half its width [m]."""
+        body = self.body
+        if isinstance(body, KinematicBody):
+            return Outline.disc(body.conf.radius_m), body.conf.radius_m
+        robot = body.robot
+        half = np.array([robot.length_m, robot.width_m]) / 2
+        return Outline(robot.outline(), half), robot.width_m / 2
+
+    def _bounds(self) -> tuple[Array, Array]:
+        body = self.body
+        return body.robot.action_bounds() if isinstance(body, ArticulatedBody) else body.action_bounds()
+
+    def _rest_action(self) -> Array:
+        body = self.body
+        return body.robot.rest_action() if isinstance(body, ArticulatedBody) else body.rest_action()
+
+    @property
+    def is_external(self) -> bool:
+        """Whether its actions come from outside: then it is learned or driven by a user."""
+        return self.setup.is_external
+
+    @property
+    def ends_episodes(self) -> bool:
+        """Whether a scene's episode lasts until all agents of the group are done."""
+        return self.task is not None and self.task.has_ends
+
+    @property
+    def observation_bounds(self) -> Mapping[str, Bounds]:
+        """(low, high) of each part of the observation by name, in order."""
+        return {} if self.suite is None else self.suite.bounds
+
+    # -- a new episode ----------------------------------------------------------------------------
+
+    def reset(self, mask: Flags) -> None:
+        """Forget the past of the agents in `mask` (N,)."""
+        if isinstance(self.body, ArticulatedBody):
+            self.body.reset(mask)
+        self.collisions.reset(mask)
+        for flags in (self.done, self.terminated, self.truncated):
+            flags[mask] = False
+
+    def read_start(self, mask: Flags, engines: Sequence[PhysicsRobot], bodies: int) -> None:
+        """Read the bodies in `mask` (N,) after they have settled, in scenes of at most `bodies` bodies."""
+        self.collisions.make_room(bodies)
+        if isinstance(self.body, ArticulatedBody):
+            self.body.read_start(mask, engines)
+        else:
+            self.body.read_start(mask)
+
+    def begin(self, mask: Flags, state: State) -> None:
+        """Begin the episodes of the agents in `mask` (N,) in the present `state`."""
+        now = state.groups[self.name]
+        if self.task is not None:
+            self.task.reset(mask, now)
+        if self._metrics is not None:
+            self._metrics.reset(mask, now)
+        if self.suite is not None:
+            self.suite.begin(mask, now, state)
+        if self.setup.controller is not None:
+            self.setup.controller.reset(mask, state, now)
+
+    # -- a step -----------------------------------------------------------------------------------
+
+    def act(self, actions: Array | None, state: State, engines: Sequence[PhysicsRobot]) -> None:
+        """Command the bodies for a control step: by `actions` (N, A), or as the group's controller
+        decides.
+        """
+        now = state.groups[self.name]
+        if self.setup.follows_paths and isinstance(self.body, KinematicBody):
+            follower = self.goals.source
+            assert isinstance(follower, PathGoals)
+            self.body.move_to(follower.follower.advance(self.body.conf.speed_mps * now.episode.step_s))
+            return
+        if self.setup.controller is not None:
+            actions = self.setup.controller.act(state, now, self.observe)
+        assert actions is not None
+        if self.done.any():
+            actions = np.where(self.done[:, None], self._rest, actions)
+        if isinstance(self.body, KinematicBody):
+            self.body.drive(actions)
+            return
+        known = now.motion
+        self.body.command(actions, known, engines)
+
+    def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
+        """Read the bodies' states after a step of physics; gives contacts as pairs of row and body number."""
+        return self.body.read(engines) if isinstance(self.body, ArticulatedBody) else []
+
+    @property
+    def work_j(self) -> Array | None:
+        """The motors' work in the last control step [J], (N,), where it is measured."""
+        return self.body.work_j if isinstance(self.body, ArticulatedBody) else None
+
+    @property
+    def battery(self) -> BatteryConf | None:
+        """The battery of each of the group's robots."""
+        return self.body.robot.battery if isinstance(self.body, ArticulatedBody) else None
+
+    def evaluate(self, state: State) -> Evaluation:
+        """Evaluate the task's terms and the metrics of the step that `state` describes."""
+        now = state.groups[self.name]
+        if self.task is None:
+            return Evaluation(np.zeros(len(self.done), np.float32), now)
+        ends = self.task.end(state, now)
+        reward = self.task.reward(state, now)
+        if self._metrics is not None:
+            self._metrics.update(state, now, reward)
+        renews = ends.renews & ~self.done
+        if renews.any():
+            now = replace(now, goal=self.goals.renew(renews, now.motion, now.goal))
+        ended = ~self.done & (ends.terminated | ends.truncated)
+        if ended.any():
+            self.terminated |= ended & ends.terminated
+            self.truncated |= ended & ~ends.terminated
+            self.done |= ended
+        return Evaluation(reward.astype(np.float32), now)
+
+    def truncate(self, mask: Flags) -> None:
+        """End the episodes of the agents in `mask` (N,) with their scene's, where they are not done."""
+        self.truncated |= mask & ~self.terminated
+        self.done |= mask
+
+    def sense(self, state: State) -> None:
+        """Read the sensors at the end of a control step."""
+        if self.suite is not None:
+            self.suite.measure(state.groups[self.name], state)
+
+    # -- what is read from outside ----------------------------------------------------------------
+
+    def observe(self) -> dict[str, Reading]:
+        """The observation, each part (N, ...); reading it twice gives the same."""
+        return {} if self.suite is None else self.suite.observe()
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of the columns of `metrics`."""
+        if self._metrics is None or self.task is None:
+            return ()
+        return (*self._metrics.names, *self.task.reward_names)
+
+    def metrics(self) -> list[Array]:
+        """Running values of the present episodes, (N, n) when put side by side; final where an agent is
+        done.
+        """
+        if self._metrics is None or self.task is None:
+            return []
+        return [self._metrics.values, self.task.reward_sums]

@@ -1,0 +1,195 @@
+"""Robots in physics: N = M * G of one kind, from actions to motor commands and from the engine to motion."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.env.drag import drag_forces
+from dune_rl.env.latency import Latency
+from dune_rl.env.traction import Traction
+from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body
+from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
+from dune_rl.robots.robot import BodyMotion, Robot
+from dune_rl.state import JointState, Motion
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Engines = Sequence[PhysicsRobot]
+
+# No robot of ours moves or falls this fast, and no world reaches so far: beyond, physics has diverged.
+_MAX_SPEED_MPS = 50.0
+_MAX_TURN_RADPS = 200.0
+_FARTHEST_M = 1e5
+
+
+class ArticulatedBody:
+    """N robots of one kind in physics, rows scene after scene.
+
+    Where `latency` is, commands reach the motors as late as each row's delay says. Engines are passed to
+    each call that needs them, one for each row: scenes, and with them their robots, may be built anew
+    between episodes.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        physics: PhysicsConf,
+        worlds: BatchedWorlds,
+        count: int,
+        *,
+        has_latency: bool = False,
+        measures_work: bool = False,
+    ) -> None:
+        self.robot = robot
+        rows = len(worlds) * count
+        self.count = count
+        self.traction = Traction(robot, physics, rows)
+        self.latency = Latency(rows, robot.body.rest_commands(), physics.control_hz) if has_latency else None
+        self.reads_joints = False
+        self._measures_work = measures_work
+        self._worlds = worlds
+        self._states = np.zeros((rows, 13))
+        self._states[:, 6] = 1.0
+        self._drives: Array | None = None
+        self._step_s = physics.control_step_s
+        self.motion = self._derive(np.zeros(rows, bool), np.zeros((rows, 3)))
+        self.work_j: Array | None = np.zeros(rows) if measures_work else None
+
+    # -- a new episode ----------------------------------------------------------------------------
+
+    def reset(self, mask: Flags) -> None:
+        """Forget the past of the robots in `mask` (N,)."""
+        self.robot.reset(mask)
+
+    def place(self, row: int, engine: PhysicsRobot, world: World, pose: tuple[Array, Array]) -> None:
+        """Set the ground contacts of a robot that was just put down at `pose` in `world`."""
+        if self.latency is not None:
+            self.latency.reset(row)
+        self.traction.begin(row, world, engine, *pose)
+
+    def read_start(self, mask: Flags, engines: Engines) -> None:
+        """Read the states of the robots in `mask` (N,) after they have settled."""
+        reads_joints = self._reads_joints
+        states = self._states.copy()
+        for row in np.flatnonzero(mask).tolist():
+            if self._measures_work:
+                engines[row].work_j()
+            states[row] = engines[row].body_state()
+            if reads_joints:
+                drive = engines[row].drive_state()
+                if self._drives is None:
+                    self._drives = np.zeros((len(states), len(drive)))
+                self._drives[row] = drive
+        self._states = states
+        before = self.motion
+        acceleration_b = np.where(mask[:, None], 0.0, before.acceleration_b)
+        self.motion = self._derive(before.diverged & ~mask, acceleration_b)
+
+    # -- a step -----------------------------------------------------------------------------------
+
+    def command(self, actions: Array, known: BodyMotion, engines: Engines) -> None:
+        """Command the motors for `actions` (N, A); `known` is what the robots' controllers know of their
+        motion.
+
+        Forces of grass and soft ground are applied too.
+        """
+        commands = self.robot.commands(actions, known, self._step_s)
+        if self.latency is not None:
+            commands = self.latency.delayed(commands)
+        for engine, command in zip(engines, commands.tolist(), strict=True):
+            engine.set_command(command)
+        force = self._resistance(engines)
+        if force is not None:
+            for engine, pushed in zip(engines, force.tolist(), strict=True):
+                engine.apply_force(pushed)
+
+    def _resistance(self, engines: Engines) -> Array | None:
+        """Force [N] of grass and soft ground on the robots, (N, 3), world frame; None where there is none."""
+        rolling = self.traction.update(engines, self.motion)
+        grass = drag_forces(self._worlds, self.motion, self.robot, self.count)
+        if rolling is None or grass is None:
+            return grass if rolling is None else rolling
+        return rolling + grass
+
+    def read(self, engines: Engines) -> list[tuple[int, int]]:
+        """Read the states after a step of physics; gives the contacts as pairs of row and body number."""
+        reads_joints = self._reads_joints
+        states, drives, contacts = [], [], []
+        for row, engine in enumerate(engines):
+            states.append(engine.body_state())
+            if reads_joints:
+                drives.append(engine.drive_state())
+            touched = engine.contacts()
+            if touched:
+                contacts += [(row, body) for body in touched]
+        before = self._states[:, 7:10]
+        diverged = self._take(np.array(states), np.array(drives) if reads_joints else None)
+        acceleration_w = (self._states[:, 7:10] - before) / self._step_s
+        self.motion = self._derive(diverged, None, acceleration_w)
+        if self._measures_work:
+            work = np.array([engine.work_j() for engine in engines])
+            # Diverged physics may give anything.
+            work[diverged] = 0.0
+            self.work_j = work
+        return contacts
+
+    @property
+    def _reads_joints(self) -> bool:
+        return self.reads_joints or self.traction.needs_wheels
+
+    def _take(self, states: Array, drives: Array | None) -> Flags:
+        """Keep what is possible of new `states` (N, 13) and `drives`; gives which rows have diverged."""
+        speed = np.abs(states[:, 7:10]).max(axis=1)
+        turn = np.abs(states[:, 10:13]).max(axis=1)
+        far = np.abs(states[:, :3]).max(axis=1)
+        # No component of a unit quaternion is above 1.
+        turned = np.abs(states[:, 3:7]).max(axis=1)
+        # Written so that NaN, which compares false, counts as bad.
+        good = (speed < _MAX_SPEED_MPS) & (turn < _MAX_TURN_RADPS) & (far < _FARTHEST_M) & (turned < 1.01)
+        self._states = states if good.all() else np.where(good[:, None], states, self._states)
+        if drives is not None:
+            sound = good & np.isfinite(drives).all(axis=1)
+            before = np.zeros_like(drives) if self._drives is None else self._drives
+            self._drives = drives if sound.all() else np.where(sound[:, None], drives, before)
+        return ~good
+
+    def _derive(
+        self, diverged: Flags, acceleration_b: Array | None, acceleration_w: Array | None = None
+    ) -> Motion:
+        states = self._states
+        velocity = states[:, 7:10]
+        rotation = rotation_matrices(states[:, 3:7])
+        if acceleration_w is not None:
+            acceleration_b = to_body(rotation, acceleration_w)
+        assert acceleration_b is not None
+        joints = None
+        if self._drives is not None:
+            joints = JointState(*np.split(self._drives, 3, axis=1))
+        return Motion(
+            states[:, 0:3],
+            roll_pitch_yaw(rotation),
+            velocity,
+            states[:, 10:13],
+            diverged,
+            joints,
+            rotation=rotation,
+            velocity_b=to_body(rotation, velocity),
+            angular_b=to_body(rotation, states[:, 10:13]),
+            acceleration_b=acceleration_b,
+        )
+
+    # -- what others read -------------------------------------------------------------------------
+
+    @property
+    def poses(self) -> Array:
+        """Place [m] and yaw [rad] of the origins, (N, 4)."""
+        return np.column_stack([self.motion.position_w, self.motion.yaw])
+
+    def joint_angles(self, row: int, engines: Engines) -> dict[str, float]:
+        """Angles [rad] of a robot's joints by name: its motors' and the passive ones."""
+        body = self.robot.body
+        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
+        return dict(zip(names, engines[row].joint_angles(names), strict=True))

@@ -1,0 +1,106 @@
+"""Builds the agent groups of a simulation from their setups."""
+
+from collections.abc import Sequence
+
+from dune_rl.behaviours.path_follower import PathConf, PathFollower
+from dune_rl.bodies.person import PersonConf
+from dune_rl.env.agent_group import AgentGroup, GroupSetup
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.goals import GoalTracker, PathGoals, RegionGoals, Spawners
+from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.robot_mesh import robot_mesh
+from dune_rl.env.scene_manager import SceneBodies, SceneManager
+from dune_rl.env.sensing import person_carrier, robot_carrier, sensor_context
+from dune_rl.env.state_builder import StateBuilder
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.sensors.suite import SensorSuite
+from dune_rl.tasks.spawn import SpawnConf
+
+# A new touch of the same body counts as a new collision after this long without one.
+_COLLISION_GAP_S = 1.0
+
+
+def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager, seed: int) -> tuple[AgentGroup, ...]:
+    """The groups of M scenes, without their sensors, which see each other's groups: see `add_sensors`."""
+    groups, robots = [], 0
+    for setup in setups:
+        rows = len(scenes.worlds) * setup.count
+        if isinstance(setup.body, PersonConf):
+            group = _kinematic_group(setup, setup.body, scenes, rows)
+        else:
+            group = _robot_group(setup, scenes, rows, robots)
+            robots += setup.count
+        groups.append(group)
+    return tuple(groups)
+
+
+def _gap_steps(scenes: SceneManager) -> int:
+    return round(_COLLISION_GAP_S * scenes.conf.control_hz)
+
+
+def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, first: int) -> AgentGroup:
+    assert not isinstance(setup.body, PersonConf)
+    robot = setup.body(rows)
+    spawn = SpawnConf() if setup.task is None else setup.task.spawn
+    body = ArticulatedBody(
+        robot,
+        scenes.conf,
+        scenes.worlds,
+        setup.count,
+        has_latency=scenes.randomizer.randomizes_latency,
+        measures_work=setup.metrics is not None and setup.metrics.energy,
+    )
+    spawners = Spawners(spawn, robot.footprint_radius_m, scenes.worlds.worlds)
+    goals = RegionGoals(spawn, robot.footprint_radius_m, spawners, len(scenes.worlds), setup.count, first)
+    return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
+
+
+def _kinematic_group(setup: GroupSetup, conf: PersonConf, scenes: SceneManager, rows: int) -> AgentGroup:
+    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
+    worlds = scenes.worlds.worlds
+    follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
+    spawners = Spawners(SpawnConf(), conf.radius_m, worlds)
+    goals = GoalTracker(PathGoals(follower), rows)
+    return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))
+
+
+def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:
+    """Give each group the sensors of its setup: one suite for all its agents."""
+    meshes = {group.name: mesh_of(group) for group in groups}
+    for group in groups:
+        if group.setup.sensors is not None:
+            neighbours = [meshes[other.name] for other in builder.mesh_order(group)]
+            group.equip(_suite(group, neighbours, scenes))
+
+
+def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorSuite:
+    body = group.body
+    carrier = robot_carrier(body.robot) if isinstance(body, ArticulatedBody) else person_carrier(body.conf)
+    context = sensor_context(
+        scenes.worlds,
+        carrier,
+        neighbours,
+        num_rows=len(scenes.worlds) * group.count,
+        step_s=scenes.conf.control_step_s,
+        worlds_differ=scenes.randomizer.randomizes_worlds,
+    )
+    assert group.setup.sensors is not None
+    return SensorSuite(group.setup.sensors, context)
+
+
+def mesh_of(group: AgentGroup) -> MovingMesh:
+    """What one agent of a group looks like to others' sensors."""
+    body = group.body
+    return robot_mesh(body.robot.body) if isinstance(body, ArticulatedBody) else body.conf.mesh()
+
+
+def scene_bodies(groups: Sequence[AgentGroup]) -> SceneBodies:
+    """What the groups put into each scene's physics."""
+    robots, kinematics = [], []
+    for group in groups:
+        for name in group.names:
+            if isinstance(group.body, ArticulatedBody):
+                robots.append(group.body.robot.body)
+            else:
+                kinematics.append(group.body.conf.collision_shape(name))
+    return SceneBodies(tuple(robots), tuple(kinematics))

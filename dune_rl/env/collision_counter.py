@@ -1,0 +1,59 @@
+"""Collisions counted once for each body: however long an agent pushes against a thing, it hit it once."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.state import ContactState
+
+Counts = NDArray[np.int64]
+
+
+class CollisionCounter:
+    """When each of N agents last touched each of B bodies of its scene.
+
+    A contact begins a collision unless the same body was touched within the last `gap_steps` control steps.
+    """
+
+    def __init__(self, num_rows: int, gap_steps: int) -> None:
+        self._gap = gap_steps
+        self._last = np.full((num_rows, 0), -gap_steps - 1, np.int64)
+        self._total = np.zeros(num_rows, np.int64)
+        self._none = np.zeros(num_rows, np.int64)
+        self._untouched = np.zeros(num_rows, bool)
+        for constant in (self._none, self._untouched):
+            constant.flags.writeable = False
+
+    def make_room(self, bodies: int) -> None:
+        """Count `bodies` bodies or more: scenes may hold different numbers."""
+        more = bodies - self._last.shape[1]
+        if more > 0:
+            unseen = np.full((len(self._last), more), -self._gap - 1, np.int64)
+            self._last = np.concatenate([self._last, unseen], axis=1)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget every contact of the agents in `mask` (N,)."""
+        self._last[mask] = -self._gap - 1
+        self._total = np.where(mask, 0, self._total)
+
+    @property
+    def at_rest(self) -> ContactState:
+        """The contacts at the start of an episode: none begins."""
+        return ContactState(self._untouched, self._none, self._total)
+
+    def update(self, contacts: Iterable[tuple[int, int]], steps: Counts) -> ContactState:
+        """The contacts of a control step; `contacts` are pairs of row and body number, which may repeat.
+
+        `steps` (N,) counts each episode's control steps.
+        """
+        pairs = set(contacts)
+        if not pairs:
+            return self.at_rest
+        new, touching = np.zeros_like(self._total), np.zeros(len(self._total), bool)
+        for row, body in pairs:
+            new[row] += steps[row] - self._last[row, body] > self._gap
+            self._last[row, body] = steps[row]
+            touching[row] = True
+        self._total = self._total + new
+        return ContactState(touching, new, self._total)

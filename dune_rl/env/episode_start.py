@@ -1,0 +1,123 @@
+"""Puts a scene at the start of an episode: world, start poses, goals, and robots that have settled."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.goals import PathGoals, RegionGoals
+from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.scene_manager import SceneManager
+from dune_rl.env.scene_spec import standing_pose
+from dune_rl.physics.interface import PhysicsRobot
+from dune_rl.seeding import stream
+from dune_rl.tasks.spawn import Placement
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+
+
+class EpisodeStart:
+    """Draws and places all agents of a scene for an episode: robots first, then those on paths, away
+    from them.
+    """
+
+    def __init__(self, groups: Sequence[AgentGroup], scenes: SceneManager) -> None:
+        self._groups, self._scenes = groups, scenes
+        self._robots = [group for group in groups if isinstance(group.body, ArticulatedBody)]
+        self._kinematic = [group for group in groups if isinstance(group.body, KinematicBody)]
+
+    def check_room(self, seed: int, world: World) -> None:
+        """Raise `WorldError` where a robot or a path finds no room in `world`; the first use finds the
+        paths.
+        """
+        for group in self._robots:
+            group.spawners.of(world)
+        self.find_paths(seed, world)
+
+    def find_paths(self, seed: int, world: World) -> None:
+        """Find the paths of `world` for all groups that walk on paths."""
+        for index, group in enumerate(self._on_paths()):
+            sample_points = (self._robots[0] if self._robots else group).spawners.of(world).sample_points
+            draws = stream(seed, f"paths {group.name}" if index else "paths")
+            assert isinstance(group.goals.source, PathGoals)
+            group.goals.source.follower.find_paths(world, sample_points, draws)
+
+    def find_paths_anew(self, seed: int, world: World) -> None:
+        """Forget all paths and find those of `world` by another `seed`."""
+        for group in self._on_paths():
+            assert isinstance(group.goals.source, PathGoals)
+            group.goals.source.follower.forget_paths()
+        self.find_paths(seed, world)
+
+    def _on_paths(self) -> list[AgentGroup]:
+        return [group for group in self._kinematic if isinstance(group.goals.source, PathGoals)]
+
+    def start(self, scene: int, seed: int, episode: int) -> None:
+        """Put a scene at the start of an episode."""
+        scenes = self._scenes
+        world = scenes.enter(scene, seed, episode, partial(self.check_room, seed))
+        starts = self._place_robots(scene, world, seed, episode)
+        avoid = np.array([position[:2] for poses in starts for position, _ in poses]).reshape(-1, 2)
+        draws = stream(seed, "actors", episode)
+        for index, group in enumerate(self._on_paths()):
+            assert isinstance(group.goals.source, PathGoals)
+            assert isinstance(group.body, KinematicBody)
+            if index:
+                draws = stream(seed, f"actors {group.name}", episode)
+            group.body.place(scene, group.goals.source.follower.reset(scene, draws, avoid))
+        scenes.reset(scene, self.kinematic_poses()[scene])
+        self._place_contacts(scene, world, starts)
+        scenes.settle(scene)
+
+    def _place_robots(
+        self, scene: int, world: World, seed: int, episode: int
+    ) -> list[list[tuple[Array, Array]]]:
+        """Start poses of the robots of each group; each group's goals are drawn with them."""
+        taken: list[tuple[Placement, float]] = []
+        found = []
+        for group, engines in zip(self._robots, self._engines_of(scene), strict=True):
+            source, body = group.goals.source, group.body
+            assert isinstance(source, RegionGoals)
+            assert isinstance(body, ArticulatedBody)
+            placements = source.place(scene, seed, episode, taken)
+            taken += [(placement, source.footprint_radius_m) for placement in placements]
+            poses = [standing_pose(world, body.robot, one.x, one.y, one.yaw) for one in placements]
+            for engine, (position, quaternion) in zip(engines, poses, strict=True):
+                engine.set_start_pose(position.tolist(), quaternion.tolist())
+            found.append(poses)
+        return found
+
+    def _place_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:
+        randomizer, values = self._scenes.randomizer, self._scenes.values[scene]
+        for group, engines, poses in zip(self._robots, self._engines_of(scene), starts, strict=True):
+            body = group.body
+            assert isinstance(body, ArticulatedBody)
+            for agent, (engine, pose) in enumerate(zip(engines, poses, strict=True)):
+                row = scene * group.count + agent
+                randomizer.apply_to_contacts(body.traction, row, values)
+                if body.latency is not None:
+                    body.latency.set_delay(row, randomizer.latency_s(values))
+                body.place(row, engine, world, pose)
+
+    def _engines_of(self, scene: int) -> list[list[PhysicsRobot]]:
+        robots = iter(self._scenes.robots(scene))
+        return [[next(robots) for _ in range(group.count)] for group in self._robots]
+
+    def engines(self) -> dict[str, list[PhysicsRobot]]:
+        """The robots in physics of each group, rows scene after scene; anew after each start."""
+        found: dict[str, list[PhysicsRobot]] = {group.name: [] for group in self._groups}
+        for scene in range(len(self._scenes.worlds)):
+            if self._scenes.is_built(scene):
+                for group, engines in zip(self._robots, self._engines_of(scene), strict=True):
+                    found[group.name] += engines
+        return found
+
+    def kinematic_poses(self) -> Array:
+        """Poses (M, K, 4) of all kinematic bodies, in the order of their groups."""
+        scenes = len(self._scenes.worlds)
+        poses = [group.body.poses.reshape(scenes, group.count, 4) for group in self._kinematic]
+        return np.concatenate(poses, axis=1) if poses else np.zeros((scenes, 0, 4))

@@ -1,0 +1,154 @@
+"""Where the agents of a group start and where they are to go."""
+
+from collections.abc import Sequence
+from typing import Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.behaviours.path_follower import PathFollower
+from dune_rl.geometry.frames import wrap_angle
+from dune_rl.geometry.shared_per_scene import SharedPerScene
+from dune_rl.seeding import stream
+from dune_rl.state import GoalState, Motion
+from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_GOAL_TRIES = 16
+
+
+class GoalSource(Protocol):
+    """Gives each of N agents a goal, and another one when it is reached."""
+
+    goals_w: Array
+
+    def renew(self, mask: Flags, position_w: Array) -> None:
+        """Give the agents in `mask` (N,), at `position_w` (N, 3), another goal."""
+        ...
+
+
+class Spawners:
+    """The `Spawner` of a footprint of `radius_m` in each world, kept for as long as the world is used."""
+
+    def __init__(self, conf: SpawnConf, radius_m: float, worlds: SharedPerScene[World]) -> None:
+        self._conf, self._radius_m, self._worlds = conf, radius_m, worlds
+        self._known: WeakKeyDictionary[World, Spawner] = WeakKeyDictionary()
+
+    def of(self, world: World) -> Spawner:
+        """The spawner of a world; raises `WorldError` where it has no room."""
+        if world not in self._known:
+            self._known[world] = Spawner(world, self._conf, self._radius_m)
+        return self._known[world]
+
+    def of_scene(self, scene: int) -> Spawner:
+        """The spawner of the world that a scene is in."""
+        return self.of(self._worlds[scene])
+
+
+class RegionGoals:
+    """Starts and goals in a region of the world, drawn by a `Spawner` for each of M * G robots.
+
+    `first` is the number of the group's first robot among all robots of a scene: each robot has its own
+    stream of draws, so that robots behind it leave its starts and goals as they are.
+    """
+
+    def __init__(
+        self,
+        conf: SpawnConf,
+        footprint_radius_m: float,
+        spawners: Spawners,
+        num_scenes: int,
+        count: int,
+        first: int,
+    ) -> None:
+        self.conf, self.footprint_radius_m = conf, footprint_radius_m
+        self._spawners, self._count, self._first = spawners, count, first
+        self.goals_w = np.zeros((num_scenes * count, 2))
+        self._streams: list[np.random.Generator | None] = [None] * (num_scenes * count)
+
+    def place(
+        self, scene: int, seed: int, episode: int, taken: Sequence[tuple[Placement, float]]
+    ) -> list[Placement]:
+        """Starts and goals of a scene's agents for an episode, apart from those `taken` by others.
+
+        `taken` has placements with the footprint radii [m] of their robots.
+        """
+        found = list(taken)
+        for agent in range(self._count):
+            number, row = self._first + agent, scene * self._count + agent
+            draws = stream(seed, f"spawn rover_{number}" if number else "spawn", episode)
+            reach = self.footprint_radius_m + self.conf.robots_apart_m
+            placements, apart = [one for one, _ in found], [reach + radius for _, radius in found]
+            placement = self._spawners.of_scene(scene).sample(draws, placements, apart)
+            found.append((placement, self.footprint_radius_m))
+            self._streams[row] = draws
+            self.goals_w[row] = placement.goal_x, placement.goal_y
+        return [placement for placement, _ in found[len(taken) :]]
+
+    def renew(self, mask: Flags, position_w: Array) -> None:
+        """Draw new goals for the agents in `mask` (N,), at least the least goal distance from where
+        they are.
+        """
+        goals = self.goals_w.copy()
+        for row in np.flatnonzero(mask).tolist():
+            draws = self._streams[row]
+            assert draws is not None, "an agent is placed before its goal is renewed"
+            for _ in range(_GOAL_TRIES):
+                goal = self._spawners.of_scene(row // self._count).sample(draws)
+                goals[row] = goal.goal_x, goal.goal_y
+                if np.hypot(*(goals[row] - position_w[row, :2])) >= self.conf.min_goal_distance_m:
+                    break
+        self.goals_w = goals
+
+
+class PathGoals:
+    """Goals of agents on paths: the end of the path that an agent goes to, and then the other end."""
+
+    def __init__(self, follower: PathFollower) -> None:
+        self.follower = follower
+
+    @property
+    def goals_w(self) -> Array:
+        """Goals (N, 2) [m]."""
+        return self.follower.goals_w
+
+    def renew(self, mask: Flags, position_w: Array) -> None:
+        """Send the agents in `mask` (N,) to the other end of their path."""
+        self.follower.renew(mask)
+
+
+class GoalTracker:
+    """Distance and bearing of N agents' goals, from step to step."""
+
+    def __init__(self, source: GoalSource, num_rows: int) -> None:
+        self.source = source
+        self._distance = np.zeros(num_rows)
+
+    def begin(self, mask: Flags, motion: Motion) -> GoalState:
+        """The goals at the start of the episodes in `mask` (N,)."""
+        distance, bearing = self._polar(motion)
+        self._distance = np.where(mask, distance, self._distance)
+        return GoalState(self.source.goals_w, distance, self._distance, bearing)
+
+    def measure(self, motion: Motion) -> GoalState:
+        """The goals after a control step; call it once a step."""
+        previous = self._distance
+        self._distance, bearing = self._polar(motion)
+        return GoalState(self.source.goals_w, self._distance, previous, bearing)
+
+    def renew(self, mask: Flags, motion: Motion, now: GoalState) -> GoalState:
+        """Draw new goals for the agents in `mask` (N,); the goals as they are then."""
+        if not mask.any():
+            return now
+        self.source.renew(mask, motion.position_w)
+        self._distance, bearing = self._polar(motion)
+        return GoalState(self.source.goals_w, self._distance, now.previous_distance, bearing)
+
+    def _polar(self, motion: Motion) -> tuple[Array, Array]:
+        offset = self.source.goals_w - motion.position_w[:, :2]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        return distance, wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - motion.yaw)

@@ -1,0 +1,112 @@
+"""Kinematic agents: N = M * G bodies that move as they are told, over the ground and not through
+obstacles.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.bodies.person import PersonConf
+from dune_rl.geometry.frames import wrap_angle
+from dune_rl.state import Motion
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Agents keep this far from the world's edge [m].
+_EDGE_M = 1.0
+
+
+class KinematicConf(Protocol):
+    """What the motion of a body depends on: its settings."""
+
+    speed_mps: float
+    max_turn_radps: float
+    radius_m: float
+
+
+class KinematicBody:
+    """N equal bodies that move as unicycles do, rows scene after scene.
+
+    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad]; `blocked` (N,) tells which bodies stood
+    still in the last step because an obstacle or the world's edge was in their way.
+    """
+
+    def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
+        self.conf, self.count = conf, count
+        self._worlds, self._step_s = worlds, step_s
+        rows = len(worlds) * count
+        self.poses = np.zeros((rows, 4))
+        self.blocked = np.zeros(rows, bool)
+        self._unblocked = np.zeros(rows, bool)
+        self._still = np.zeros((rows, 3))
+        self.motion = self._at_rest()
+
+    def action_bounds(self) -> tuple[Array, Array]:
+        """Bounds, each (2,), of speed [m/s], never backwards, and heading relative to the present one
+        [rad].
+        """
+        return np.array([0.0, -np.pi]), np.array([self.conf.speed_mps, np.pi])
+
+    def rest_action(self) -> Array:
+        """No speed and no turn, (2,)."""
+        return np.zeros(2)
+
+    def place(self, scene: int, poses: Array) -> None:
+        """Put the bodies of a scene at `poses` (G, 4), at rest; `read_start` must follow."""
+        rows = slice(scene * self.count, (scene + 1) * self.count)
+        self.poses = self.poses.copy()
+        self.poses[rows] = poses
+        self.blocked[rows] = False
+
+    def read_start(self, mask: Flags) -> None:
+        """Begin at rest in the rows in `mask` (N,)."""
+        moving = np.where(mask[:, None], 0.0, self.motion.velocity_w)
+        turning = np.where(mask[:, None], 0.0, self.motion.angular_w)
+        self.motion = self._moving(moving, turning)
+
+    def move_to(self, poses: Array) -> None:
+        """Be at `poses` (N, 4) at the end of the control step."""
+        self._arrive(poses)
+
+    def drive(self, actions: Array) -> None:
+        """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad], within limits.
+
+        A body whose way is blocked stands still and turns.
+        """
+        conf, poses = self.conf, self.poses.copy()
+        most = conf.max_turn_radps * self._step_s
+        turn = np.clip(actions[:, 1], -most, most)
+        yaw = wrap_angle(poses[:, 3] + turn)
+        distance = np.clip(actions[:, 0], 0.0, conf.speed_mps) * self._step_s
+        target = poses[:, :2] + distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        by_scene = target.reshape(-1, self.count, 2)
+        xmin, xmax, ymin, ymax = self._worlds.extents.T[:, :, None]
+        inside = (
+            (by_scene[..., 0] > xmin + _EDGE_M)
+            & (by_scene[..., 0] < xmax - _EDGE_M)
+            & (by_scene[..., 1] > ymin + _EDGE_M)
+            & (by_scene[..., 1] < ymax - _EDGE_M)
+        )
+        free = (inside & (self._worlds.clearance(by_scene) >= conf.radius_m)).ravel()
+        poses[:, :2] = np.where(free[:, None], target, poses[:, :2])
+        poses[:, 2] = self._worlds.height(poses[:, :2].reshape(-1, self.count, 2)).ravel()
+        poses[:, 3] = yaw
+        self._arrive(poses)
+        self.blocked = ~free
+
+    def _arrive(self, poses: Array) -> None:
+        velocity, turning = np.zeros((2, len(poses), 3))
+        velocity[:, :2] = (poses[:, :2] - self.poses[:, :2]) / self._step_s
+        self.poses = poses
+        self.motion = self._moving(velocity, turning)
+
+    def _at_rest(self) -> Motion:
+        return self._moving(self._still, self._still)
+
+    def _moving(self, velocity_w: Array, angular_w: Array) -> Motion:
+        attitude = np.zeros((len(self.poses), 3))
+        attitude[:, 2] = self.poses[:, 3]
+        return Motion(self.poses[:, :3], attitude, velocity_w, angular_w, self._unblocked)

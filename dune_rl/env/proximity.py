@@ -1,0 +1,117 @@
+"""Distances between agents, and from agents to obstacles, at one control step."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.state import GroundQueries, Motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """The shape of a group's bodies seen from above: a rectangle or a disc about the origin.
+
+    `points_b` (P, 2) [m] go round a rectangle of `half_size` (2,) [m]; a disc has its centre alone, and
+    `radius_m`, which is 0 of a rectangle.
+    """
+
+    points_b: Array
+    half_size: Array
+    radius_m: float = 0.0
+
+    @classmethod
+    def disc(cls, radius_m: float) -> "Outline":
+        """A disc of `radius_m`."""
+        return cls(np.zeros((1, 2)), np.zeros(2), radius_m)
+
+
+class Proximity:
+    """How far agents of M scenes are from static obstacles and from each other, in one control step.
+
+    Each group gives its `outline`, its motion with N rows and the `count` of its agents in a scene.
+    """
+
+    def __init__(
+        self,
+        ground: GroundQueries,
+        outlines: Sequence[Outline],
+        counts: Sequence[int],
+        motions: Sequence[Motion],
+    ) -> None:
+        self._ground, self._outlines, self._counts, self._motions = ground, outlines, counts, motions
+
+    def clearance(self, group: int) -> Array:
+        """Distance [m], (N,), of each agent's outline from the nearest obstacle or other agent.
+
+        inf where there is neither; negative where discs overlap.
+        """
+        outline, count = self._outlines[group], self._counts[group]
+        points = self._points(group)
+        by_scene = points.reshape(-1, count * points.shape[1], 2)
+        nearest = self._ground.clearance(by_scene).reshape(len(points), -1).min(axis=1) - outline.radius_m
+        for other, number in enumerate(self._counts):
+            if other != group or number > 1:
+                nearest = np.minimum(nearest, self._from_group(group, other, points))
+        return nearest
+
+    def _from_group(self, group: int, other: int, points: Array) -> Array:
+        """Distance [m], (N,), of each agent of `group` from the nearest of `other` that is not itself."""
+        count = self._counts[group]
+        disc, round_other = self._outlines[group].radius_m, self._outlines[other].radius_m
+        if round_other:
+            centres = self._by_agent(self._motions[other].position_w[:, :2], group, other)
+            apart = self._from_outline(group, centres) - round_other - disc
+        else:
+            apart = self._from_others_outline(group, other, points) - disc
+            if not disc:
+                theirs = self._by_agent(self._points(other), group, other)
+                rows, members, around = theirs.shape[:3]
+                mine = self._from_outline(group, theirs.reshape(rows, members * around, 2))
+                apart = np.minimum(apart, mine.reshape(rows, members, around).min(axis=2))
+        if group == other:
+            own = np.arange(len(apart)) % count
+            apart[np.arange(len(apart)), own] = np.inf
+        return apart.min(axis=1)
+
+    def _from_others_outline(self, group: int, other: int, points: Array) -> Array:
+        """Distance [m], (N, H), of the points of `group`'s outlines from each of the H outlines of
+        `other`.
+        """
+        count, number = self._counts[group], self._counts[other]
+        scenes = len(points) // count
+        mine = points.reshape(scenes, 1, count * points.shape[1], 2)
+        mine = np.broadcast_to(mine, (scenes, number, *mine.shape[2:])).reshape(scenes * number, -1, 2)
+        apart = self._from_outline(other, mine).reshape(scenes, number, count, -1).min(axis=3)
+        return np.moveaxis(apart, 1, 2).reshape(-1, number)
+
+    def _by_agent(self, values: Array, group: int, other: int) -> Array:
+        """`values` (M * H, ...) of another group's agents for each agent of `group`: (N, H, ...)."""
+        by_scene = values.reshape(-1, self._counts[other], *values.shape[1:])
+        count = self._counts[group]
+        return by_scene if count == 1 else np.repeat(by_scene, count, axis=0)
+
+    def _points(self, group: int) -> Array:
+        """Points (N, P, 2) round each outline [m] in the world."""
+        motion, outline = self._motions[group], self._outlines[group]
+        position = motion.position_w[:, None, :2]
+        if outline.radius_m:
+            return position
+        return position + outline.points_b @ motion.rotation[:, :2, :2].transpose(0, 2, 1)
+
+    def _from_outline(self, group: int, points_w: Array) -> Array:
+        """Distance [m], (N, K), of points (N, K, 2) from each agent's rectangle or disc's centre; 0
+        inside.
+        """
+        motion = self._motions[group]
+        offset = points_w - motion.position_w[:, None, :2]
+        if self._outlines[group].radius_m:
+            return np.hypot(offset[..., 0], offset[..., 1])
+        cos, sin = np.cos(motion.yaw)[:, None], np.sin(motion.yaw)[:, None]
+        half = self._outlines[group].half_size
+        ahead = np.abs(cos * offset[..., 0] + sin * offset[..., 1]) - half[0]
+        aside = np.abs(cos * offset[..., 1] - sin * offset[..., 0]) - half[1]
+        return np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))

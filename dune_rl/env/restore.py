@@ -1,0 +1,32 @@
+"""The check that a restored simulation has arrived where it was saved."""
+
+import hashlib
+
+from dune_rl.errors import DuneError
+from dune_rl.state import State
+
+
+class RestoreError(DuneError):
+    """Episodes that were played again did not arrive at the state that was saved."""
+
+
+def state_digest(state: State | None) -> str:
+    """A digest of the poses, velocities and goals of all agents, byte for byte."""
+    digest = hashlib.sha256()
+    for name, group in () if state is None else sorted(state.groups.items()):
+        digest.update(name.encode())
+        motion = group.motion
+        for values in (motion.position_w, motion.roll_pitch_yaw, motion.velocity_w, group.goal.position_w):
+            digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def check_arrival(saved: str | None, state: State | None) -> None:
+    """Raise `RestoreError` unless the digest of `state` is the `saved` one; None, of older files, is
+    not checked.
+    """
+    if saved is not None and saved != state_digest(state):
+        raise RestoreError(
+            "the episodes under way, played again, arrived elsewhere than where they were saved: this machine or "
+            "this version computes otherwise. Start new episodes, or go on where the run was saved."
+        )

@@ -1,0 +1,30 @@
+"""Robots as other robots see them."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from dune_rl.physics.interface import RobotBody
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
+from dune_rl.robots.visual import RobotVisual
+
+
+@lru_cache(maxsize=8)
+def robot_mesh(body: RobotBody) -> MovingMesh:
+    """What the robot looks like with its joints at zero, in the base link's frame; robots of a kind share it.
+
+    As every `MovingMesh` it stands upright: other robots do not see it roll and pitch.
+    """
+    parts = RobotVisual(body.look or body.urdf).bodies(np.zeros(3), np.eye(3))
+    shapes = [
+        ColouredMesh(
+            part.shape.vertices @ part.rotation.T + part.position,
+            part.shape.faces,
+            part.shape.albedo,
+            part.shape.segments,
+            part.shape.texture,
+        )
+        for part in parts
+    ]
+    return MovingMesh(join_meshes(shapes), Segment.ROBOT)

@@ -1,0 +1,60 @@
+"""From a world, robots and kinematic bodies to what the physics engine builds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
+from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, RobotBody, SceneSpec, StaticBody
+from dune_rl.robots.robot import Robot
+from dune_rl.worlds.props import merge_meshes
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+
+# Room under the wheels at the start, so that no contact begins with penetration.
+_DROP_M = 0.005
+
+
+def scene_spec(
+    world: World,
+    robots: tuple[RobotBody, ...],
+    kinematics: tuple[KinematicCapsule, ...],
+    physics: PhysicsConf,
+    measures_work: bool = False,
+) -> SceneSpec:
+    """The bodies of one scene: terrain, solid props, kinematic bodies and robots."""
+    vertices, faces = world.terrain.mesh()
+    # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
+    neutral = world.surfaces is not None
+    friction, restitution = (1.0, 1.0) if neutral else (world.friction, 0.0)
+    statics = [StaticBody("terrain", vertices, faces, friction, ground=True, restitution=restitution)]
+    # Every static body costs the engine a third of a microsecond a step; what is ground needs no name.
+    decks = [(prop.vertices, prop.faces) for prop in world.props if prop.solid and prop.drivable]
+    if decks:
+        deck = merge_meshes(decks)
+        statics.append(StaticBody("drivable props", *deck, friction, ground=True, restitution=restitution))
+    statics += [
+        StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=False)
+        for prop in world.props
+        if prop.solid and not prop.drivable
+    ]
+    return SceneSpec(
+        statics=tuple(statics),
+        kinematics=kinematics,
+        robots=robots,
+        timestep_s=1.0 / physics.physics_hz,
+        solver_iterations=physics.solver_iterations,
+        friction=physics.friction,
+        measures_work=measures_work,
+    )
+
+
+def standing_pose(world: World, robot: Robot, x: float, y: float, yaw: float) -> tuple[Array, Array]:
+    """Position (3,) and quaternion (4,) of a robot that stands at (x, y), just above contact."""
+    normal = world.terrain.normal(np.array([x, y]))
+    quaternion = quaternion_on_slope(normal, np.asarray(yaw))
+    wheels = robot.contact_centres_b @ rotation_matrices(quaternion).T
+    ground, normals = world.terrain.height_and_normal(wheels[:, :2] + [x, y])
+    # The lowest point of a round wheel or foot over sloping ground lies radius / cos(slope) below its centre.
+    lift = ground + robot.contact_radius_m / normals[:, 2] - wheels[:, 2]
+    return np.array([x, y, lift.max() + _DROP_M]), quaternion

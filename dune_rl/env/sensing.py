@@ -1,0 +1,127 @@
+"""The context that sensors are built from: the worlds of the scenes, and the body that carries sensors."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from dune_rl.bodies.person import PersonConf
+from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.foliage import BatchedFoliage, Foliage
+from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
+from dune_rl.rendering.weather import Haze, WeatherConf
+from dune_rl.robots.robot import Robot
+from dune_rl.sensors.camera import Camera, CameraConf, Cameras
+from dune_rl.sensors.context import SensorCarrier, SensorContext
+from dune_rl.sensors.odometry import DriveGeometry
+from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
+from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
+from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.world import World
+
+# Over the highest and under the lowest solid point, where a body can still be.
+_MARGIN_M = 1.0
+
+
+def sensor_context(
+    worlds: BatchedWorlds,
+    carrier: SensorCarrier,
+    meshes: Sequence[MovingMesh],
+    *,
+    num_rows: int,
+    step_s: float,
+    worlds_differ: bool = False,
+) -> SensorContext:
+    """What the sensors of a group with `num_rows` agents see of `worlds`.
+
+    `meshes` are the moving bodies in the order of the columns of the group's `neighbours`. Where
+    `worlds_differ` from episode to episode, bounds follow from the size of the first world alone, so that
+    observation spaces never change.
+    """
+    # All worlds have the extent of the first.
+    world, weather = worlds.appearances[0].world, worlds.appearances[0].weather
+    return SensorContext(
+        num_rows=num_rows,
+        step_s=step_s,
+        carrier=carrier,
+        solid=BatchedRayScenes(worlds.worlds.map(_rays)),
+        surfaces=BatchedBeamSurfaces(worlds.worlds.map(beam_surface)),
+        meshes=meshes,
+        terrain=BatchedHeightFields(worlds.worlds.map(_terrain)),
+        extent=world.extent,
+        heights=_height_limits(world) if worlds_differ else _heights(world),
+        make_cameras=partial(_cameras, worlds, meshes),
+        air=_beam_air(worlds, weather, worlds_differ),
+    )
+
+
+def robot_carrier(robot: Robot) -> SensorCarrier:
+    """The robot as a carrier of sensors."""
+    mounts, wheels = robot.mounts, robot.wheels
+    drive = None
+    if wheels is not None:
+        drive = DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
+    return SensorCarrier(
+        scanner_b=mounts.scanner_b,
+        camera_b=mounts.camera_b,
+        imu_b=mounts.imu_b,
+        camera_pitch_rad=mounts.camera_pitch_rad,
+        standing_height_m=robot.standing_height_m,
+        max_speed_mps=robot.max_speed_mps,
+        num_joints=len(robot.body.drive_joints),
+        drive=drive,
+    )
+
+
+def _cameras(worlds: BatchedWorlds, meshes: Sequence[MovingMesh], conf: CameraConf) -> Cameras:
+    def camera(look: WorldAppearance) -> Camera:
+        return Camera(conf, bake_in_weather(look.world, look.weather), meshes, look.air)
+
+    return Cameras(conf, worlds.appearances.map(camera))
+
+
+def _beam_air(worlds: BatchedWorlds, weather: WeatherConf, worlds_differ: bool) -> BeamMedia:
+    grassy = worlds_differ or any(world.grass is not None for world, _ in worlds.worlds.groups)
+    return BeamMedia(
+        Haze.of(with_own_sun(worlds.worlds[0], weather)),
+        BatchedFoliage(worlds.worlds.map(_foliage)) if grassy else None,
+    )
+
+
+def _heights(world: World) -> tuple[float, float]:
+    """Heights [m] between which a body can be in `world`."""
+    heights = world.solid_mesh().vertices[:, 2]
+    return float(heights.min()) - _MARGIN_M, float(heights.max()) + _MARGIN_M
+
+
+def _height_limits(world: World) -> tuple[float, float]:
+    """Heights [m] between which a body can be in any world as large as `world`, by its size alone."""
+    xmin, xmax, ymin, ymax = world.extent
+    reach = float(np.hypot(xmax - xmin, ymax - ymin)) / 2
+    return -reach, reach
+
+
+def _rays(world: World) -> RayScene:
+    return world.rays
+
+
+def _terrain(world: World) -> HeightField:
+    return world.terrain
+
+
+def _foliage(world: World) -> Foliage | None:
+    return None if world.grass is None else world.grass.foliage
+
+
+def person_carrier(conf: PersonConf) -> SensorCarrier:
+    """A person as a carrier of sensors: scanners at the hip, a camera at the eyes."""
+    return SensorCarrier(
+        scanner_b=(0.0, 0.0, 0.55 * conf.height_m),
+        camera_b=(0.0, 0.0, 0.93 * conf.height_m),
+        imu_b=(0.0, 0.0, 0.55 * conf.height_m),
+        max_speed_mps=conf.speed_mps,
+    )

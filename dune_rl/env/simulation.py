@@ -1,0 +1,275 @@
+"""M scenes with agent groups, stepped together: physics one after another, everything else as arrays."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.env.action_log import ActionLog
+from dune_rl.env.agent_group import AgentGroup, GroupSetup, GroupStep
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.assembly import add_sensors, build_groups, scene_bodies
+from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.episode_start import EpisodeStart
+from dune_rl.env.restore import check_arrival, state_digest
+from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
+from dune_rl.env.state_builder import StateBuilder
+from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.sensors.sensor import Reading
+from dune_rl.state import State
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+_CLEAR = WeatherConf()
+
+
+@dataclass(frozen=True)
+class SimulationStep:
+    """What a control step gives: each group's rewards and ends, and which scenes' episodes end, (M,)."""
+
+    groups: dict[str, GroupStep]
+    terminated: Flags
+    truncated: Flags
+
+    @property
+    def done(self) -> Flags:
+        """Which scenes' episodes have ended, (M,); they must be reset before the next step."""
+        return self.terminated | self.truncated
+
+
+class VectorSimulation:
+    """The core that every environment wraps: M scenes of equal agent groups.
+
+    Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All that is random in an
+    episode depends on (seed, episode id) alone, so any two simulations of equal seed start an episode
+    alike. A scene's episode ends when all agents of the groups whose task has ends are done, or when
+    physics diverges.
+    """
+
+    def __init__(
+        self,
+        *,
+        world: World,
+        groups: Sequence[GroupSetup],
+        make_scene: MakeScene,
+        physics: PhysicsConf,
+        num_scenes: int,
+        seed: int = 0,
+        first_episode: int = 0,
+        weather: WeatherConf = _CLEAR,
+        randomizer: DomainRandomizer | None = None,
+    ) -> None:
+        self.physics, self.weather, self.num_scenes = physics, weather, num_scenes
+        self.randomizer = DomainRandomizer.none(world, weather) if randomizer is None else randomizer
+        measures_work = any(setup.metrics is not None and setup.metrics.energy for setup in groups)
+        self.scenes = SceneManager(
+            world, weather, self.randomizer, make_scene, physics, num_scenes, measures_work=measures_work
+        )
+        self.groups = build_groups(groups, self.scenes, seed)
+        self.external = tuple(group for group in self.groups if group.is_external)
+        self._starter = EpisodeStart(self.groups, self.scenes)
+        self._builder = StateBuilder(self.groups, self.scenes.worlds, physics.control_step_s)
+        add_sensors(self.groups, self._builder, self.scenes)
+        self.scenes.build(scene_bodies(self.groups))
+        self._starter.check_room(seed, world)
+        self._first_world = world
+        self._engines: dict[str, list[PhysicsRobot]] = {}
+        self.steps = np.zeros(num_scenes, np.int64)
+        self._ends = np.cumsum([group.count * group.action_size for group in self.external]).tolist()
+        self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
+        self.seed = seed
+        self.reseed(seed, first_episode)
+
+    # -- what is in it ----------------------------------------------------------------------------
+
+    def group(self, name: str | None = None) -> AgentGroup:
+        """The group of this name; without one the first that is driven from outside, or the first of all."""
+        if name is None:
+            return self.external[0] if self.external else self.groups[0]
+        return next(group for group in self.groups if group.name == name)
+
+    @property
+    def worlds(self) -> BatchedWorlds:
+        """The worlds of all scenes."""
+        return self.scenes.worlds
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Names of the agents that are driven from outside."""
+        return tuple(name for group in self.external for name in group.names)
+
+    @property
+    def randomized(self) -> dict[str, Array]:
+        """The values that were drawn for the present episodes, (M,) each, by property."""
+        return dict(zip(self.randomizer.names, self.scenes.values.T, strict=True))
+
+    # -- episodes ---------------------------------------------------------------------------------
+
+    def reseed(self, seed: int, first_episode: int = 0) -> None:
+        """Begin again at episode `first_episode` of `seed`; the next `reset` must be of all scenes."""
+        if seed != self.seed:
+            self._starter.find_paths_anew(seed, self._first_world)
+        self.seed = seed
+        self.episodes = first_episode + np.arange(self.num_scenes) - self.num_scenes
+
+    def reset(self, mask: Flags | None = None) -> None:
+        """Start the next episode in the scenes in `mask` (M,), in all without one."""
+        if mask is None:
+            mask = np.ones(self.num_scenes, bool)
+        self.episodes = np.where(mask, self.episodes + self.num_scenes, self.episodes)
+        self._start(mask)
+
+    def _start(self, mask: Flags) -> None:
+        """Put the scenes in `mask` (M,) at the beginning of their present episodes."""
+        for group in self.groups:
+            group.reset(scene_rows(mask, group.count))
+        self.steps = np.where(mask, 0, self.steps)
+        for scene in np.flatnonzero(mask).tolist():
+            self._starter.start(scene, self.seed, int(self.episodes[scene]))
+        self._engines = self._starter.engines()
+        self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
+        for group in self.groups:
+            group.read_start(
+                scene_rows(mask, group.count), self._engines[group.name], self.scenes.most_bodies
+            )
+        self._builder.begin_episodes(self.episodes)
+        self.state = state = self._builder.start(mask, self.seed, self.steps)
+        for group in self.groups:
+            group.begin(scene_rows(mask, group.count), state)
+
+    # -- a step -----------------------------------------------------------------------------------
+
+    def step(self, actions: Mapping[str, NDArray[np.floating]]) -> SimulationStep:
+        """Advance all scenes by one control step.
+
+        `actions` has (M, G, A) for each group that is driven from outside, by name.
+        """
+        given = {group.name: self._rows(group, actions) for group in self.external}
+        self._log.add(self.steps, [given[group.name] for group in self.external])
+        before = self.state
+        for group in self.groups:
+            group.act(given.get(group.name), before, self._engines[group.name])
+        self.scenes.step(self._starter.kinematic_poses())
+        self.steps = self.steps + 1
+        contacts = {group.name: group.read(self._engines[group.name]) for group in self.groups}
+        state = self._builder.build(self.seed, self.steps, contacts, self.scenes.count_statics)
+        evaluated = {group.name: group.evaluate(state) for group in self.groups}
+        terminated, truncated = self._scene_ends(state)
+        renewed = {name: evaluation.state for name, evaluation in evaluated.items()}
+        self.state = state = replace(state, groups=renewed)
+        for group in self.groups:
+            group.sense(state)
+        steps = {
+            group.name: GroupStep(
+                evaluated[group.name].reward, group.terminated.copy(), group.truncated.copy()
+            )
+            for group in self.external
+        }
+        return SimulationStep(steps, terminated, truncated)
+
+    def _rows(self, group: AgentGroup, actions: Mapping[str, NDArray[np.floating]]) -> Array:
+        """A group's actions (N, A) of those (M, G, A) that `actions` has."""
+        if group.name not in actions:
+            raise KeyError(f"step needs actions of the group {group.name!r}; it got {sorted(actions)}")
+        return np.asarray(actions[group.name], np.float64).reshape(-1, group.action_size)
+
+    def _scene_ends(self, state: State) -> tuple[Flags, Flags]:
+        """Which scenes' episodes end by all agents' own ends, and which otherwise, (M,)."""
+        over, terminated = np.ones((2, self.num_scenes), bool)
+        diverged, has_ends = np.zeros(self.num_scenes, bool), False
+        for group in self.groups:
+            # Where one body has diverged nothing in its scene can be believed.
+            diverged |= self._by_scene(group, state.groups[group.name].motion.diverged).any(axis=1)
+            if group.ends_episodes:
+                has_ends = True
+                over &= self._by_scene(group, group.done).all(axis=1)
+                terminated &= self._by_scene(group, group.terminated).all(axis=1)
+        over = (over & has_ends) | diverged
+        if over.any():
+            for group in self.groups:
+                group.truncate(scene_rows(over, group.count))
+        terminated &= over
+        return terminated, over & ~terminated
+
+    def _by_scene(self, group: AgentGroup, flags: Flags) -> Flags:
+        return flags.reshape(self.num_scenes, group.count)
+
+    def step_passive(self) -> None:
+        """Advance physics alone by a control step, with the last commands and nothing moved; for
+        benchmarks.
+        """
+        self.scenes.step_passive()
+
+    # -- what is read from outside ----------------------------------------------------------------
+
+    def observe(self, group: str | None = None) -> dict[str, Reading]:
+        """The observation of a group's agents, each part (M, G, ...); reading it twice gives the same."""
+        found = self.group(group)
+        readings = found.observe()
+        return {name: value.reshape(-1, found.count, *value.shape[1:]) for name, value in readings.items()}
+
+    def metric_names(self, group: str | None = None) -> tuple[str, ...]:
+        """Names of the columns of `metrics`."""
+        sampled = (f"randomisation/{name}" for name in self.randomizer.names)
+        return (*self.group(group).metric_names, *sampled)
+
+    def metrics(self, group: str | None = None) -> Floats:
+        """Running values of the present episodes, (M, G, n), final where an agent's episode has ended."""
+        found = self.group(group)
+        values = found.metrics()
+        if self.randomizer.names:
+            values.append(np.repeat(self.scenes.values, found.count, axis=0))
+        if not values:
+            return np.zeros((self.num_scenes, found.count, 0), np.float32)
+        return np.concatenate(values, axis=1).astype(np.float32).reshape(self.num_scenes, found.count, -1)
+
+    def joint_angles(self, group: str, row: int) -> dict[str, float]:
+        """Angles [rad] of the joints of a group's robot in `row` by name; none of a kinematic body."""
+        body = self.group(group).body
+        return body.joint_angles(row, self._engines[group]) if isinstance(body, ArticulatedBody) else {}
+
+    def save_state(self) -> dict[str, Any]:
+        """All that restores this moment, as plain containers: each episode's id and actions so far."""
+        return {
+            "seed": self.seed,
+            "episodes": self.episodes.tolist(),
+            "actions": self._log.plain(self.steps),
+            "digest": state_digest(self.state),
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Restore what `save_state` gave, bit for bit, by playing its episodes again from their starts.
+
+        Raises `RestoreError` where that does not arrive at the same state, as on another processor.
+        """
+        self.reseed(int(saved["seed"]))
+        self.episodes = np.array(saved["episodes"], np.int64)
+        lengths = np.array([len(actions) for actions in saved["actions"]])
+        rows = self._log.aligned(saved["actions"])
+        self._start(np.ones(self.num_scenes, bool))
+        for turn, row in enumerate(rows):
+            # The shorter episodes begin later, so that all arrive together.
+            late = lengths == len(rows) - turn
+            if late.any():
+                self._start(late)
+            parts = np.split(row, self._ends[:-1], axis=1)
+            shapes = ((self.num_scenes, group.count, group.action_size) for group in self.external)
+            actions = {
+                group.name: part.reshape(shape)
+                for group, part, shape in zip(self.external, parts, shapes, strict=True)
+            }
+            self.step(actions)
+        if (lengths == 0).any():
+            self._start(lengths == 0)
+        check_arrival(saved.get("digest"), self.state)
+
+    def close(self) -> None:
+        """Free the physics engine's memory."""
+        self.scenes.close()

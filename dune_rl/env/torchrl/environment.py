@@ -1,0 +1,167 @@
+"""The TorchRL environment: a simulation of M scenes with batch size [M]."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from dune_rl.env.agent_group import AgentGroup, GroupStep
+from dune_rl.env.restore import RestoreError
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.errors import ConfigError, DuneWarning
+from dune_rl.sensors.sensor import Bounds
+
+_ENDS = ("done", "terminated", "truncated")
+Flags = NDArray[np.bool_]
+_CPU = torch.device("cpu")
+
+
+class DuneEnv(EnvBase):
+    """M scenes, reset one by one as their episodes end, by TorchRL's multi-agent convention.
+
+    Each group of G external agents has (`group`, `observation`, NAME) of shape (M, G, ...), (`group`,
+    `action`) (M, G, A), (`group`, `reward`) (M, G, 1) and its ends (M, G, 1); `group_map` names the agents.
+    An agent's ends are its own: they are set in the step in which it is done, and stay until its scene's
+    episode ends. The ends at the root, (M, 1), are the scenes'.
+    """
+
+    batch_locked = True
+
+    def __init__(self, simulation: VectorSimulation) -> None:
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([simulation.num_scenes]))
+        if not simulation.external:
+            raise ConfigError("no agent is driven from outside: give a group controller=external")
+        self._simulation = simulation
+        self._resume_from: dict[str, Any] | None = None
+        self._groups = simulation.external
+        self.group_map = {group.name: list(group.names) for group in self._groups}
+        self._make_specs()
+
+    def _make_specs(self) -> None:
+        scenes = self._simulation.num_scenes
+        observation, action, reward, ends = {}, {}, {}, {}
+        for group in self._groups:
+            shape = (scenes, group.count)
+            parts = {key: _bounded(bounds, shape) for key, bounds in group.observation_bounds.items()}
+            inner = Composite(parts, shape=shape)
+            observation[group.name] = Composite({"observation": inner}, shape=shape)
+            action[group.name] = Composite({"action": _bounded(group.action_bounds, shape)}, shape=shape)
+            reward[group.name] = Composite(
+                {"reward": Unbounded((*shape, 1), dtype=torch.float32)}, shape=shape
+            )
+            ends[group.name] = Composite(_end_specs(shape), shape=shape)
+        self.observation_spec = Composite(observation, shape=(scenes,))
+        self.action_spec = Composite(action, shape=(scenes,))
+        self.reward_spec = Composite(reward, shape=(scenes,))
+        self.done_spec = Composite({**ends, **_end_specs((scenes,))}, shape=(scenes,))
+
+    @property
+    def simulation(self) -> VectorSimulation:
+        """The simulation inside."""
+        return self._simulation
+
+    # -- TorchRL's three --------------------------------------------------------------------------
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
+        mask = None
+        chosen = None if tensordict is None else tensordict.get("_reset", None)
+        if chosen is not None:
+            mask = chosen.reshape(self._simulation.num_scenes, -1).any(dim=1).numpy()
+        if self._resume_from is not None and (mask is None or mask.all()):
+            self._restore(self._resume_from)
+            self._resume_from = None
+        else:
+            self._simulation.reset(mask)
+        nobody = np.zeros(self._simulation.num_scenes, bool)
+        return self._pack(None, nobody, nobody)
+
+    def _restore(self, saved: dict[str, Any]) -> None:
+        try:
+            self._simulation.restore(saved)
+        except RestoreError as error:
+            warnings.warn(f"{error}\nNew episodes are started instead.", DuneWarning, stacklevel=2)
+            self._simulation.reset()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        actions = {group.name: tensordict[group.name, "action"].detach().numpy() for group in self._groups}
+        taken = self._simulation.step(actions)
+        return self._pack(taken.groups, taken.terminated, taken.truncated)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self._simulation.reseed(seed)
+
+    # -- its parts --------------------------------------------------------------------------------
+
+    def _pack(self, steps: dict[str, GroupStep] | None, terminated: Flags, truncated: Flags) -> TensorDict:
+        """All that a step (or a reset, without `steps`) gives, as one tensordict."""
+        scenes = self._simulation.num_scenes
+        out = {
+            group.name: self._group_part(group, None if steps is None else steps[group.name])
+            for group in self._groups
+        }
+        root = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
+        for name, flags in root.items():
+            out[name] = torch.from_numpy(flags).unsqueeze(-1)
+        return _unchecked(out, [scenes])
+
+    def _group_part(self, group: AgentGroup, step: GroupStep | None) -> TensorDict:
+        shape = [self._simulation.num_scenes, group.count]
+        parts = {key: _by_agent(value, shape) for key, value in group.observe().items()}
+        part: dict[str, Any] = {
+            "observation": _unchecked(parts, shape)
+        }
+        if step is None:
+            terminated, truncated = group.terminated, group.truncated
+        else:
+            terminated, truncated = step.terminated, step.truncated
+            part["reward"] = _by_agent(step.reward, shape).unsqueeze(-1)
+        part["done"] = _by_agent(terminated | truncated, shape).unsqueeze(-1)
+        part["terminated"] = _by_agent(terminated.copy(), shape).unsqueeze(-1)
+        part["truncated"] = _by_agent(truncated.copy(), shape).unsqueeze(-1)
+        return _unchecked(part, shape)
+
+    # -- state ------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """All that restores this moment, as plain containers fit for a checkpoint."""
+        return self._simulation.save_state()
+
+    def resume(self, state: dict[str, Any]) -> None:
+        """Make the next reset of all scenes return to `state` instead of starting new episodes.
+
+        Where the saved episodes cannot be brought back to the same bytes, as on another processor, it warns
+        and starts new ones.
+        """
+        self._resume_from = state
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Free the physics engine's memory."""
+        if not self.is_closed:
+            self._simulation.close()
+        super().close(raise_if_closed=raise_if_closed)
+
+
+def _unchecked(values: dict[str, Any], shape: list[int]) -> TensorDict:
+    # Shapes are right by construction; to check them takes as long as an observation of ours.
+    return TensorDict._new_unsafe(values, batch_size=torch.Size(shape), device=_CPU)
+
+
+def _by_agent(values: NDArray[Any], shape: list[int]) -> torch.Tensor:
+    """Rows (N, ...) as a tensor (M, G, ...)."""
+    return torch.from_numpy(values).unflatten(0, shape)
+
+
+def _end_specs(shape: tuple[int, ...]) -> dict[str, Categorical]:
+    return {key: Categorical(2, dtype=torch.bool, shape=(*shape, 1)) for key in _ENDS}
+
+
+def _bounded(bounds: Bounds, shape: tuple[int, ...]) -> Bounded:
+    full = (*shape, *bounds[0].shape)
+    low, high = (torch.from_numpy(np.array(np.broadcast_to(bound, full))) for bound in bounds)
+    return Bounded(low=low, high=high, shape=full, dtype=low.dtype)

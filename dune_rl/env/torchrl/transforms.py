@@ -1,0 +1,137 @@
+"""Transforms of the TorchRL environment: running metrics, and flat keys for one agent."""
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from dune_rl.env.simulation import VectorSimulation
+
+_ENDS = ("done", "terminated", "truncated")
+
+
+class EpisodeMetrics(Transform):
+    """Adds the running metrics of the present episodes, final where an agent is done.
+
+    Each group that has metrics gets (`group`, `metrics`) of shape (M, G, n); `metric_names[group]` names
+    the n columns. It goes directly over a `DuneEnv`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    @property
+    def _simulation(self) -> VectorSimulation:
+        parent = self.parent
+        if parent is None:
+            raise RuntimeError("EpisodeMetrics needs an environment: TransformedEnv(env, EpisodeMetrics())")
+        return parent.base_env.simulation
+
+    @property
+    def metric_names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the columns of each group's metrics; groups without metrics are left out."""
+        simulation = self._simulation
+        return {
+            group.name: simulation.metric_names(group.name)
+            for group in simulation.external
+            if group.metric_names
+        }
+
+    def _add(self, tensordict: TensorDictBase) -> TensorDictBase:
+        for name in self.metric_names:
+            tensordict.set((name, "metrics"), torch.from_numpy(self._simulation.metrics(name)))
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._add(next_tensordict)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._add(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Declares the metrics of each group."""
+        for name, columns in self.metric_names.items():
+            group: Composite = observation_spec[name]
+            group["metrics"] = Unbounded((*group.shape, len(columns)), dtype=torch.float32)
+        return observation_spec
+
+
+class SingleAgent(Transform):
+    """Flat keys for single-agent training: NAME of each observation, `action`, `reward` and the root's ends.
+
+    The environment must have one external agent; its axis goes. A `DuneEnv` below an `EpisodeMetrics` also
+    gives `metrics`.
+    """
+
+    invertible = True
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=[], in_keys_inv=["action"], out_keys_inv=["action"])
+        self._group: str | None = None
+
+    @property
+    def group(self) -> str:
+        """The name of the agent's group."""
+        if self._group is None:
+            parent = self.parent
+            groups = parent.base_env.group_map
+            if [len(agents) for agents in groups.values()] != [1]:
+                names = ", ".join(agent for agents in groups.values() for agent in agents)
+                raise ValueError(f"SingleAgent needs one agent, and the environment has {names}")
+            self._group = next(iter(groups))
+        return self._group
+
+    def _flatten(self, tensordict: TensorDictBase) -> TensorDictBase:
+        group = tensordict.pop(self.group, None)
+        if group is None:
+            return tensordict
+        for key, value in group.items():
+            if key == "observation":
+                for name, part in value.items():
+                    tensordict.set(name, part.squeeze(1))
+            elif key not in (*_ENDS, "action"):
+                tensordict.set(key, value.squeeze(1))
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._flatten(next_tensordict)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._flatten(tensordict_reset)
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict.get("action", None)
+        if action is None:
+            return tensordict
+        shape = [*tensordict.batch_size, 1]
+        inner = TensorDict({"action": action.unsqueeze(1)}, batch_size=shape)
+        return tensordict.exclude("action").set(self.group, inner)
+
+    def transform_output_spec(self, output_spec: Composite) -> Composite:
+        """Declares the flat keys."""
+        output_spec = output_spec.clone()
+        observation = output_spec["full_observation_spec"]
+        group = observation[self.group]
+        flat: dict[str, Any] = {key: _squeezed(spec) for key, spec in group["observation"].items()}
+        flat |= {key: _squeezed(spec) for key, spec in group.items() if key != "observation"}
+        shape = observation.shape
+        output_spec["full_observation_spec"] = Composite(flat, shape=shape)
+        reward = output_spec["full_reward_spec"][self.group, "reward"]
+        output_spec["full_reward_spec"] = Composite({"reward": _squeezed(reward)}, shape=shape)
+        ends = {key: output_spec["full_done_spec"][key] for key in _ENDS}
+        output_spec["full_done_spec"] = Composite(ends, shape=shape)
+        return output_spec
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        """Declares the flat action."""
+        input_spec = input_spec.clone()
+        action = input_spec["full_action_spec"][self.group, "action"]
+        shape = input_spec["full_action_spec"].shape
+        input_spec["full_action_spec"] = Composite({"action": _squeezed(action)}, shape=shape)
+        return input_spec
+
+
+def _squeezed(spec: TensorSpec) -> TensorSpec:
+    return spec.squeeze(1)

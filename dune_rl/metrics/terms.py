@@ -1,0 +1,135 @@
+"""Metric terms: what is measured of each control step, before it is reduced over the episode.
+
+A term is a function of the state and the agent group that returns (N,), NaN where a step gives no value;
+its keyword parameters are its settings. Definitions are those of Vice & Sukthankar 2025, section 2.5;
+accelerations are without gravity.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.errors import ConfigError
+from dune_rl.state import Array, Counts, Flags, GroupState, State
+
+
+def ended_by(state: State, group: GroupState, *, termination: str) -> Flags:
+    """1 in a step in which the termination term called `termination` is true."""
+    return group.ended_by(termination)
+
+
+class Success:
+    """1 once the termination term `termination` has been true, for as long as there was no collision."""
+
+    def __init__(self, num_rows: int, *, termination: str = "goal_reached") -> None:
+        self._termination = termination
+        self._reached = np.zeros(num_rows, bool)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has been reached in the episodes of the agents in `mask` (N,)."""
+        self._reached[mask] = False
+
+    def __call__(self, state: State, group: GroupState) -> Flags:
+        """Flags (N,); to be called once a control step."""
+        self._reached |= group.ended_by(self._termination)
+        clean: Flags = group.contacts.total == 0
+        return self._reached & clean
+
+
+def collisions(state: State, group: GroupState) -> Counts:
+    """Number of collisions that began in this step."""
+    return group.contacts.new
+
+
+def time_to_goal(state: State, group: GroupState, *, termination: str = "goal_reached") -> Array:
+    """Time since the episode began [s] in a step that reaches the goal, else NaN."""
+    return np.where(group.ended_by(termination), group.episode.steps * group.episode.step_s, np.nan)
+
+
+def clearance(state: State, group: GroupState, *, max_m: Annotated[float, Field(gt=0.0)] = 12.0) -> Array:
+    """Distance [m] from the outline to the nearest obstacle or other agent, at most `max_m`.
+
+    Its mean over time is the paper's OC, with the range of the paper's LiDAR as `max_m`, which it reports
+    where there is no obstacle.
+    """
+    return np.minimum(group.clearance, max_m)
+
+
+def vertical_roughness(state: State, group: GroupState) -> Array:
+    """Size of the vertical acceleration of the origin, in the body frame [m/s²]; its mean is VR."""
+    return np.abs(group.motion.acceleration_b[:, 2])
+
+
+def vort(
+    state: State, group: GroupState, *, uneven_tilt_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 5.0
+) -> Array:
+    """Horizontal speed [m/s] where the tilt is more than `uneven_tilt_deg`, else NaN; its mean is VORT."""
+    velocity = group.motion.velocity_w
+    uneven = group.motion.tilt > math.radians(uneven_tilt_deg)
+    return np.where(uneven, np.hypot(velocity[:, 0], velocity[:, 1]), np.nan)
+
+
+def smoothness(state: State, group: GroupState) -> Array:
+    """Size of the acceleration [m/s²] plus that of the angular velocity [rad/s]; its mean is TSR."""
+    return _norm(group.motion.acceleration_b) + _norm(group.motion.angular_b)
+
+
+def energy_wh(state: State, group: GroupState) -> Array:
+    """Energy drawn from the battery in this step [W h]."""
+    if group.work_j is None or group.battery is None:
+        raise ConfigError(
+            f"the energy of {group.name} is not measured: set metrics.energy=true, for a robot with a battery"
+        )
+    # The work of diverged physics may be anything.
+    work_j = np.where(group.motion.diverged, 0.0, group.work_j)
+    return group.battery.drawn_wh(work_j, group.episode.step_s)
+
+
+class BatteryShare:
+    """Share of the battery's capacity that the episode has used."""
+
+    def __init__(self, num_rows: int) -> None:
+        self._drawn_wh = np.zeros(num_rows)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has been drawn in the episodes of the agents in `mask` (N,)."""
+        self._drawn_wh[mask] = 0.0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Shares (N,); to be called once a control step."""
+        self._drawn_wh += energy_wh(state, group)
+        assert group.battery is not None
+        return self._drawn_wh / group.battery.capacity_wh
+
+
+class Range:
+    """Distance [km] that a full battery lasts for, at the use and over the way of the episode.
+
+    The way is counted level; NaN before anything is drawn.
+    """
+
+    def __init__(self, num_rows: int) -> None:
+        self._share = BatteryShare(num_rows)
+        self._way_m = np.zeros(num_rows)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has been drawn, and no way made, in the episodes of the agents in `mask` (N,)."""
+        self._share.reset(mask, group)
+        self._way_m[mask] = 0.0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Ranges (N,); to be called once a control step."""
+        share = self._share(state, group)
+        velocity = group.motion.velocity_w
+        self._way_m += np.hypot(velocity[:, 0], velocity[:, 1]) * group.episode.step_s
+        ranges = np.full(len(share), np.nan)
+        np.divide(self._way_m / 1000.0, share, out=ranges, where=share > 0.0)
+        return ranges
+
+
+def _norm(vectors: Array) -> Array:
+    """Lengths (N,) of vectors (N, 3)."""
+    lengths: Array = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return lengths

@@ -1,0 +1,30 @@
+"""The robots there are: ours, those of installed packages, and those that a program registers."""
+
+from dune_rl.errors import RobotError
+from dune_rl.registry import Registry
+from dune_rl.robots.robot import Robot
+from dune_rl.settings import Settings
+
+
+class RobotSettings(Settings):
+    """Settings of a robot; `name` says of which, so that settings read from a file find their class."""
+
+    name: str
+
+
+ROBOTS: Registry[Robot] = Registry(
+    "robot",
+    "dune_rl.robots.registry:ROBOTS",
+    own={
+        "rover_zero": "dune_rl.robots.rover_zero.robot:RoverZero",
+        "leo_rover": "dune_rl.robots.leo_rover.robot:LeoRover",
+        "hyperdog": "dune_rl.robots.hyperdog.robot:HyperDog",
+        "urdf": "dune_rl.robots.urdf.robot:UrdfRobot",
+    },
+    base=RobotSettings,
+    product=Robot,
+    form="a function of (num_robots) that returns a Robot, or a class of robots",
+    function_leading=("num_robots",),
+    class_leading=("num_robots",),
+    error=RobotError,
+)

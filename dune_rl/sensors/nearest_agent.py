@@ -1,0 +1,95 @@
+"""The nearest-agent sensor: where the nearest agent of other groups is, and how it moves."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.frames import clip, wrap_angle
+from dune_rl.sensors.sensor import PI32, Array, Bounds, Flags, Reading
+from dune_rl.sensors.velocity import heading_frame
+from dune_rl.settings import Settings
+from dune_rl.state import GroupState, State
+
+
+class NearestAgentConf(Settings):
+    """Which groups are looked at; none named: all groups but the sensor's own.
+
+    Where the sensor's own group is named, each agent looks at the other agents of it.
+    """
+
+    groups: tuple[str, ...] = ()
+
+
+class NearestAgent:
+    """The reading `name`, (N, 4): distance [m], bearing [rad] and relative velocity (2) of the nearest agent.
+
+    Distance is horizontal, from origin to origin, at most `farthest_m`. The bearing is measured from the own
+    heading, in [-pi, pi). The velocity is the other's minus the own [m/s], forward and left in the frame of
+    the own heading, each component at most `max_closing_mps` either way. Without another agent the reading
+    is (`farthest_m`, 0, 0, 0).
+    """
+
+    def __init__(
+        self,
+        conf: NearestAgentConf,
+        num_rows: int,
+        farthest_m: float,
+        max_closing_mps: float,
+        name: str = "nearest_agent",
+    ) -> None:
+        self._groups, self._name = conf.groups, name
+        self._farthest_m, self._max_closing_mps = farthest_m, max_closing_mps
+        self._reading: NDArray[np.float32] = np.zeros((num_rows, 4), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Distances up to the farthest, whole turns, and closing speeds."""
+        far, fast = self._farthest_m, self._max_closing_mps
+        low, high = [0.0, -PI32, -fast, -fast], [far, PI32, fast, fast]
+        return {self._name: (np.array(low, np.float32), np.array(high, np.float32))}
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """As `measure`: nothing is remembered."""
+        self.measure(now, state)
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Find the nearest agent of each row and read its motion."""
+        reading = np.zeros((len(self._reading), 4), np.float32)
+        position, velocity, present = self._others(now, state)
+        if position.shape[1] == 0:
+            reading[:, 0] = self._farthest_m
+            self._reading = reading
+            return
+        offset = position - now.motion.position_w[:, None, :2]
+        distance = np.hypot(offset[..., 0], offset[..., 1])
+        nearest = np.where(present, distance, np.inf).argmin(axis=1)
+        rows = np.arange(len(nearest))
+        offset, yaw = offset[rows, nearest], now.motion.yaw
+        reading[:, 0] = np.minimum(distance[rows, nearest], self._farthest_m)
+        reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - yaw)
+        closing = heading_frame(velocity[rows, nearest] - now.motion.velocity_w[:, :2], yaw)
+        reading[:, 2:] = clip(closing, -self._max_closing_mps, self._max_closing_mps)
+        self._reading = reading
+
+    def read(self) -> dict[str, Reading]:
+        """The latest distance, bearing and relative velocity."""
+        return {self._name: self._reading.copy()}
+
+    def _others(self, now: GroupState, state: State) -> tuple[Array, Array, Flags]:
+        """Positions and velocities (N, A, 2) of the agents that each row looks at, and which count (N, A)."""
+        names = self._groups or tuple(name for name in state.groups if name != now.name)
+        positions: list[Array] = []
+        velocities: list[Array] = []
+        present: list[Flags] = []
+        for name in names:
+            other = state.groups[name]
+            if name == now.name and other.count == 1:
+                continue
+            motion = other.motion
+            for values, found in ((motion.position_w, positions), (motion.velocity_w, velocities)):
+                by_scene = other.by_scene(values[:, :2])
+                found.append(np.repeat(by_scene, now.count, axis=0))
+            itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
+            present.append(np.tile(~itself, (len(positions[-1]) // len(itself), 1)))
+        if not positions:
+            empty = np.zeros((len(now.motion.position_w), 0, 2))
+            return empty, empty, np.zeros(empty.shape[:2], bool)
+        return np.concatenate(positions, 1), np.concatenate(velocities, 1), np.concatenate(present, 1)
