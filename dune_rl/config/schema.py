@@ -122,17 +122,21 @@ class Conf(SingleAgentConf):
     resume: str | None = None
 
 
-class BenchmarkConf(SingleAgentConf):
+class BenchmarkConf(EnvConf):
     """A measurement of what a step costs."""
 
     parts: tuple[
-        Literal["environment", "cameras", "sensors", "terrain", "new_world", "processes", "engines"], ...
+        Literal[
+            "environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes", "engines"
+        ],
+        ...,
     ] = (
         "environment",
         "cameras",
         "sensors",
         "terrain",
         "new_world",
+        "groups",
         "processes",
     )
     scenes: int = Field(16, ge=1)
