@@ -1,4 +1,4 @@
-"""The benchmark's command line."""
+"""The command line of `python -m dune_rl.benchmark`."""
 
 import json
 import sys
@@ -7,7 +7,8 @@ from typing import Any
 
 from dune_rl import command
 from dune_rl.benchmark.engines import measure_engines
-from dune_rl.benchmark.environment import measure, measure_overhead, measure_processes
+from dune_rl.benchmark.environment import measure_environment, measure_overhead, measure_processes
+from dune_rl.benchmark.groups import measure_groups
 from dune_rl.benchmark.new_world import measure_new_world
 from dune_rl.benchmark.sensors import measure_sensors
 from dune_rl.benchmark.terrain import measure_terrain
@@ -16,46 +17,49 @@ from dune_rl.config.compose import compose_benchmark
 
 USAGE = (
     ("python -m dune_rl.benchmark", "inspection, two walkers"),
-    ("python -m dune_rl.benchmark world=flat actors=none", "another one"),
+    ("python -m dune_rl.benchmark world=flat actors=none", "another environment"),
+    ("python -m dune_rl.benchmark parts=[groups]", "four robots against one"),
 )
 SETTINGS = (
-    ("scenes=N", "stepped as one batch"),
-    ("rounds=N", "in each, everything that is compared takes its turn"),
-    ("steps=N", "of every scene in a turn"),
-    ("parts=[environment]", "of environment, cameras, sensors, terrain, new_world, processes, engines"),
-    ("processes=[1,2]", "how many batch cores to run at once, one after the other"),
+    ("scenes=N", "scenes stepped as one batch"),
+    ("rounds=N", "rounds in which everything compared takes its turn"),
+    ("steps=N", "control steps of every scene in a turn"),
+    ("parts=[environment]", "environment, cameras, sensors, terrain, new_world, groups, processes, engines"),
+    ("processes=[1,2]", "numbers of processes at once, one after the other"),
 )
-CLOSING = "Ratios compare things within one run, so that they hold on a busy machine too."
+CLOSING = "Ratios compare times of one run, so they hold on a busy machine, too."
 
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(Page("Measure what a step costs; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
+    command.run(Page("Measure the cost of a step; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
 
 
 def _main(parsed: Namespace) -> None:
     conf = compose_benchmark(parsed.overrides, command.config_dirs(parsed))
-    place = {"world": conf.world.name, "actors": len(conf.actors)}
+    setting = {"world": conf.world.name, "actors": len(conf.actors)}
     if "environment" in conf.parts:
-        _emit(benchmark="environment", **place, **measure(conf))
+        _emit(benchmark="environment", **setting, **measure_environment(conf))
     if "cameras" in conf.parts:
         colour, depth = (measure_overhead(conf, (output,)) for output in ("rgb", "depth"))
         _emit(
             benchmark="cameras",
-            **place,
+            **setting,
             overhead_ratio_camera=colour["overhead_ratio"],
             overhead_ratio_depth=depth["overhead_ratio"],
             camera_steps_per_s=colour["core_steps_per_s"],
             depth_steps_per_s=depth["core_steps_per_s"],
         )
     if "sensors" in conf.parts:
-        _emit(benchmark="sensors", **place, **measure_sensors(conf))
+        _emit(benchmark="sensors", **setting, **measure_sensors(conf))
     if "terrain" in conf.parts:
         _emit(benchmark="terrain", world=conf.world.name, **measure_terrain(conf))
     if "new_world" in conf.parts:
-        _emit(benchmark="new_world", **place, **measure_new_world(conf))
+        _emit(benchmark="new_world", **setting, **measure_new_world(conf))
+    if "groups" in conf.parts:
+        _emit(benchmark="groups", world=conf.world.name, **measure_groups(conf))
     if "engines" in conf.parts:
-        _emit(benchmark="engines", **place, **measure_engines(conf))
+        _emit(benchmark="engines", **setting, **measure_engines(conf))
     if "processes" in conf.parts:
         for processes in conf.processes:
             _emit(benchmark="processes", world=conf.world.name, **measure_processes(conf, processes))

@@ -1,4 +1,4 @@
-"""What it costs to go to another world of the family."""
+"""Cost of entering another world of the same family."""
 
 import os
 import tempfile
@@ -8,20 +8,20 @@ from functools import partial
 
 import numpy as np
 
-from dune_rl.benchmark.environment import seconds
-from dune_rl.config.build import build_world, make_batch
+from dune_rl.benchmark.timing import time_calls
+from dune_rl.config.build import build_world, make_simulation
 from dune_rl.config.schema import BenchmarkConf
 
 _MOST_WORLDS = 5
 
 
 def measure_new_world(conf: BenchmarkConf) -> dict[str, float]:
-    """Times [ms] from the settings of a world until one scene of it has been reset and observed; medians.
+    """Median times [ms] from the settings of a world until one scene of it has been reset and observed.
 
-    `fresh_ms` where it was never built before, `kept_ms` where it was, and `build_ms` and `load_ms` are the
-    parts of these that give the world itself.
+    `fresh_ms` for a world that was never built before, `kept_ms` for one in the disk cache; `build_ms` and
+    `load_ms` are the parts of these that make the world itself.
     """
-    taken: dict[str, list[float]] = {"build": [], "fresh": [], "load": [], "kept": []}
+    times: dict[str, list[float]] = {"build": [], "fresh": [], "load": [], "kept": []}
     with _empty_cache():
         for number in range(1, 1 + min(conf.rounds, _MOST_WORLDS)):
             world = conf.world
@@ -30,17 +30,18 @@ def measure_new_world(conf: BenchmarkConf) -> dict[str, float]:
             there = conf.model_copy(update={"world": world})
             for part, whole in (("build", "fresh"), ("load", "kept")):
                 build_world.cache_clear()
-                taken[part].append(seconds(partial(build_world, world), 1))
-                taken[whole].append(taken[part][-1] + seconds(partial(_reset, there), 1))
+                times[part].append(time_calls(partial(build_world, world), 1))
+                times[whole].append(times[part][-1] + time_calls(partial(_reset_and_observe, there), 1))
     build_world.cache_clear()
-    return {f"{name}_ms": float(np.median(times)) * 1e3 for name, times in taken.items()}
+    return {f"{name}_ms": float(np.median(values)) * 1e3 for name, values in times.items()}
 
 
-def _reset(conf: BenchmarkConf) -> None:
-    batch = make_batch(conf, 1, conf.seed)
-    batch.reset()
-    batch.observe()
-    batch.close()
+def _reset_and_observe(conf: BenchmarkConf) -> None:
+    simulation = make_simulation(conf, 1, conf.seed)
+    simulation.reset()
+    for group in simulation.external:
+        group.observe()
+    simulation.close()
 
 
 @contextmanager

@@ -15,8 +15,8 @@ from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.store import shared_store
 from dune_rl.worlds.world import World
 
 

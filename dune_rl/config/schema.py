@@ -145,13 +145,17 @@ class BenchmarkConf(EnvConf):
     """A measurement of what a step costs."""
 
     parts: tuple[
-        Literal["environment", "cameras", "sensors", "terrain", "new_world", "processes", "engines"], ...
+        Literal[
+            "environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes", "engines"
+        ],
+        ...,
     ] = (
         "environment",
         "cameras",
         "sensors",
         "terrain",
         "new_world",
+        "groups",
         "processes",
     )
     scenes: int = Field(16, ge=1)

@@ -1,7 +1,7 @@
-"""What the two physics engines make of the same robot: `python -m dune_rl.engines` prints tables.
+"""Comparison of the physics engines on equal robots: `python -m dune_rl.engines` prints tables.
 
-`agreement` plays the same commands in both and sets what comes of them side by
-side; `stability` drives at random for minutes and counts what must not be.
+`agreement` gives both the same commands and compares the results; `stability`
+drives at random for minutes and counts faults.
 """
 
 from dune_rl.engine_comparison.command_line import main

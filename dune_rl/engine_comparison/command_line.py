@@ -1,4 +1,4 @@
-"""The command line."""
+"""The command line of `python -m dune_rl.engines`."""
 
 import sys
 from argparse import Namespace
@@ -11,8 +11,8 @@ from pydantic import Field
 from dune_rl import command
 from dune_rl.command import Page
 from dune_rl.config.checks import validated
-from dune_rl.engine_comparison.agreement import table
-from dune_rl.engine_comparison.stability import count
+from dune_rl.engine_comparison.agreement import agreement_tables
+from dune_rl.engine_comparison.stability import count_faults
 from dune_rl.errors import ConfigError
 from dune_rl.physics.interface import ENGINES, Engine
 from dune_rl.settings import Settings
@@ -21,7 +21,7 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class EnginesConf(Settings):
-    """What is compared, and for how long."""
+    """Settings of the comparison."""
 
     parts: tuple[Literal["agreement", "stability"], ...] = ("agreement", "stability")
     engines: tuple[Engine, ...] = ENGINES
@@ -34,25 +34,25 @@ class EnginesConf(Settings):
 
 
 PAGE = Page(
-    "Set the physics engines side by side; tables in Markdown.",
+    "Compare the physics engines; Markdown tables.",
     (
-        ("python -m dune_rl.engines", "the same commands in both, then minutes of random driving"),
-        ("python -m dune_rl.engines parts=[stability] minutes=1", "a shorter part of it"),
+        ("python -m dune_rl.engines", "equal commands in both, then minutes of random driving"),
+        ("python -m dune_rl.engines parts=[stability] minutes=1", "one part, shorter"),
     ),
     (
         ("parts=[agreement]", "agreement, stability"),
-        ("engines=[bullet,dart]", "whose stability is counted"),
-        ("robots=[rover_zero]", "any of the options of robot"),
+        ("engines=[bullet,dart]", "engines of the part stability"),
+        ("robots=[rover_zero]", "options of robot"),
         (
             "places=[flat,slope,inspection]",
-            "where they are compared: worlds, and slope, a plane of 15 degrees",
+            "worlds of the part agreement; slope is a plane of 15 degrees",
         ),
-        ("worlds=[flat]", "where stability is counted"),
-        ("minutes=N", "of simulated time in each world, over all scenes"),
-        ("scenes=N", "driven side by side"),
-        ("seed=N", "of starts and random commands"),
+        ("worlds=[flat]", "worlds of the part stability"),
+        ("minutes=N", "simulated time in each world, over all scenes"),
+        ("scenes=N", "scenes stepped together"),
+        ("seed=N", "seed of starts and random commands"),
     ),
-    "The same settings give the same tables.",
+    "Equal settings give equal tables.",
 )
 
 
@@ -62,27 +62,27 @@ def main() -> None:
 
 
 def _main(parsed: Namespace) -> None:
-    conf = settings(parsed.overrides)
+    conf = parse_settings(parsed.overrides)
     if "agreement" in conf.parts:
         for robot in conf.robots:
-            _say(f"\n### {robot}\n\n{table(robot, conf.places, conf.scenes, conf.seed)}")
+            _print(f"\n### {robot}\n\n{agreement_tables(robot, conf.places, conf.scenes, conf.seed)}")
     if "stability" in conf.parts:
         heads = "minutes | episodes | not finite | fallen | jumps | diverged | fast | fastest"
-        _say(f"\n| robot | world | engine | {heads} |")
-        _say("|---|---|---|---|---|---|---|---|---|---|---|")
+        _print(f"\n| robot | world | engine | {heads} |")
+        _print("|---|---|---|---|---|---|---|---|---|---|---|")
         for robot in conf.robots:
             for world in conf.worlds:
                 for engine in conf.engines:
-                    found = count(world, engine, robot, conf.minutes, conf.scenes, conf.seed)
-                    _say(
-                        f"| {robot} | {world} | {engine} | {found.minutes:g} | {found.episodes} "
-                        f"| {found.nan} | {found.fallen} | {found.jumps} | {found.diverged} "
-                        f"| {found.fast} | {found.fastest_mps:.2f} m/s |"
+                    counts = count_faults(world, engine, robot, conf.minutes, conf.scenes, conf.seed)
+                    _print(
+                        f"| {robot} | {world} | {engine} | {counts.minutes:g} | {counts.episodes} "
+                        f"| {counts.nan} | {counts.fallen} | {counts.jumps} | {counts.diverged} "
+                        f"| {counts.fast} | {counts.fastest_mps:.2f} m/s |"
                     )
 
 
-def settings(words: list[str]) -> EnginesConf:
-    """The settings that the words of a command line say; `ConfigError` where they say something else."""
+def parse_settings(words: list[str]) -> EnginesConf:
+    """Settings from the words of a command line; `ConfigError` where they are not valid."""
     try:
         data = OmegaConf.to_object(OmegaConf.from_dotlist(words))
     except (OmegaConfBaseException, ValueError) as error:
@@ -90,6 +90,6 @@ def settings(words: list[str]) -> EnginesConf:
     return validated(EnginesConf, cast("dict[str, Any]", data))
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()

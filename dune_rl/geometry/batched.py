@@ -1,4 +1,4 @@
-"""Ray scenes and terrains of M scenes that may each have their own, asked as if there were one."""
+"""Ray scenes and height fields of M scenes, queried together; scenes may share theirs."""
 
 from typing import Any, TypeAlias
 
@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene, query_grouped
 from dune_rl.geometry.rays import Hits, RayScene
+from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene, query_grouped
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -16,8 +16,8 @@ Floats = NDArray[np.float32]
 class BatchedRayScenes:
     """A `RayScene` for each of M scenes, with the same queries.
 
-    Origins (S, 3) and rays (N, 3) are those of all scenes, scene after scene:
-    each scene has S / M of the origins and N / M of the rays.
+    Origins (S, 3) and directions (N, 3) are scene-major: each scene has S / M
+    consecutive origins and N / M consecutive rays.
     """
 
     def __init__(self, scenes: SharedPerScene[RayScene] | DerivedCache[Any, RayScene]) -> None:
@@ -26,8 +26,8 @@ class BatchedRayScenes:
     def __len__(self) -> int:
         return len(self._scenes)
 
-    def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScenes":
-        """Those of some scenes (m,), counted from 0 in their order."""
+    def select_scenes(self, scenes: NDArray[np.int64]) -> "BatchedRayScenes":
+        """The ray scenes of `scenes` (m,) only, renumbered from 0 in that order."""
         return BatchedRayScenes(SharedPerScene([self._scenes[scene] for scene in scenes.tolist()]))
 
     def shorten_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
@@ -38,12 +38,12 @@ class BatchedRayScenes:
             return
         by_scene = ranges.reshape(len(self._scenes), -1)
         for rays, rows in groups:
-            part = by_scene[rows].ravel()
-            rays.shorten_ranges(self._part(origins, rows), self._part(directions, rows), part)
-            by_scene[rows] = part.reshape(-1, by_scene.shape[1])
+            own = by_scene[rows].ravel()
+            rays.shorten_ranges(self._rows(origins, rows), self._rows(directions, rows), own)
+            by_scene[rows] = own.reshape(-1, by_scene.shape[1])
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
-        """As `RayScene.hits`; a face is one of its own scene's triangles."""
+        """As `RayScene.hits`; face indices refer to the triangles of the ray's own scene."""
         groups = self._scenes.groups
         if len(groups) == 1:
             return groups[0][0].hits(origins, directions, ranges)
@@ -51,12 +51,12 @@ class BatchedRayScenes:
         normal = np.empty((len(directions), 3), np.float32)
         scenes = len(self._scenes)
         for rays, rows in groups:
-            part = ranges.reshape(scenes, -1)[rows].ravel()
-            found = rays.hits(self._part(origins, rows), self._part(directions, rows), part)
-            count = len(part) // len(directions.reshape(scenes, -1, 3)[rows])
-            face.reshape(scenes, -1)[rows] = found.face.reshape(-1, count)
-            ranges.reshape(scenes, -1)[rows] = found.range.reshape(-1, count)
-            normal.reshape(scenes, -1, 3)[rows] = found.normal.reshape(-1, count, 3)
+            own = ranges.reshape(scenes, -1)[rows].ravel()
+            hit = rays.hits(self._rows(origins, rows), self._rows(directions, rows), own)
+            count = len(own) // len(directions.reshape(scenes, -1, 3)[rows])
+            face.reshape(scenes, -1)[rows] = hit.face.reshape(-1, count)
+            ranges.reshape(scenes, -1)[rows] = hit.range.reshape(-1, count)
+            normal.reshape(scenes, -1, 3)[rows] = hit.normal.reshape(-1, count, 3)
         return Hits(face, ranges, normal)
 
     def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
@@ -64,14 +64,14 @@ class BatchedRayScenes:
         groups = self._scenes.groups
         if len(groups) == 1:
             return groups[0][0].any_hit(origins, directions)
-        found = np.empty(len(directions), np.bool_)
-        by_scene = found.reshape(len(self._scenes), -1)
+        occluded = np.empty(len(directions), np.bool_)
+        by_scene = occluded.reshape(len(self._scenes), -1)
         for rays, rows in groups:
-            blocked = rays.any_hit(self._part(origins, rows), self._part(directions, rows))
-            by_scene[rows] = blocked.reshape(-1, by_scene.shape[1])
-        return found
+            own = rays.any_hit(self._rows(origins, rows), self._rows(directions, rows))
+            by_scene[rows] = own.reshape(-1, by_scene.shape[1])
+        return occluded
 
-    def _part(self, values: Floats, rows: Any) -> Floats:
+    def _rows(self, values: Floats, rows: Any) -> Floats:
         return values.reshape(len(self._scenes), -1, 3)[rows].reshape(-1, 3)
 
 

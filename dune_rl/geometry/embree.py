@@ -1,8 +1,8 @@
-"""Ray packets on Embree: sixteen rays at a time, several times faster than one by one.
+"""Ray packets on Embree: 16 rays per call, several times as fast as single rays.
 
-The library is the one that embreex carries. Its own interface casts single
-rays; this module binds the packet functions of the same library instead.
-Layouts follow embree4/rtcore_ray.h and rtcore_common.h (Embree 4).
+The shared library is the one in the embreex package. embreex itself casts
+single rays; this module binds the packet functions of the same library.
+Memory layouts follow embree4/rtcore_ray.h and rtcore_common.h (Embree 4).
 """
 
 import ctypes
@@ -16,7 +16,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 _WIDTH = 16
-# Rows of 16 words in a packet: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask, id and flags 9-11;
+# A packet has rows of 16 words: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask, id and flags 9-11;
 # then the hit: normal 12-14, u and v 15-16, face 17, geometry 18, instance 19.
 _ROWS = 24
 _TNEAR, _TIME, _TFAR, _MASK, _ID, _FLAGS = 3, 7, 8, 9, 10, 11
@@ -29,7 +29,7 @@ _TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003
 
 _extension = embreex.rtcore_scene.__file__
 _library = ctypes.CDLL(_extension)
-# Makes the functions known by name to compiled code, cached or not.
+# Compiled code, cached or not, finds the functions by name.
 llvmlite.binding.load_library_permanently(_extension)
 
 
@@ -60,7 +60,7 @@ _occluded16: Any = types.ExternalFunction("rtcOccluded16", _packet_function)
 
 
 class _Arguments(ctypes.Structure):
-    # RTCIntersectArguments, whose layout RTCOccludedArguments shares; room for fields of later versions.
+    # RTCIntersectArguments; RTCOccludedArguments has the same layout. `room` is for fields of later versions.
     _fields_ = (
         ("flags", ctypes.c_uint),
         ("features", ctypes.c_uint),
@@ -74,7 +74,7 @@ _device: int | None = None
 
 
 def _shared_device() -> int:
-    # One device serves every scene of a process: each further one costs threads and memory.
+    # One device serves every scene of a process, since each device costs threads and memory.
     global _device
     if _device is None:
         _device = _new_device(b"threads=1,set_affinity=0")
@@ -84,16 +84,16 @@ def _shared_device() -> int:
 
 
 class TriangleScene:
-    """Triangles that rays are cast against: `vertices` (V, 3), `faces` (F, 3), copied."""
+    """Embree scene of triangles: `vertices` (V, 3) and `faces` (F, 3), copied."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         if not len(vertices) or not len(faces):
-            raise ValueError("a scene for rays needs at least one triangle")
+            raise ValueError("a ray scene needs at least one triangle")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise ValueError(f"faces name vertices from 0 to {len(vertices) - 1} alone")
+            raise ValueError(f"faces must index vertices from 0 to {len(vertices) - 1}")
         device = _shared_device()
         self._handle = _new_scene(device)
-        # Or rays that run exactly along an edge slip through between two triangles.
+        # Without this flag, rays exactly along an edge pass between two triangles.
         _set_scene_flags(self._handle, _ROBUST)
         weakref.finalize(self, _release_scene, self._handle)
         geometry = _new_geometry(device, _TRIANGLES)
@@ -115,43 +115,45 @@ class TriangleScene:
         faces: NDArray[np.int32],
         normals: NDArray[np.float32],
     ) -> None:
-        """Shorten `ranges` (N,) in place to first hits; fill `faces` (N,), `normals` (N, 3), unless empty."""
+        """Shorten `ranges` (N,) in place to first hits; fill `faces` (N,), `normals` (N, 3) unless empty."""
         _check(origins, directions)
         arguments = ctypes.addressof(_arguments)
-        _intersect(self._handle, arguments, _plain(origins), _plain(directions), ranges, faces, normals)
+        _intersect(
+            self._handle, arguments, _contiguous(origins), _contiguous(directions), ranges, faces, normals
+        )
 
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray, (N,)."""
-        blocked = np.empty(len(directions), np.bool_)
+        """Whether each ray hits any triangle, (N,)."""
+        occluded = np.empty(len(directions), np.bool_)
         _check(origins, directions)
         arguments = ctypes.addressof(_arguments)
-        _occluded(self._handle, arguments, _plain(origins), _plain(directions), blocked)
-        return blocked
+        _occluded(self._handle, arguments, _contiguous(origins), _contiguous(directions), occluded)
+        return occluded
 
 
 def _check(origins: NDArray[np.float32], directions: NDArray[np.float32]) -> None:
-    # Compiled code would read beyond the end.
+    # Compiled code would read beyond the arrays' ends.
     if len(directions) and (not len(origins) or len(directions) % len(origins)):
-        raise ValueError(f"{len(directions)} rays cannot be shared out evenly among {len(origins)} origins")
+        raise ValueError(f"{len(directions)} rays do not divide evenly among {len(origins)} origins")
 
 
-def _plain(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    # Of one layout, so that one compiled function serves all.
+def _contiguous(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    # One memory layout, so that each function is compiled once.
     values = np.ascontiguousarray(values, np.float32)
     return values if values.flags.writeable else values.copy()
 
 
-def _compiled(function: Any) -> Any:
-    """`function`, compiled when first called, and kept for later processes where a folder can be written."""
+def _compile(function: Any) -> Any:
+    """`function`, compiled at its first call; cached on disk for later processes if a folder is writable."""
     try:
         return njit(cache=True, nogil=True)(function)
     except RuntimeError:
         return njit(nogil=True)(function)
 
 
-@_compiled
+@_compile
 def _packet() -> Any:
-    # Embree wants packets, and the mask of rays in use, at multiples of 64 bytes.
+    # Embree requires packets, and the mask of valid rays, at multiples of 64 bytes.
     room = np.empty((_ROWS + 2) * _WIDTH, np.uint32)
     start = (64 - room.ctypes.data % 64) // 4
     words = room[start : start + (_ROWS + 1) * _WIDTH].reshape(_ROWS + 1, _WIDTH)
@@ -167,9 +169,9 @@ def _packet() -> Any:
     return words, numbers
 
 
-@_compiled
+@_compile
 def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: int, first: int) -> int:
-    # Rays from `first` on into a packet; how many there are.
+    # Copies up to 16 rays from index `first` into the packet; returns their number.
     count = min(_WIDTH, len(directions) - first)
     for k in range(_WIDTH):
         words[_ROWS, k] = _NONE if k < count else np.uint32(0)
@@ -182,7 +184,7 @@ def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: i
     return count
 
 
-@_compiled
+@_compile
 def _intersect(
     scene: int, arguments: int, origins: Any, directions: Any, ranges: Any, faces: Any, normals: Any
 ) -> None:
@@ -205,7 +207,7 @@ def _intersect(
                     normals[first + k, axis] = numbers[_NORMAL + axis, k] if hit else np.float32(0.0)
 
 
-@_compiled
+@_compile
 def _occluded(scene: int, arguments: int, origins: Any, directions: Any, blocked: Any) -> None:
     words, numbers = _packet()
     per_origin = len(directions) // max(1, len(origins))
@@ -215,5 +217,5 @@ def _occluded(scene: int, arguments: int, origins: Any, directions: Any, blocked
             numbers[_TFAR, k] = np.float32(np.inf)
         _occluded16(words[_ROWS:].ctypes.data, scene, words.ctypes.data, arguments)
         for k in range(count):
-            # Embree marks a blocked ray by a range below zero.
+            # Embree marks an occluded ray by a negative range.
             blocked[first + k] = numbers[_TFAR, k] < 0.0

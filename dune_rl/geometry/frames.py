@@ -1,4 +1,4 @@
-"""Rotations and angles over a batch. Quaternions are xyzw; frames end in `_w` (world) or `_b` (body)."""
+"""Rotations and angles of batches. Quaternions are xyzw; suffixes name frames: `_w` world, `_b` body."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,10 @@ def wrap_angle(angle: Array) -> Array:
 
 
 def clip(value: Array, low: Array | float, high: Array | float) -> Array:
-    """`value` moved into [low, high], any shape; `np.clip` gives the same at several times the cost."""
+    """`value` limited to [low, high], any shape; equal to `np.clip`, but several times as fast on few values.
+
+    Unlike Python's `min` and `max`, it passes a NaN on.
+    """
     return np.minimum(np.maximum(value, low), high)
 
 
@@ -38,7 +41,7 @@ def rotation_matrices(quaternion: Array) -> Array:
 
 
 def rotation_from_yaw(yaw: Array) -> Array:
-    """Body-to-world rotation, shape (..., 3, 3), by `yaw` (...) [rad] about the world's z."""
+    """Body-to-world rotation matrices (..., 3, 3) for a `yaw` (...) [rad] about the world's z axis."""
     out = np.zeros((*yaw.shape, 3, 3))
     cos, sin = np.cos(yaw), np.sin(yaw)
     out[..., 0, 0] = out[..., 1, 1] = cos
@@ -48,9 +51,9 @@ def rotation_from_yaw(yaw: Array) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
-    """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3): first roll, last yaw.
+    """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3), applied in that order.
 
-    Pitch lies in [-pi/2, pi/2] and is positive nose down (x forward, z up).
+    Pitch is in [-pi/2, pi/2] and positive nose down (x forward, z up).
     """
     out = np.empty(rotation.shape[:-1])
     out[..., 0] = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
@@ -60,19 +63,19 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
 
 def to_world(rotation: Array, vector_b: Array) -> Array:
-    """Body vectors (..., 3) in the world frame, by rotations (..., 3, 3)."""
+    """World-frame components of body vectors (..., 3); `rotation` (..., 3, 3) is body to world."""
     rotated: Array = np.einsum("...ij,...j->...i", rotation, vector_b)
     return rotated
 
 
 def to_body(rotation: Array, vector_w: Array) -> Array:
-    """World vectors (..., 3) in the body frame, by rotations (..., 3, 3)."""
+    """Body-frame components of world vectors (..., 3); `rotation` (..., 3, 3) is body to world."""
     rotated: Array = np.einsum("...ji,...j->...i", rotation, vector_w)
     return rotated
 
 
 def quaternion_on_slope(normal: Array, yaw: Array) -> Array:
-    """Quaternion xyzw (..., 4) of a body turned by `yaw` (...) [rad], then tilted to `normal` (..., 3)."""
+    """Quaternion xyzw (..., 4) of a body turned by `yaw` (...) [rad], then tilted onto `normal` (..., 3)."""
     up = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     zero = np.zeros_like(yaw)
     turn = np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1)
@@ -83,7 +86,7 @@ def quaternion_on_slope(normal: Array, yaw: Array) -> Array:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Cross product (..., 3); `np.cross` gives the same at several times the cost for small batches."""
+    """Cross product (..., 3); equal to `np.cross`, and several times as fast on small batches."""
     out = np.empty_like(first)
     x1, y1, z1 = (first[..., i] for i in range(3))
     x2, y2, z2 = (second[..., i] for i in range(3))
@@ -94,7 +97,7 @@ def cross(first: Array, second: Array) -> Array:
 
 
 def multiply_quaternions(first: Array, second: Array) -> Array:
-    """Hamilton product xyzw (..., 4): the rotation `second`, then `first`."""
+    """Hamilton product xyzw (..., 4): the rotation by `second`, followed by `first`."""
     x1, y1, z1, w1 = np.moveaxis(first, -1, 0)
     x2, y2, z2, w2 = np.moveaxis(second, -1, 0)
     return np.stack(

@@ -1,4 +1,4 @@
-"""Terrain as a regular grid of heights, two triangles a cell."""
+"""Terrain as a regular grid of heights with two triangles per cell."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,12 +7,12 @@ Array = NDArray[np.float64]
 
 
 class HeightField:
-    """Heights `(ny, nx)` [m] at `origin` + `spacing_m` * (column, row), joined by two triangles a cell.
+    """Heights `(ny, nx)` [m] at `origin` + `spacing_m` * (column, row), with two triangles per cell.
 
     Each cell is split along the diagonal from its lower left to its upper
-    right corner, and every query is exact on these triangles: it agrees with
-    the mesh that physics and rays see. A point beyond the edge is answered by
-    the nearest point of the edge, and a NaN by the first corner.
+    right corner. Queries are exact on these triangles, so they agree with the
+    mesh used by physics and ray casting. A point outside gets the value of the
+    nearest point of the edge, and NaN that of the first corner.
     """
 
     def __init__(self, heights: ArrayLike, spacing_m: float, origin: tuple[float, float]) -> None:
@@ -42,8 +42,8 @@ class HeightField:
         self._planes, self._normals = self._triangle_tables()
 
     def _triangle_tables(self) -> tuple[Array, Array]:
-        # Two rows a cell, upper left triangle first: height at the cell's corner and its rise per cell
-        # along x and y; and the unit normal. One look-up then answers a point.
+        # Two rows per cell, upper left triangle first: height at the cell's lower left corner, rise per cell
+        # along x and y, and unit normal. A query of a point is then one table look-up.
         z = self.heights
         low_left, low_right, up_left, up_right = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
         planes = np.empty((*low_left.shape, 2, 3))
@@ -57,7 +57,7 @@ class HeightField:
         return planes.reshape(-1, 3), normals.reshape(-1, 3)
 
     def _locate(self, xy: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        # The triangle of every point, and where in its cell the point is, (..., 2) in [0, 1].
+        # Index of each point's triangle, and the point's coordinates within its cell, (..., 2) in [0, 1].
         at = (np.asarray(xy, dtype=np.float64) - self._origin) * self._inverse_spacing
         at = np.fmin(np.fmax(at, 0.0), self._last)
         cell = np.minimum(at.astype(np.intp), self._last_cell)
@@ -75,7 +75,7 @@ class HeightField:
         return self._normals[self._locate(xy)[0]]
 
     def height_and_normal(self, xy: ArrayLike) -> tuple[Array, Array]:
-        """Both `height` and `normal`, for one search of the triangles."""
+        """`height` and `normal` from one search for the triangles."""
         triangle, at = self._locate(xy)
         plane = self._planes[triangle]
         height = plane[..., 0] + plane[..., 1] * at[..., 0] + plane[..., 2] * at[..., 1]
@@ -86,7 +86,7 @@ class HeightField:
         return np.arccos(np.minimum(self.normal(xy)[..., 2], 1.0))
 
     def mesh(self) -> tuple[Array, NDArray[np.int32]]:
-        """Vertices (V, 3) [m] and faces (F, 3), counter-clockwise from above: the triangles queried."""
+        """Vertices (V, 3) [m] and faces (F, 3), counter-clockwise seen from above."""
         rows, columns = self.heights.shape
         x = self.origin[0] + self.spacing_m * np.arange(columns)
         y = self.origin[1] + self.spacing_m * np.arange(rows)

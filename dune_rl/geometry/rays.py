@@ -13,7 +13,7 @@ _NO_FACES, _NO_NORMALS = np.zeros(0, np.int32), np.zeros((0, 3), np.float32)
 
 
 class Hits(NamedTuple):
-    """What rays met first: the face's index (N,), -1 for none; the range (N,); its normal, of any length."""
+    """First hits of N rays: face indices (N,), -1 for a miss; ranges (N,); unnormalised normals (N, 3)."""
 
     face: NDArray[np.int32]
     range: Floats
@@ -21,32 +21,32 @@ class Hits(NamedTuple):
 
 
 class RayScene:
-    """A static set of triangles that rays are cast against.
+    """A static set of triangles to cast rays against.
 
-    `vertices` (V, 3) [m] and `faces` (F, 3) are copied. Rays have float32
-    `origins` (S, 3) and `directions` (N, 3), C-contiguous: each origin belongs
-    to N / S rays in a row. Directions of unit length make ranges metres.
-    Sixteen rays in a row are cast together, which is fastest where they go much
-    the same way, as a camera's do.
+    `vertices` (V, 3) [m] and `faces` (F, 3) are copied. Rays have C-contiguous
+    float32 `origins` (S, 3) and `directions` (N, 3): each origin serves N / S
+    consecutive rays. Ranges are metres if directions have unit length.
+    Rays are cast in packets of 16 consecutive ones, which is fastest where
+    their directions are similar, as those of a camera are.
     """
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self._triangles = TriangleScene(vertices, faces)
 
     def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScene":
-        """Itself: it is the same for all scenes; see `RayScenes`."""
+        """Itself, since all scenes share it; see `RayScenes`."""
         return self
 
     def shorten_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
         """Shorten `ranges` (N,) in place to the first hit.
 
-        A ray whose range is already shorter than its first hit keeps it, so
-        several scenes can be asked in turn.
+        A range that is already shorter than the first hit stays as it is, so
+        that several ray scenes can be queried one after another.
         """
         self._triangles.intersect(origins, directions, ranges, _NO_FACES, _NO_NORMALS)
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
-        """First hits of rays as in `shorten_ranges`; `ranges` (N,) are shortened too."""
+        """First hits of the rays; `ranges` (N,) are shortened in place as by `shorten_ranges`."""
         faces = np.empty(len(directions), np.int32)
         normals = np.empty((len(directions), 3), np.float32)
         self._triangles.intersect(origins, directions, ranges, faces, normals)
@@ -55,13 +55,13 @@ class RayScene:
     def first_hit(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating], range_m: float
     ) -> tuple[Floats, Floats]:
-        """Range to the first hit (N,), `range_m` for none, and its normal there (N, 3), of any length."""
+        """Range to the first hit (N,), `range_m` for a miss, and its normal (N, 3), not normalised."""
         ranges = np.full(len(directions), range_m, np.float32)
-        found = self.hits(
+        hit = self.hits(
             np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32), ranges
         )
-        return found.range, found.normal
+        return hit.range, hit.normal
 
     def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
-        """Whether anything at all lies on each ray, (N,)."""
+        """Whether each ray, of unlimited length, hits any triangle, (N,)."""
         return self._triangles.occluded(origins, directions)

@@ -1,4 +1,4 @@
-"""What each of M scenes has, where several may have the same thing: work goes by things, not by scenes."""
+"""Per-scene objects that several scenes may share, so that work is done once per distinct object."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Generic, TypeVar
@@ -15,115 +15,117 @@ _ALL = slice(None)
 
 
 class SharedPerScene(Generic[T]):
-    """One thing for each of M scenes, compared by identity.
+    """One object for each of M scenes; objects are compared by identity.
 
-    `groups` are the different things, each with the scenes that have it, in the
-    order of their first scenes: `slice(None)` where one serves all, which costs
-    nothing, else their indices in rising order. They are the same object until
-    a scene is given something else.
+    `groups` pairs each distinct object with the scenes that have it, in the
+    order of the first such scene: `slice(None)` where all scenes share one
+    object (indexing with it copies nothing), else their indices in rising
+    order. The tuple stays the same object until `put` changes a scene.
     """
 
-    def __init__(self, things: Iterable[T]) -> None:
-        self._things = list(things)
+    def __init__(self, items: Iterable[T]) -> None:
+        self._items = list(items)
         self._groups: Groups[T] | None = None
 
     def __len__(self) -> int:
-        return len(self._things)
+        return len(self._items)
 
     def __getitem__(self, scene: int) -> T:
-        return self._things[scene]
+        return self._items[scene]
 
-    def put(self, scene: int, thing: T) -> None:
-        """Give a scene something else."""
-        if self._things[scene] is not thing:
-            self._things[scene] = thing
+    def put(self, scene: int, item: T) -> None:
+        """Replace the object of one scene."""
+        if self._items[scene] is not item:
+            self._items[scene] = item
             self._groups = None
 
     @property
     def groups(self) -> Groups[T]:
-        """Each different thing and its scenes."""
+        """Each distinct object and the scenes that have it."""
         if self._groups is None:
-            self._groups = _grouped(self._things)
+            self._groups = _group_by_identity(self._items)
         return self._groups
 
-    def select_scenes(self, scenes: NDArray[np.int64]) -> Groups[T]:
-        """As `groups`, of the scenes in `scenes` (m,) alone, which are counted from 0 in its order."""
-        return _grouped([self._things[scene] for scene in scenes.tolist()])
+    def select_groups(self, scenes: NDArray[np.int64]) -> Groups[T]:
+        """`groups` of the scenes in `scenes` (m,) only, renumbered from 0 in its order."""
+        return _group_by_identity([self._items[scene] for scene in scenes.tolist()])
 
     def map(self, make: Callable[[T], U]) -> "DerivedCache[T, U]":
-        """What `make` makes of each thing, once for as long as a scene has it, when it is first asked for."""
+        """`make(item)` for every scene, computed on first use and kept while any scene has the item."""
         return DerivedCache(self, make)
 
 
 class DerivedCache(Generic[T, U]):
-    """Things made of those of a `SharedPerScene`, which it follows: see `PerScene.map`."""
+    """Objects derived from those of a `SharedPerScene`, and updated with it: see `SharedPerScene.map`."""
 
     def __init__(self, source: SharedPerScene[T], make: Callable[[T], U]) -> None:
         self._source, self._make = source, make
-        self._known: dict[int, tuple[T, U]] = {}
-        self._followed: Groups[T] = ()
+        self._cache: dict[int, tuple[T, U]] = {}
+        self._source_groups: Groups[T] = ()
         self._groups: Groups[U] = ()
 
     def __len__(self) -> int:
         return len(self._source)
 
     def __getitem__(self, scene: int) -> U:
-        self._forget()
-        return self._of(self._source[scene])
+        self._drop_unused()
+        return self._derive(self._source[scene])
 
     @property
     def groups(self) -> Groups[U]:
-        """As those of a `SharedPerScene`."""
-        if self._source.groups is not self._followed:
-            self._forget()
-            self._followed = self._source.groups
-            self._groups = self._made(self._followed)
+        """As `SharedPerScene.groups`, of the derived objects."""
+        if self._source.groups is not self._source_groups:
+            self._drop_unused()
+            self._source_groups = self._source.groups
+            self._groups = self._derive_groups(self._source_groups)
         return self._groups
 
-    def select_scenes(self, scenes: NDArray[np.int64]) -> Groups[U]:
-        """As those of a `SharedPerScene`."""
-        return self._made(self._source.select_scenes(scenes))
+    def select_groups(self, scenes: NDArray[np.int64]) -> Groups[U]:
+        """As `SharedPerScene.select_groups`, of the derived objects."""
+        return self._derive_groups(self._source.select_groups(scenes))
 
-    def _made(self, groups: Groups[T]) -> Groups[U]:
-        return tuple((self._of(thing), rows) for thing, rows in groups)
+    def _derive_groups(self, groups: Groups[T]) -> Groups[U]:
+        return tuple((self._derive(item), rows) for item, rows in groups)
 
-    def _of(self, thing: T) -> U:
-        # The thing is kept beside what is made of it, so that no other can take over its id.
-        if id(thing) not in self._known:
-            self._known[id(thing)] = (thing, self._make(thing))
-        return self._known[id(thing)][1]
+    def _derive(self, item: T) -> U:
+        # The item is stored beside its derivative, so that its id stays taken.
+        if id(item) not in self._cache:
+            self._cache[id(item)] = (item, self._make(item))
+        return self._cache[id(item)][1]
 
-    def _forget(self) -> None:
-        if self._source.groups is not self._followed:
-            used = {id(thing) for thing, _ in self._source.groups}
-            self._known = {key: value for key, value in self._known.items() if key in used}
+    def _drop_unused(self) -> None:
+        if self._source.groups is not self._source_groups:
+            used = {id(item) for item, _ in self._source.groups}
+            self._cache = {key: value for key, value in self._cache.items() if key in used}
 
 
 def agent_rows(scenes: Rows, count: int) -> Rows:
-    """The rows of the agents of `scenes`, where each scene has `count` of them, scene after scene."""
+    """Row indices of the agents in `scenes`, for scene-major rows with `count` agents per scene."""
     if count == 1 or isinstance(scenes, slice):
         return scenes
     return (scenes[:, None] * count + np.arange(count)).ravel()
 
 
-def query_grouped(groups: Groups[T], ask: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
-    """`ask(thing, *parts)` of each group with its rows of the `arrays` (M, ...), put together: (M, ...)."""
+def query_grouped(
+    groups: Groups[T], query: Callable[..., NDArray[Any]], *arrays: NDArray[Any]
+) -> NDArray[Any]:
+    """`query(item, *rows)` once per group, with its rows of `arrays` (M, ...); results joined as (M, ...)."""
     if len(groups) == 1:
-        return ask(groups[0][0], *arrays)
-    found: NDArray[Any] | None = None
-    for thing, rows in groups:
-        part = ask(thing, *(array[rows] for array in arrays))
-        if found is None:
-            found = np.empty((len(arrays[0]), *part.shape[1:]), part.dtype)
-        found[rows] = part
-    assert found is not None
-    return found
+        return query(groups[0][0], *arrays)
+    joined: NDArray[Any] | None = None
+    for item, rows in groups:
+        result = query(item, *(array[rows] for array in arrays))
+        if joined is None:
+            joined = np.empty((len(arrays[0]), *result.shape[1:]), result.dtype)
+        joined[rows] = result
+    assert joined is not None
+    return joined
 
 
-def _grouped(things: Sequence[T]) -> Groups[T]:
+def _group_by_identity(items: Sequence[T]) -> Groups[T]:
     scenes: dict[int, list[int]] = {}
-    for scene, thing in enumerate(things):
-        scenes.setdefault(id(thing), []).append(scene)
+    for scene, item in enumerate(items):
+        scenes.setdefault(id(item), []).append(scene)
     if len(scenes) == 1:
-        return ((things[0], _ALL),)
-    return tuple((things[rows[0]], np.array(rows)) for rows in scenes.values())
+        return ((items[0], _ALL),)
+    return tuple((items[rows[0]], np.array(rows)) for rows in scenes.values())

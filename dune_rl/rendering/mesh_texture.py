@@ -56,7 +56,7 @@ class MeshTexture:
         """That of some faces: their indices, or a mask."""
         return MeshTexture(self.pictures, self.picture[faces], self.maps[faces])
 
-    def moved(self, matrix: Array) -> "MeshTexture | None":
+    def transform(self, matrix: Array) -> "MeshTexture | None":
         """The same on a mesh moved by a transform (4, 4), None where that is flat."""
         try:
             return MeshTexture(self.pictures, self.picture, self.maps @ np.linalg.inv(matrix))

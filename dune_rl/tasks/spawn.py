@@ -98,8 +98,8 @@ class Spawner:
         usable = in_region & free.traversable & (free.clearance >= clearance_m)
         if not usable.any():
             raise WorldError(self._why_none(free, in_region, clearance_m))
-        part = int(np.bincount(free.parts[usable]).argmax())
-        return part, free.centres(usable & (free.parts == part))
+        part = int(np.bincount(free.components[usable]).argmax())
+        return part, free.centres(usable & (free.components == part))
 
     def _why_none(self, free: FreeSpace, in_region: NDArray[np.bool_], clearance_m: float) -> str:
         where = f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r}"
@@ -213,14 +213,14 @@ class Spawner:
 
     def _cells_with(self, radius_m: float) -> Array:
         free = FreeSpace(self._world, max(radius_m, self._footprint_radius_m), self._conf.max_slope_deg)
-        usable = self._in_region(free) & free.traversable & (self.free_space.parts == self._part)
+        usable = self._in_region(free) & free.traversable & (self.free_space.components == self._part)
         if not usable.any():
             raise WorldError(
                 f"task.spawn.region {_rectangle(self.region)} has no free point with {radius_m:.2f} m of "
                 "clearance: make the actors smaller, or choose another task.spawn.region."
             )
-        part = np.bincount(free.parts[usable]).argmax()
-        return free.centres(usable & (free.parts == part))
+        part = np.bincount(free.components[usable]).argmax()
+        return free.centres(usable & (free.components == part))
 
 
 def _rectangle(region: Rectangle) -> str:

@@ -4,11 +4,11 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
 from dune_rl.seeding import stream
 from dune_rl.settings import Settings
+from dune_rl.worlds.fractal_terrain import rough_field
 from dune_rl.worlds.grass import Grass, grow_grass
-from dune_rl.worlds.ground import GRAVEL, MEADOW, Ground
+from dune_rl.worlds.ground_texture import GRAVEL, MEADOW, GroundColours
 from dune_rl.worlds.props import beam, merge_meshes, slab, tube, upright_box
 from dune_rl.worlds.rocks import rock
-from dune_rl.worlds.roughness import rough_field
 from dune_rl.worlds.validation import check_world
 from dune_rl.worlds.world import Prop, World
 
@@ -16,7 +16,7 @@ __all__ = [
     "GRAVEL",
     "MEADOW",
     "Grass",
-    "Ground",
+    "GroundColours",
     "HeightField",
     "Prop",
     "Segment",

@@ -1,4 +1,4 @@
-"""A world as a camera sees it."""
+"""The scenery of a world, lit for cameras."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -10,78 +10,78 @@ from dune_rl.rendering.baked_scenery import LAST_KEPT, BakedScenery
 from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, join_meshes
 from dune_rl.rendering.weather import Haze, WeatherConf, weather_light
-from dune_rl.worlds.cache_folder import DiskCache
+from dune_rl.worlds.cache.folder import DiskCache
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import apply_ground_picture, ground_texture
+from dune_rl.worlds.ground_texture import ground_texture, ground_texture_from_picture
 from dune_rl.worlds.world import Prop, World
 
-_LIGHTS_KEPT = 4
+_LIGHTS_CACHED = 4
 
 
 def build_scenery(world: World) -> Scenery:
-    """Ground and props, those included that only can be seen (water)."""
+    """Ground and all props, including those that are only visible (water)."""
     ground = GroundTexture(world.disk_cached("albedo of the ground", lambda: _ground_albedo(world)))
-    return Scenery(world.terrain, ground, join_meshes([_shape(prop) for prop in world.props]))
+    return Scenery(world.terrain, ground, join_meshes([_coloured_mesh(prop) for prop in world.props]))
 
 
 def bake_world(world: World, light: LightConf) -> BakedScenery:
-    """The world in that light and clear air; equal lights share one."""
-    return _lit(world, light, lambda: Light.of(light))
+    """The world in that light and clear air; cached with the world."""
+    return _bake(world, light, lambda: Light.of(light))
 
 
 def bake_in_weather(world: World, weather: WeatherConf) -> BakedScenery:
-    """The world in the light of a weather; what its haze does on the way to an eye is not in it."""
+    """The world in the light of a weather, without the haze between surfaces and the camera."""
     weather = with_own_sun(world, weather)
     if Haze.of(weather) is None:
         return bake_world(world, weather.sunlight)
-    return _lit(world, weather, lambda: weather_light(weather))
+    return _bake(world, weather, lambda: weather_light(weather))
 
 
-def _lit(world: World, key: Hashable, light: Callable[[], Light]) -> BakedScenery:
-    """The world in a light, of which the latest few are kept with it."""
-    looks = world.memoize("baked", OrderedDict[Hashable, BakedScenery])
-    if key in looks:
-        looks.move_to_end(key)
-        return looks[key]
-    # What does not hang on the light takes most of the time.
-    known = next(iter(looks.values()), None)
-    looks[key] = (
+def _bake(world: World, key: Hashable, light: Callable[[], Light]) -> BakedScenery:
+    """The world in a light; the last few lights are cached with the world."""
+    cache = world.memoize("baked", OrderedDict[Hashable, BakedScenery])
+    if key in cache:
+        cache.move_to_end(key)
+        return cache[key]
+    # Most of the time goes into what does not depend on the light.
+    other = next(iter(cache.values()), None)
+    cache[key] = (
         BakedScenery(build_scenery(world), light(), world.disk_cached)
-        if known is None
-        else known.relight(light())
+        if other is None
+        else other.relight(light())
     )
-    if len(looks) > _LIGHTS_KEPT:
-        looks.popitem(last=False)
-    return looks[key]
+    if len(cache) > _LIGHTS_CACHED:
+        cache.popitem(last=False)
+    return cache[key]
 
 
 def precompute_appearance(world: World) -> None:
-    """Have what every picture of a world needs worked out, and kept where it has a shelf."""
+    """Compute what every picture of a world needs, so that its disk cache holds it."""
     BakedScenery(build_scenery(world), Light.of(LightConf()), world.disk_cached)
 
 
-def is_appearance_cached(shelf: DiskCache) -> bool:
-    """Whether `precompute_appearance` has been done for the world of that shelf."""
-    return shelf.holds(LAST_KEPT)
+def is_appearance_cached(disk_cache: DiskCache) -> bool:
+    """Whether `precompute_appearance` has filled that disk cache."""
+    return disk_cache.contains(LAST_KEPT)
 
 
 def _ground_albedo(world: World) -> NDArray[np.float32]:
     if world.picture is None:
         ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
     else:
-        ground = apply_ground_picture(world.terrain, world.ground, world.texture_seed, world.picture)
-    return ground.albedo if world.grass is None else _in_shade(ground.albedo, world.grass)
+        ground = ground_texture_from_picture(world.terrain, world.ground, world.texture_seed, world.picture)
+    return ground.albedo if world.grass is None else _shade_by_grass(ground.albedo, world.grass)
 
 
 def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
-    """`weather`, with the world's own sun where it has one and the weather does not say where its is."""
+    """`weather`, with the world's own sun if it has one and the weather does not set one."""
     if world.light is None or weather.time_of_day_h is not None or weather.light != LightConf():
         return weather
     return weather.model_copy(update={"light": world.light})
 
 
-def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
-    """Albedo (rows, columns, 3) of the ground, less by the light that the grass on it keeps."""
+def _shade_by_grass(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
+    """Ground albedo (rows, columns, 3), reduced by the light that the grass on it absorbs."""
     rows, columns = albedo.shape[:2]
     xmin, xmax, ymin, ymax = grass.terrain.extent
     x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
@@ -90,7 +90,7 @@ def _in_shade(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
     return albedo * share.reshape(rows, columns, 1)
 
 
-def _shape(prop: Prop) -> ColouredMesh:
+def _coloured_mesh(prop: Prop) -> ColouredMesh:
     count = len(prop.faces)
     colours = np.array(prop.colour) if prop.face_colours is None else prop.face_colours
     albedo = np.broadcast_to(srgb_to_linear(colours), (count, 3))

@@ -1,4 +1,4 @@
-"""The worlds that the scenes of a batch stand in, asked as if there were one."""
+"""The worlds and weathers of a batch of scenes, queried together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class WorldAppearance:
-    """A world in a weather."""
+    """A world and the weather it is rendered in."""
 
     world: World
     weather: WeatherConf
 
     @property
     def air(self) -> ParticipatingMedia:
-        """What lies between an eye and what it sees."""
+        """Haze and grass that light passes on its way to a camera."""
         grass = self.world.grass
         return ParticipatingMedia(
             Haze.of(with_own_sun(self.world, self.weather)), None if grass is None else grass.foliage
@@ -35,35 +35,37 @@ class WorldAppearance:
 class BatchedWorlds:
     """The world and the weather of each of M scenes.
 
-    Points and what is told of them have the leading axis M. Each query loops
-    over different worlds, never over scenes; where all scenes share one, it
-    costs what that world's own query costs.
+    Points and results have the leading axis M. Each query runs once per
+    distinct world, not once per scene; where all scenes share a world, it
+    costs as much as that world's own query.
     """
 
-    def __init__(self, looks: Sequence[tuple[World, WeatherConf]]) -> None:
-        world, weather = looks[0]
+    def __init__(self, scenes: Sequence[tuple[World, WeatherConf]]) -> None:
+        world, weather = scenes[0]
         first = WorldAppearance(world, weather)
-        self.worlds: SharedPerScene[World] = SharedPerScene([world] * len(looks))
-        self.appearances: SharedPerScene[WorldAppearance] = SharedPerScene([first] * len(looks))
+        self.worlds: SharedPerScene[World] = SharedPerScene([world] * len(scenes))
+        self.appearances: SharedPerScene[WorldAppearance] = SharedPerScene([first] * len(scenes))
         self._terrains = self.worlds.map(_terrain)
-        self._extents = np.tile(np.array(world.extent), (len(looks), 1))
-        for scene, look in enumerate(looks):
-            self.put(scene, *look)
+        self._extents = np.tile(np.array(world.extent), (len(scenes), 1))
+        for scene, (its_world, its_weather) in enumerate(scenes):
+            self.put(scene, its_world, its_weather)
 
     def __len__(self) -> int:
         return len(self.worlds)
 
     def put(self, scene: int, world: World, weather: WeatherConf) -> None:
-        """Move a scene to `world` in `weather`."""
+        """Replace the world and the weather of one scene."""
         self.worlds.put(scene, world)
         self._extents[scene] = world.extent
         if self.appearances[scene].world is world and self.appearances[scene].weather == weather:
             return
-        # Scenes that look alike share one look, so that they are drawn together.
-        alike = (
-            look for look, _ in self.appearances.groups if look.world is world and look.weather == weather
+        # Scenes of equal world and weather share one appearance, so that they are rendered together.
+        equal = (
+            appearance
+            for appearance, _ in self.appearances.groups
+            if appearance.world is world and appearance.weather == weather
         )
-        self.appearances.put(scene, next(alike, None) or WorldAppearance(world, weather))
+        self.appearances.put(scene, next(equal, None) or WorldAppearance(world, weather))
 
     @property
     def extents(self) -> Array:
@@ -75,7 +77,7 @@ class BatchedWorlds:
         return query_grouped(self._terrains.groups, HeightField.height, xy)
 
     def clearance(self, xy: Array) -> Array:
-        """As `World.clearance`: distance [m], (M, ...), from points (M, ..., 2) to what can be hit."""
+        """As `World.clearance`: distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle."""
         return query_grouped(self.worlds.groups, World.clearance, xy)
 
 

@@ -1,4 +1,4 @@
-"""A world as the beams of a LiDAR see it: all that is solid, without water."""
+"""Segments and luminances of a world's solid surfaces, for LiDAR beams."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,29 +12,29 @@ from dune_rl.worlds.world import World
 
 
 def beam_surface(world: World) -> BeamSurface:
-    """Segments and luminances of the faces of `world.solid_mesh()`, in their order; kept with the world."""
-    return world.memoize("solid look", lambda: _solid_look(world))
+    """Segments and luminances of the faces of `world.solid_mesh()`, in their order; cached with the world."""
+    return world.memoize("beam surface", lambda: _build_beam_surface(world))
 
 
-def _solid_look(world: World) -> BeamSurface:
-    look = build_scenery(world)
-    albedo = _ground_albedo(world.terrain, look.ground.albedo)
+def _build_beam_surface(world: World) -> BeamSurface:
+    scenery = build_scenery(world)
+    albedo = _face_albedo(world.terrain, scenery.ground.albedo)
     solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])
-    if len(solid) != len(look.things.faces):
+    if len(solid) != len(scenery.things.faces):
         raise ValueError(
-            f"the props of {world.name} have {len(solid)} faces, and the scenery {len(look.things.faces)}: "
-            "they must be the same, in the same order"
+            f"the props of {world.name} have {len(solid)} faces, but its scenery has "
+            f"{len(scenery.things.faces)}: they must be the same, in the same order"
         )
     ground = np.full(len(albedo), Segment.GROUND, np.uint8)
     solid = solid.astype(bool)
     return BeamSurface.of(
-        np.concatenate([ground, look.things.segments[solid]]),
-        np.concatenate([albedo, look.things.albedo[solid]]),
+        np.concatenate([ground, scenery.things.segments[solid]]),
+        np.concatenate([albedo, scenery.things.albedo[solid]]),
     )
 
 
-def _ground_albedo(terrain: HeightField, texture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Linear RGB (F, 3) of the terrain's faces: the texture's mean over a square as wide as a cell."""
+def _face_albedo(terrain: HeightField, texture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Linear RGB (F, 3) of the terrain's faces: the texture's mean over a square of a cell's size."""
     rows, columns = texture.shape[:2]
     xmin, xmax, ymin, ymax = terrain.extent
     per_m = np.array([columns / (xmax - xmin), rows / (ymax - ymin)])

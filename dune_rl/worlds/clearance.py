@@ -1,4 +1,4 @@
-"""Distance to the nearest obstacle, computed once on a grid."""
+"""Distance to the nearest obstacle, computed once on a grid and interpolated."""
 
 from collections.abc import Sequence
 
@@ -8,11 +8,11 @@ from scipy.ndimage import distance_transform_edt
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
+from dune_rl.worlds.props import Mesh, merge_meshes
 
 Array = NDArray[np.float64]
-Mesh = tuple[Array, NDArray[np.int32]]
 
-# Lower things are driven over, higher ones driven under, by every robot we have.
+# Every robot of the package drives over what is lower, and under what is higher.
 BAND_BOTTOM_M = 0.03
 BAND_TOP_M = 0.45
 
@@ -23,11 +23,11 @@ _MAX_CROSSINGS = 32
 
 
 class ClearanceField:
-    """Callable: distance [m] from any points to the nearest obstacle, 0 inside one, inf where there is none.
+    """Callable: distance [m] from points to the nearest obstacle; 0 inside one, inf without obstacles.
 
-    `blocking` are the closed meshes that can be hit, `decks` those that count
-    as ground. Its cells are 0.05 m (more in worlds past 100 m); it tells on
-    average half a cell less than the true distance, at most half a cell more.
+    `blocking` are the closed meshes of obstacles, `decks` those that count as
+    ground. Cells are 0.05 m (larger in worlds over 100 m). Distances are on
+    average half a cell too short, and at most half a cell too long.
     """
 
     def __init__(self, terrain: HeightField, blocking: Sequence[Mesh], decks: Sequence[Mesh] = ()) -> None:
@@ -45,24 +45,24 @@ class ClearanceField:
         self.distance: NDArray[np.float32] | None = self._build(blocking, decks) if blocking else None
 
     def _build(self, blocking: Sequence[Mesh], decks: Sequence[Mesh]) -> NDArray[np.float32] | None:
-        rows, columns = np.nonzero(self._near_any(blocking))
+        rows, columns = np.nonzero(self._in_bounding_boxes(blocking))
         xy = self._origin + self.cell_m * np.stack([columns, rows], axis=-1)
         ground = self._terrain.height(xy)
-        scene = _scene(blocking)
-        blocked = _band_occupied(scene, xy, ground)
+        scene = RayScene(*merge_meshes(blocking))
+        blocked = _is_band_occupied(scene, xy, ground)
         if decks:
-            top = _deck_height(_scene(decks), xy)
+            top = _deck_height(RayScene(*merge_meshes(decks)), xy)
             above = top > ground
-            blocked[above] |= _band_occupied(scene, xy[above], top[above])
+            blocked[above] |= _is_band_occupied(scene, xy[above], top[above])
         if not blocked.any():
             return None
         free = np.ones((self.rows, self.columns), dtype=bool)
         free[rows[blocked], columns[blocked]] = False
-        # Between an obstacle's true edge and its outermost grid point lies up to a cell.
+        # An obstacle's true edge is up to a cell beyond its outermost grid point.
         distance = distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
         return np.maximum(distance, 0.0).astype(np.float32).reshape(-1)
 
-    def _near_any(self, meshes: Sequence[Mesh]) -> NDArray[np.bool_]:
+    def _in_bounding_boxes(self, meshes: Sequence[Mesh]) -> NDArray[np.bool_]:
         near = np.zeros((self.rows, self.columns), dtype=bool)
         for vertices, _ in meshes:
             low = np.floor((vertices[:, :2].min(axis=0) - self._origin) * self._inverse_cell)
@@ -73,7 +73,7 @@ class ClearanceField:
 
     @property
     def origin(self) -> Array:
-        """The first grid point (2,) [m]: lowest x and y."""
+        """The grid point (2,) [m] of lowest x and y."""
         return self._origin
 
     def nearest_cell(self, xy: ArrayLike) -> NDArray[np.intp]:
@@ -83,7 +83,7 @@ class ClearanceField:
         return (at + 0.5).astype(np.intp) @ self._strides
 
     def __call__(self, xy: ArrayLike) -> Array:
-        """Clearance [m], shape (...), at points (..., 2); beyond the edge, that of the edge."""
+        """Clearance [m], shape (...), at points (..., 2); outside the world, that of its edge."""
         points = np.asarray(xy, dtype=np.float64)
         if self.distance is None:
             return np.full(points.shape[:-1], np.inf)
@@ -98,14 +98,6 @@ class ClearanceField:
         return low * (1 - y) + high * y
 
 
-def _scene(meshes: Sequence[Mesh]) -> RayScene:
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes[:-1])])
-    return RayScene(
-        np.concatenate([vertices for vertices, _ in meshes]),
-        np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=True)]),
-    )
-
-
 def _deck_height(scene: RayScene, xy: Array) -> Array:
     top = 0.5 * _RAY_RANGE_M
     origins = np.column_stack([xy, np.full(len(xy), top)])
@@ -113,9 +105,9 @@ def _deck_height(scene: RayScene, xy: Array) -> Array:
     return np.where(hit < 2 * _RAY_RANGE_M, top - hit, -np.inf)
 
 
-def _band_occupied(scene: RayScene, xy: Array, ground: Array) -> NDArray[np.bool_]:
-    # A ray straight up from the band's bottom: whatever it meets within the band blocks; and so does
-    # a solid that the ray starts in, which it leaves once more often than it enters.
+def _is_band_occupied(scene: RayScene, xy: Array, ground: Array) -> NDArray[np.bool_]:
+    # A vertical ray from the band's bottom: a hit within the band is an obstacle. So is a solid that the
+    # ray starts in: the ray leaves it once more often than it enters it.
     occupied = np.zeros(len(xy), dtype=bool)
     start = ground + BAND_BOTTOM_M
     height = start.copy()

@@ -1,4 +1,4 @@
-"""A plane without obstacles or elevation."""
+"""The flat world: a level plane without obstacles."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.grass import grow_grass
-from dune_rl.worlds.ground import GRAVEL
+from dune_rl.worlds.ground_texture import GRAVEL
 from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice

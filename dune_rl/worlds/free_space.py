@@ -1,4 +1,4 @@
-"""Where a robot can stand, and which places are joined."""
+"""Grid of the positions that a robot can occupy, with its connected components."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,13 +12,12 @@ _MAX_CELLS = 4_000_000
 
 
 class FreeSpace:
-    """A grid over the world that tells its traversable cells, and labels its connected parts.
+    """Grid over the world that marks traversable cells and labels their connected components.
 
-    A cell is traversable when the slope and the clearance at its centre allow a
-    round robot of `footprint_radius_m` to stand there, `edge_m` or more from
-    the world's edge and not on or under a drivable prop. `parts` (rows, columns)
-    is 0 where it is not, and else the number of the part it belongs to: cells
-    joined by their sides are of one part.
+    A cell is traversable if slope and clearance at its centre admit a round
+    robot of `footprint_radius_m`, at least `edge_m` from the world's edge and
+    not on or under a drivable prop. `components` (rows, columns) is 0 for cells
+    that are not traversable, else the number of the 4-connected component.
     """
 
     def __init__(
@@ -49,18 +48,18 @@ class FreeSpace:
         inside_y = (self.y >= ymin + edge_m) & (self.y <= ymax - edge_m)
         self.inside: NDArray[np.bool_] = inside_y[:, None] & inside_x
         self.traversable: NDArray[np.bool_] = self.inside & ~self.steep & ~self.blocked
-        self.parts: NDArray[np.int32]
-        self.parts, self.part_count = label(self.traversable)
+        self.components: NDArray[np.int32]
+        self.components, self.component_count = label(self.traversable)
 
     def centres(self, cells: NDArray[np.bool_]) -> Array:
-        """Centres (K, 2) [m] of the cells that are True in a grid (rows, columns)."""
+        """Centres (K, 2) [m] of the True cells of a grid (rows, columns)."""
         rows, columns = np.nonzero(cells)
         return np.stack([self.x[columns], self.y[rows]], axis=-1)
 
-    def part(self, xy: ArrayLike) -> NDArray[np.int32]:
-        """The number of the part, shape (...), that points (..., 2) lie in; 0 for none."""
+    def component_at(self, xy: ArrayLike) -> NDArray[np.int32]:
+        """Component numbers (...) at points (..., 2); 0 where not traversable."""
         points = np.asarray(xy, dtype=np.float64)
         column = np.floor((points[..., 0] - self.x[0]) / self.cell_m + 0.5).astype(int)
         row = np.floor((points[..., 1] - self.y[0]) / self.cell_m + 0.5).astype(int)
-        known = (column >= 0) & (column < len(self.x)) & (row >= 0) & (row < len(self.y))
-        return np.where(known, self.parts[np.where(known, row, 0), np.where(known, column, 0)], 0)
+        inside = (column >= 0) & (column < len(self.x)) & (row >= 0) & (row < len(self.y))
+        return np.where(inside, self.components[np.where(inside, row, 0), np.where(inside, column, 0)], 0)

@@ -1,4 +1,4 @@
-"""Tall grass: patches that hide what is in and behind them, hold a robot back, and stop nothing."""
+"""Tall grass: patches that occlude cameras and LiDAR beams and slow robots down without blocking them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,24 +22,24 @@ Mesh = tuple[Array, NDArray[np.int32]]
 _CELL_M = 0.25
 _MOST_CELLS = 1024
 _PATCHES_M = (7.0, 2.5)
-# A patch begins thin, and is thick where its noise is this far above the threshold (in deviations).
-_THINNEST, _THICKENS_OVER = 0.3, 0.5
-# Of full grass. Three leaf areas over each area of ground, at all angles and 0.6 m tall, hide 3 * 0.5 / 0.6
-# per metre; a beam, which is wider than a line of sight, still returns from part of it.
+# Density at a patch's edge, and the noise above the threshold (in standard deviations) where it reaches 1.
+_EDGE_DENSITY, _FULL_DENSITY_AT = 0.3, 0.5
+# Extinction [1/m] at density 1. A leaf area index of 3 with randomly oriented leaves 0.6 m tall gives
+# 3 * 0.5 / 0.6 per metre; a LiDAR beam, wider than a line of sight, still returns from what is behind part.
 _EXTINCTION, _BEAM_EXTINCTION = 2.5, 2.0
-# At 0.8 m/s as much as some 15 % of the rover's weight, which is what off-road rolling resistance adds.
+# At 0.8 m/s about 15 % of the rover's weight, which is what off-road rolling resistance adds.
 _DRAG_NSPM = 20.0
 _CLEARED_BELOW_M, _HIGHEST_M = 0.1, 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Grass:
-    """Grass of `height_m` on `terrain`; `density` (rows, columns) is from 0, none, to 1, full.
+    """Grass of `height_m` on `terrain`; `density` (rows, columns) is from 0 (no grass) to 1.
 
-    The grid's cells share out the terrain's rectangle, the first at its lowest
-    x and y. In full grass light is lost by `extinction` and a LiDAR's beams by
-    `beam_extinction` [1/m], and a robot that is all in it is held back by
-    `drag_nspm` [N s/m] times its velocity.
+    The grid's cells divide the terrain's rectangle evenly; the first is at the
+    lowest x and y. At density 1, light is attenuated by `extinction` and LiDAR
+    beams by `beam_extinction` [1/m], and a robot whose whole height is in the
+    grass is slowed by a drag of `drag_nspm` [N s/m] times its velocity.
     """
 
     terrain: HeightField
@@ -59,26 +59,26 @@ class Grass:
 
     @cached_property
     def foliage(self) -> Foliage:
-        """The grass as rays meet it."""
+        """The grass as a medium for rays."""
         return Foliage(self.terrain, self.density, self.height_m, self.extinction, self.beam_extinction)
 
     def drag(self, bottom_w: Array, robot_height_m: float) -> Array:
-        """What holds a robot back [N s/m], (M,), whose lowest points are at `bottom_w` (M, 3).
+        """Drag coefficients [N s/m], (N,), of robots whose lowest points are `bottom_w` (N, 3).
 
-        It is full where the blades reach over all of `robot_height_m`.
+        The drag is proportional to the share of `robot_height_m` that is in the grass.
         """
         reach = self.terrain.height(bottom_w[:, :2]) + self.height_m - bottom_w[:, 2]
         share = np.clip(reach / robot_height_m, 0.0, 1.0)
-        held: Array = self.drag_nspm * self.foliage.density_at(bottom_w) * share
-        return held
+        coefficient: Array = self.drag_nspm * self.foliage.density_at(bottom_w) * share
+        return coefficient
 
 
 def grow_grass(
-    terrain: HeightField, standing: Sequence[Mesh], cover: float, height_m: float, seed: int
+    terrain: HeightField, obstacles: Sequence[Mesh], cover: float, height_m: float, seed: int
 ) -> Grass | None:
-    """Patches on a `cover` share of the ground, none under or over the meshes in `standing`; None for 0.
+    """Patches of grass on a share `cover` of the ground, none below or on `obstacles`; None for cover 0.
 
-    Where these and the world's edge leave less room, grass grows on all there is.
+    If obstacles and the world's edge leave less ground than that, all of it gets grass.
     """
     if cover <= 0.0:
         return None
@@ -93,28 +93,30 @@ def grow_grass(
         sigma = (wavelength / 4 / cell_y, wavelength / 4 / cell_x)
         layer = ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap")
         noise += weight * layer / layer.std()
-    free = ~_covered(terrain, standing, rows, columns)
+    free = ~_occupied_cells(terrain, obstacles, rows, columns)
     free[[0, -1]] = free[:, [0, -1]] = False
     count = min(round(cover * rows * columns), int(free.sum()))
     if count == 0:
         return None
     least = np.sort(noise[free])[-count]
-    thick = np.clip((noise - least) / (_THICKENS_OVER * noise.std()), 0.0, 1.0)
-    density = np.where(free & (noise >= least), _THINNEST + (1.0 - _THINNEST) * thick, 0.0)
+    thick = np.clip((noise - least) / (_FULL_DENSITY_AT * noise.std()), 0.0, 1.0)
+    density = np.where(free & (noise >= least), _EDGE_DENSITY + (1.0 - _EDGE_DENSITY) * thick, 0.0)
     return Grass(terrain, density.astype(np.float32), height_m)
 
 
-def _covered(terrain: HeightField, standing: Sequence[Mesh], rows: int, columns: int) -> NDArray[np.bool_]:
-    """Cells (rows, columns) on or next to which something stands, lies or hangs."""
-    covered = np.zeros((rows, columns), bool)
-    if not standing:
-        return covered
+def _occupied_cells(
+    terrain: HeightField, obstacles: Sequence[Mesh], rows: int, columns: int
+) -> NDArray[np.bool_]:
+    """Cells (rows, columns) with an obstacle on or above them, and their neighbours."""
+    occupied = np.zeros((rows, columns), bool)
+    if not obstacles:
+        return occupied
     xmin, xmax, ymin, ymax = terrain.extent
-    # Twice as fine as the cells, so that walls do not slip through, and every surface point besides.
+    # Vertical rays at twice the cells' resolution find volumes; points on all surfaces find thin walls.
     x = xmin + (np.arange(2 * columns) + 0.5) * (xmax - xmin) / (2 * columns)
     y = ymin + (np.arange(2 * rows) + 0.5) * (ymax - ymin) / (2 * rows)
     near = np.zeros((2 * rows, 2 * columns), bool)
-    for vertices, _ in standing:
+    for vertices, _ in obstacles:
         low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
         (left, right), (bottom, top) = (
             (np.searchsorted(axis, low[k]), np.searchsorted(axis, high[k], side="right"))
@@ -122,19 +124,19 @@ def _covered(terrain: HeightField, standing: Sequence[Mesh], rows: int, columns:
         )
         near[bottom:top, left:right] = True
     row, column = np.nonzero(near)
-    under = np.column_stack([x[column], y[row]])
-    origins = np.column_stack([under, terrain.height(under) - _CLEARED_BELOW_M]).astype(np.float32)
+    below = np.column_stack([x[column], y[row]])
+    origins = np.column_stack([below, terrain.height(below) - _CLEARED_BELOW_M]).astype(np.float32)
     upward = np.zeros_like(origins)
     upward[:, 2] = 1.0
-    # As one mesh: hundreds of small ones take a hundred times as long.
-    vertices, faces = merge_meshes(standing)
-    met = RayScene(vertices, faces).hits(origins, upward, np.full(len(under), _HIGHEST_M, np.float32))
+    # Merged, since hundreds of small meshes take a hundred times as long.
+    vertices, faces = merge_meshes(obstacles)
+    hit = RayScene(vertices, faces).hits(origins, upward, np.full(len(below), _HIGHEST_M, np.float32))
     cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
     surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)
-    over = surface[:, 2] > terrain.height(surface[:, :2]) - _CLEARED_BELOW_M
-    points = np.concatenate([under[met.face >= 0], surface[over, :2]])
+    above = surface[:, 2] > terrain.height(surface[:, :2]) - _CLEARED_BELOW_M
+    points = np.concatenate([below[hit.face >= 0], surface[above, :2]])
     column = ((points[:, 0] - xmin) * columns / (xmax - xmin)).astype(np.intp)
     row = ((points[:, 1] - ymin) * rows / (ymax - ymin)).astype(np.intp)
-    covered[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True
-    # Density is interpolated between cells: with their neighbours bare, nothing reaches into these.
-    return ndimage.binary_dilation(covered, np.ones((3, 3), bool))
+    occupied[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True
+    # Density is interpolated between cells, so the neighbours of occupied cells must be bare, too.
+    return ndimage.binary_dilation(occupied, np.ones((3, 3), bool))

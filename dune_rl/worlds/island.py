@@ -1,4 +1,4 @@
-"""A small island of extremely bumpy ground, with a few plain boxes and water round it."""
+"""The island world: very bumpy ground with a few boxes, surrounded by water."""
 
 from dataclasses import replace
 from typing import Literal, Self
@@ -10,26 +10,26 @@ from pydantic import Field, model_validator
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
+from dune_rl.worlds.fractal_terrain import rough_field, smooth_step
 from dune_rl.worlds.grass import Grass, grow_grass
-from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.ground_texture import GroundColours
 from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
-from dune_rl.worlds.plan import Plan
+from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.props import unit_vector, upright_box
-from dune_rl.worlds.roughness import rough_field, smooth_step
-from dune_rl.worlds.seeded import SeededConf
+from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import Colour, Prop, World
 
 Array = NDArray[np.float64]
 
-# Four points in a bump of a metre; a wheel's radius is half a spacing.
+# Four points per metre, the shortest bump length; a wheel's radius is about half a spacing.
 SPACING_M = 0.25
 SHALLOWS_M = 4.0
 LAND_M = 0.9
 _SEABED_M = -0.7
 _SHORE_M = 4.5
 _MEDIUM_M = 0.15
-# How far the coast strays from a circle, of its radius.
+# Largest deviation of the coast from a circle, relative to its radius.
 _COAST = 0.14
 
 _GAP_M = 1.1
@@ -38,7 +38,9 @@ _SUNK_M = 0.5
 _SEA_REACH_M = 8.0
 _GRASS_FROM_M = 0.2
 
-_SAND = Ground(low=(0.74, 0.66, 0.49), high=(0.52, 0.53, 0.30), bare=(0.66, 0.57, 0.42), bare_from_rad=0.42)
+_SAND = GroundColours(
+    low=(0.74, 0.66, 0.49), high=(0.52, 0.53, 0.30), bare=(0.66, 0.57, 0.42), bare_from_rad=0.42
+)
 _WATER: Colour = (0.16, 0.42, 0.52)
 _PAINTS: tuple[Colour, ...] = (
     (0.78, 0.76, 0.70),
@@ -48,7 +50,7 @@ _PAINTS: tuple[Colour, ...] = (
     (0.45, 0.46, 0.48),
 )
 
-# Of all the ground, half of which lies under the sea.
+# Shares of the whole terrain, half of which is under water.
 _SURFACES = (
     SurfaceShare("sand", 0.72, high=-0.5),
     SurfaceShare("rock", 0.13, steep=0.7),
@@ -59,8 +61,8 @@ _SURFACES = (
 class IslandConf(SeededConf):
     """Settings of `build_island`.
 
-    The bumps' slopes go as `roughness_m` / `bump_length_m`: with the defaults
-    a median of 14 degrees inland, and a tenth of the ground above 24.
+    Slopes are proportional to `roughness_m` / `bump_length_m`: with the
+    defaults, their median inland is 14 degrees and their 90th percentile 24.
     """
 
     name: Literal["island"] = "island"
@@ -83,20 +85,20 @@ class IslandConf(SeededConf):
         if self.region_size_m > largest:
             raise ValueError(
                 f"region_size_m must be at most {largest:.1f} for radius_m={self.radius_m:g}, "
-                f"or its corners lie in the sea (got {self.region_size_m:g})"
+                f"or its corners are in the sea (got {self.region_size_m:g})"
             )
         return self
 
 
 def dry_radius(radius_m: float) -> float:
-    """Distance [m] from the middle within which the ground is above the beach, whatever the coast."""
+    """Radius [m] of the disc round the middle that is above the beach on every seed."""
     return radius_m * (1.0 - _COAST) - 0.4 * _SHORE_M
 
 
 def build_island(conf: IslandConf) -> World:
-    """The island of `conf.seed` round the origin, its sea at z = 0 and 0.7 m deep.
+    """The island of `conf.seed` round the origin; sea level is z = 0, and the sea is 0.7 m deep.
 
-    Raises WorldError where so many boxes do not fit.
+    Raises `WorldError` if the boxes do not fit.
     """
     coast = _coast(conf.seed, conf.radius_m)
     terrain = _terrain(conf, coast)
@@ -117,7 +119,7 @@ def build_island(conf: IslandConf) -> World:
 
 
 def _coast(seed: int, radius_m: float) -> Array:
-    # Amplitude and phase of the waves (4, 2) in the coastline's distance from the middle.
+    # Amplitudes and phases (4, 2) of the waves in the coast's distance from the middle.
     rng = stream(seed, "island coast")
     waves = rng.uniform(0.3, 1.0, 4) / np.array([1.0, 1.3, 1.8, 2.4])
     waves *= _COAST / waves.sum()
@@ -136,22 +138,22 @@ def _terrain(conf: IslandConf, coast: Array) -> HeightField:
     axis = np.arange(-half, half + SPACING_M / 2, SPACING_M)
     x, y = np.meshgrid(axis, axis)
     inland = _coast_distance(coast, conf.radius_m, np.arctan2(y, x)) - np.hypot(x, y)
-    # The step passes the sea's level, 0, at 0.458.
+    # The step's argument is 0.458 at sea level, z = 0.
     share = smooth_step(inland / _SHORE_M + 0.458)
     base = _SEABED_M + (LAND_M - _SEABED_M) * share
     shape = x.shape
     medium = rough_field(rng, shape, SPACING_M, 5.0, 12.0, hurst=1.0)
-    # Bumps of much the same size, as on Null Island, and not of every size as on a hillside.
+    # Bumps of similar size, unlike those of a hillside, which have every size.
     length = conf.bump_length_m
     bumps = rough_field(rng, shape, SPACING_M, 0.6 * length, 1.8 * length, hurst=0.0)
     z = base + share * _MEDIUM_M * medium + (0.4 + 0.6 * share) * conf.roughness_m * bumps
-    # Millimetres, so that another machine's last bits do not show.
+    # Rounded to 1 mm, so that machines whose arithmetic differs in the last bits make the same terrain.
     return HeightField(np.round(z, 3), SPACING_M, (-half, -half))
 
 
 def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
     rng = stream(conf.layout, "island boxes")
-    plan = Plan()
+    occupied = OccupiedRectangles()
     reach = dry_radius(conf.radius_m)
     count = round(conf.boxes_per_100m2 * np.pi * conf.radius_m**2 / 100.0)
     boxes = []
@@ -161,14 +163,14 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
         for _ in range(_TRIES):
             xy = reach * np.sqrt(rng.uniform()) * unit_vector(float(rng.uniform(-np.pi, np.pi)))
             yaw = float(rng.uniform(-np.pi, np.pi))
-            if plan.gap(xy, yaw, length, width) >= _GAP_M:
+            if occupied.gap(xy, yaw, length, width) >= _GAP_M:
                 break
         else:
             raise WorldError(
                 f"The island has no room for world.boxes_per_100m2={conf.boxes_per_100m2:g}: "
                 f"box {number + 1} of {count} fits nowhere. Lower it, or raise world.radius_m."
             )
-        plan.take(xy, yaw, length, width)
+        occupied.add(xy, yaw, length, width)
         axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])
         corners = xy + np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]]) / 2 * [length, width] @ axes
         ground = terrain.height(corners)
@@ -192,7 +194,7 @@ def _grass(conf: IslandConf, terrain: HeightField, boxes: list[Prop]) -> Grass |
 
 
 def _sea(terrain: HeightField, coast: Array) -> Prop:
-    # A ring from under the beach to beyond the terrain's edge: what is seen, and not driven on.
+    # A ring from under the beach to beyond the terrain's edge, which is only visible.
     angle = np.linspace(0.0, 2 * np.pi, 96, endpoint=False)
     around = np.column_stack([np.cos(angle), np.sin(angle)])
     half = terrain.extent[1]

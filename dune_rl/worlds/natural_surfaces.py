@@ -1,4 +1,4 @@
-"""Maps of surfaces as they lie in nature: patches from noise, leaning to where each belongs."""
+"""Surface maps with natural patches: noise biased by slope and height."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,9 +20,9 @@ _SHARE_ROUNDS = 30
 
 
 class SurfaceShare(NamedTuple):
-    """A surface on a `share` of the ground, in patches that lean to steep (positive) or to high places.
+    """A surface on a `share` of the ground, in patches biased to steep or high places.
 
-    The leanings are in deviations of noise for each deviation of slope and of height.
+    `steep` and `high` are standard deviations of noise per standard deviation of slope and of height.
     """
 
     name: SurfaceName
@@ -34,14 +34,14 @@ class SurfaceShare(NamedTuple):
 def surface_map(
     choice: SurfaceChoice, terrain: HeightField, seed: int, parts: Sequence[SurfaceShare], *, sinkage: bool
 ) -> SurfaceMap | None:
-    """The map of `choice` on `terrain`: None for "uniform", all of one surface, or "natural", of `parts`.
+    """The surface map of `choice`: None for "uniform", a single surface, or "natural" patches of `parts`.
 
-    Raises WorldError where there is to be `sinkage` without a map.
+    Raises `WorldError` for `sinkage` without a map.
     """
     if choice == "uniform":
         if sinkage:
             raise WorldError(
-                "world.sinkage=true needs to know what the ground is made of: "
+                "world.sinkage=true needs a surface material: "
                 f"set world.surfaces to natural, or to one of {', '.join(SURFACE_NAMES)}."
             )
         return None
@@ -52,21 +52,21 @@ def surface_map(
 
 
 def _patches(terrain: HeightField, seed: int, parts: Sequence[SurfaceShare]) -> NDArray[np.uint8]:
-    """Numbers (rows, columns) of the surfaces, each on the share of the ground that is its."""
+    """Surface numbers (rows, columns); each surface covers its share of the ground."""
     xmin, xmax, ymin, ymax = terrain.extent
     columns, rows = (int(np.clip(round(side / CELL_M), 1, MOST_CELLS)) for side in (xmax - xmin, ymax - ymin))
     x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
     y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
     xy = np.stack(np.meshgrid(x, y), axis=-1)
     slope, height = (
-        _standardised(ndimage.gaussian_filter(field, 1.0 / CELL_M))
+        _standardise(ndimage.gaussian_filter(field, 1.0 / CELL_M))
         for field in (terrain.slope(xy), terrain.height(xy))
     )
     rng = stream(seed, "surfaces")
     sigma = (_PATCH_M / 4 * rows / (ymax - ymin), _PATCH_M / 4 * columns / (xmax - xmin))
     fields = np.stack(
         [
-            _standardised(ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap"))
+            _standardise(ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap"))
             + part.steep * slope
             + part.high * height
             for part in parts
@@ -74,7 +74,8 @@ def _patches(terrain: HeightField, seed: int, parts: Sequence[SurfaceShare]) -> 
     )
     shares = np.array([part.share for part in parts])
     shares = shares / shares.sum()
-    # The highest field has the cell: raise each until it has its share. Every other cell tells enough.
+    # Each cell gets the surface of the highest field. Offsets are adjusted until the shares match, on a
+    # sixteenth of the cells.
     lift = np.zeros(len(parts))
     sample = fields[:, ::4, ::4].reshape(len(parts), -1)
     for _ in range(_SHARE_ROUNDS):
@@ -84,7 +85,7 @@ def _patches(terrain: HeightField, seed: int, parts: Sequence[SurfaceShare]) -> 
     return numbers[(fields + lift[:, None, None]).argmax(axis=0)]
 
 
-def _standardised(field: Array) -> Array:
+def _standardise(field: Array) -> Array:
     spread = field.std()
-    # Level ground has no steep places.
+    # Level ground has no slopes to prefer.
     return (field - field.mean()) / spread if spread > 1e-9 else np.zeros_like(field)

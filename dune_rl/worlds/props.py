@@ -1,4 +1,4 @@
-"""Closed primitive meshes to build props of; all faces run counter-clockwise seen from outside."""
+"""Closed primitive meshes to build props from; faces run counter-clockwise seen from outside."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -21,7 +21,7 @@ _BOX_FACES = np.array(
 
 
 def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Several meshes as one, in their order."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
     vertices = np.concatenate([vertices for vertices, _ in parts])
@@ -44,14 +44,14 @@ def upright_box(xy: ArrayLike, yaw: float, bottom: float, top: float, length: fl
 
 
 def beam(start: ArrayLike, end: ArrayLike, width: float, height: float) -> Mesh:
-    """A box from `start` to `end` (3,), its width kept level; not for a vertical one."""
+    """A box from `start` to `end` (3,), its `width` horizontal; not for a vertical beam."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     axes = np.stack(level_axes(last - first))
     return slab((first + last) / 2, axes, [float(np.linalg.norm(last - first)), width, height])
 
 
 def tube(start: ArrayLike, end: ArrayLike, radius: float, bore: float = 0.0, sides: int = 12) -> Mesh:
-    """A cylinder from `start` to `end` (3,); with `bore` > 0 a pipe of that inner radius."""
+    """A cylinder from `start` to `end` (3,); with `bore` > 0, a pipe of that inner radius."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     _, side, up = level_axes(last - first)
     angle = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
@@ -72,12 +72,12 @@ def tube(start: ArrayLike, end: ArrayLike, radius: float, bore: float = 0.0, sid
 
 
 def unit_vector(yaw: float) -> Array:
-    """Unit vector (2,) that points along `yaw` [rad]."""
+    """Horizontal unit vector (2,) along `yaw` [rad]."""
     return np.array([np.cos(yaw), np.sin(yaw)])
 
 
 def level_axes(direction: Array) -> tuple[Array, Array, Array]:
-    """Right-handed unit axes (ahead, side, up) with `ahead` along `direction` (3,) and `side` level."""
+    """Right-handed unit axes (ahead, side, up), `ahead` along `direction` (3,) and `side` horizontal."""
     ahead = direction / np.linalg.norm(direction)
     side = np.array([-ahead[1], ahead[0], 0.0])
     side = side / np.linalg.norm(side) if np.linalg.norm(side) > 1e-9 else np.array([0.0, 1.0, 0.0])

@@ -5,7 +5,7 @@ from typing import Any
 
 from dune_rl.errors import WorldError
 from dune_rl.registry import Registry
-from dune_rl.worlds.importing.import_files import WorldWarning
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.validation import check_world
 from dune_rl.worlds.world import World
@@ -19,8 +19,8 @@ WORLDS: Registry[World] = Registry(
         "construction": "dune_rl.worlds.construction.build:build_construction",
         "rubicon": "dune_rl.worlds.rubicon.build:build_rubicon",
         "island": "dune_rl.worlds.island:build_island",
-        "mesh": "dune_rl.worlds.importing.imported_mesh:build_mesh",
-        "heightmap": "dune_rl.worlds.importing.heightmap:build_heightmap",
+        "mesh": "dune_rl.worlds.importing.mesh.build:build_mesh",
+        "heightmap": "dune_rl.worlds.importing.heightmap.build:build_heightmap",
         "sdf": "dune_rl.worlds.importing.sdf.build:build_sdf",
     },
     base=WorldSettings,

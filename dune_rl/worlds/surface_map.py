@@ -1,4 +1,4 @@
-"""Where which surface is: a map over the terrain, and the decks above it."""
+"""Maps of ground materials over the terrain, and drivable decks above it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,16 +16,16 @@ Rectangle = tuple[float, float, float, float]
 
 CELL_M = 0.1
 MOST_CELLS = 1024
-# A wheel whose lowest point is no farther than this below a deck's top stands on the deck.
+# A wheel is on a deck if its lowest point is at most this far below the deck's top.
 _ON_DECK_M = 0.1
 _CAST_M = 1.0
 
 
 class SurfaceMap:
-    """Surfaces over the terrain's rectangle: `numbers` (rows, columns) are places in `surfaces`.
+    """Grid of materials over the terrain: `numbers` (rows, columns) are indices into `surfaces`.
 
-    The grid's cells share out `extent` (xmin, xmax, ymin, ymax) [m], the first
-    at the lowest x and y. With `sinkage`, wheels sink in those that are soils.
+    The cells divide `extent` (xmin, xmax, ymin, ymax) [m] evenly; the first
+    cell is at the lowest x and y. With `sinkage`, wheels sink into soils.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class SurfaceMap:
             raise ValueError(f"numbers must be a grid of whole numbers, not {grid.dtype} of {grid.shape}")
         if grid.min() < 0 or grid.max() >= min(len(surfaces), 256):
             raise ValueError(
-                f"numbers run from {grid.min()} to {grid.max()}, and there are {len(surfaces)} surfaces"
+                f"numbers are from {grid.min()} to {grid.max()}, but there are {len(surfaces)} surfaces"
             )
         self.numbers: Numbers = grid.astype(np.uint8)
         self.numbers.flags.writeable = False
@@ -57,25 +57,25 @@ class SurfaceMap:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the surfaces, in the order of their numbers."""
+        """Names of the surfaces, ordered by their numbers."""
         return tuple(surface.name for surface in self.surfaces)
 
     def number(self, name: str) -> int:
-        """The number of the surface called `name`; `ValueError` where there is none."""
+        """The number of the surface named `name`; `ValueError` if there is none."""
         if name not in self.names:
             raise ValueError(f"the map has no surface {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
 
     def at(self, xy: ArrayLike) -> Numbers:
-        """Number of the surface, shape (...), at points (..., 2); beyond the edge, that of the edge."""
+        """Surface numbers (...) at points (..., 2); outside the map, those of its edge."""
         cell = ((np.asarray(xy, np.float64) - self._low) * self._per_m).astype(np.intp)
         np.clip(cell, 0, self._last, out=cell)
-        found: Numbers = self._flat[cell[..., 1] * (self._last[0] + 1) + cell[..., 0]]
-        return found
+        numbers: Numbers = self._flat[cell[..., 1] * (self._last[0] + 1) + cell[..., 0]]
+        return numbers
 
 
 class Deck(NamedTuple):
-    """What one may drive on above the ground: a mesh, (V, 3) [m] and (F, 3), and its surface's number."""
+    """Mesh of a drivable prop, (V, 3) [m] and (F, 3), and its surface number (None: that of the ground)."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -83,7 +83,10 @@ class Deck(NamedTuple):
 
 
 class Decks:
-    """The tops of `decks` over `terrain`, on a grid; one without a number has that of the `ground` below."""
+    """Height and surface number of the topmost deck over `terrain`, on a grid.
+
+    A deck without a number has that of the `ground` below it.
+    """
 
     def __init__(self, decks: Sequence[Deck], terrain: HeightField, ground: SurfaceMap) -> None:
         low = np.min([deck.vertices.min(axis=0) for deck in decks], axis=0)
@@ -104,17 +107,17 @@ class Decks:
             origins = np.column_stack([xy[near], np.full(len(near), ceiling)]).astype(np.float32)
             down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(near), 1))
             reach = np.full(len(near), high[2] - low[2] + 2 * _CAST_M, np.float32)
-            met = RayScene(deck.vertices, deck.faces).hits(origins, down, reach)
-            height = ceiling - met.range.astype(np.float64)
-            above = (met.face >= 0) & (height > top[near])
+            hit = RayScene(deck.vertices, deck.faces).hits(origins, down, reach)
+            height = ceiling - hit.range.astype(np.float64)
+            above = (hit.face >= 0) & (height > top[near])
             top[near[above]] = height[above]
             if deck.number is not None:
                 numbers[near[above]] = deck.number
-        # The parts of a stone that lie in the ground carry nothing.
+        # Parts of a stone below the ground carry no wheel.
         self._top, self._numbers = np.where(top > bare, top, np.inf), numbers
 
-    def under(self, points_w: Array) -> tuple[NDArray[np.bool_], Numbers, Array]:
-        """Which of the points (..., 3) stand on a deck, and its number and height [m] there, each (...)."""
+    def surface_below(self, points_w: Array) -> tuple[NDArray[np.bool_], Numbers, Array]:
+        """Whether points (..., 3) are on a deck, and its surface number and height [m] there, each (...)."""
         cell = np.floor((points_w[..., :2] - self._low) * self._per_m).astype(np.intp)
         inside = ((cell >= 0) & (cell <= self._last)).all(axis=-1)
         np.clip(cell, 0, self._last, out=cell)

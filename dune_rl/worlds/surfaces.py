@@ -1,4 +1,4 @@
-"""What ground is made of: friction, restitution, compliance, rolling resistance, and how soft soil sinks."""
+"""Ground materials: friction, restitution, compliance, rolling resistance, and sinkage of soft soil."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -13,7 +13,7 @@ SurfaceChoice = Literal["uniform", "natural", "grass", "gravel", "mud", "sand", 
 
 @dataclass(frozen=True)
 class Soil:
-    """Bekker's soil, whose pressure at a depth z is (k_c / b + k_phi) z^n under a strip b wide.
+    """Bekker's soil model: pressure at depth z is (k_c / b + k_phi) z^n under a strip of width b.
 
     `k_c` is in N/m^(n+1), `k_phi` in N/m^(n+2). M. G. Bekker, Introduction to
     Terrain-Vehicle Systems (1969); J. Y. Wong, Theory of Ground Vehicles,
@@ -25,30 +25,30 @@ class Soil:
     n: float
 
     def sinkage_m(self, load_n: float, diameter_m: float, width_m: float) -> float:
-        """Depth [m] to which a rigid wheel stands in it under `load_n` [N].
+        """Sinkage [m] of a rigid wheel under `load_n` [N].
 
-        z^((2n+1)/2) = 3 W / ((3 - n) (k_c + b k_phi) sqrt(D)), which is meant
-        for n up to 1.3 and a sinkage that is small beside the diameter D
-        (Wong, chapter 2, after Bekker).
+        z^((2n+1)/2) = 3 W / ((3 - n) (k_c + b k_phi) sqrt(D)), valid for n up
+        to 1.3 and a sinkage small compared with the diameter D (Wong,
+        chapter 2, after Bekker).
         """
         stiffness = self.k_c + width_m * self.k_phi
         ratio = 3.0 * load_n / ((3.0 - self.n) * stiffness * np.sqrt(diameter_m))
         return float(ratio ** (2.0 / (2.0 * self.n + 1.0)))
 
     def compaction_n(self, load_n: float, diameter_m: float, width_m: float) -> float:
-        """Force [N] that presses a rut ahead of it: (k_c + b k_phi) z^(n+1) / (n + 1) (Wong, chapter 2)."""
+        """Compaction resistance [N] of a wheel: (k_c + b k_phi) z^(n+1) / (n + 1) (Wong, chapter 2)."""
         depth = self.sinkage_m(load_n, diameter_m, width_m)
         return (self.k_c + width_m * self.k_phi) * depth ** (self.n + 1.0) / (self.n + 1.0)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A kind of ground as a rubber wheel meets it.
+    """Contact properties of a rubber wheel on a ground material.
 
-    `friction` and `restitution` are those of the pair; `stiffness_npm` [N/m]
-    and `damping_nspm` [N s/m] those of a wheel's contact; `rolling_resistance`
-    is a wheel's resistance over its load. `soil` is what it sinks in, by
-    option; `source` says where the figures are from.
+    `friction` and `restitution` are those of the pair of materials;
+    `stiffness_npm` [N/m] and `damping_nspm` [N s/m] those of one wheel's
+    contact; `rolling_resistance` is the resisting force over the load. `soil`
+    determines sinkage, where that is enabled; `source` cites the figures.
     """
 
     name: str
@@ -71,14 +71,14 @@ class Surface:
                 raise ValueError(f"{name} of surface {self.name!r} must not be negative")
 
 
-# A wheel's resistance from its own tyre, on ground that gives way by Bekker's law.
+# Rolling resistance of the tyre itself, which compaction adds to on soils with sinkage.
 TYRE_RESISTANCE = 0.015
 
 # Stiffness of soils: a rigid disc of the contact patch's radius a = 20 mm (chosen) on an elastic half-space,
-# 2 E a / (1 - nu^2) with nu = 0.3 (Johnson, Contact Mechanics, 1985, section 3.4). Damping: 20 ms times the
-# stiffness, the time in which the engine lets go of a penetration of its own; with less, springs ring and
-# drown the restitution (mud, which has none, takes 40 ms). That tyres themselves give way by a millimetre
-# is left out.
+# 2 E a / (1 - nu^2) with nu = 0.3 (Johnson, Contact Mechanics, 1985, section 3.4). Damping: stiffness times
+# 20 ms, the time constant with which the engine resolves penetration; less damping lets the contact ring,
+# which hides the restitution (mud, with restitution 0, has 40 ms). The millimetre by which tyres deform is
+# neglected.
 _WONG = "Wong, Theory of Ground Vehicles, table of road adhesion after Taborek (1957)"
 _LLL = "Land Locomotion Laboratory, in Wong"
 _TOOLBOX = "The Engineering ToolBox, Rolling Resistance"
@@ -186,7 +186,7 @@ SURFACE_NAMES: tuple[SurfaceName, ...] = get_args(SurfaceName)
 
 @dataclass(frozen=True)
 class WheelLoad:
-    """What bears on the ground under one wheel: `load_n` [N], and the wheel's size [m]."""
+    """Load of one wheel on the ground [N], and the wheel's diameter and width [m]."""
 
     load_n: float
     diameter_m: float
@@ -196,15 +196,15 @@ class WheelLoad:
 def contact_table(
     surfaces: tuple[Surface, ...], wheel: WheelLoad, *, sinkage: bool, gravity_mps2: float = 9.81
 ) -> tuple[Array, Array]:
-    """How wheels stand and roll on each of S surfaces.
+    """Contact and rolling parameters of a wheel on each of S surfaces.
 
-    The first, (S, 4), is friction, restitution, stiffness [N/m] and damping
-    [N s/m] of a contact; the second, (S,), the rolling resistance over the load.
-    With `sinkage` the contact on a soil gives way by Bekker's depth z under the
-    wheel's load W, a spring of W / z in series with the surface's own, damped
-    critically, since soil does not spring back; and the wheel is held back by
-    the tyre's own resistance and that of compaction, in place of the surface's
-    figure, which has both in it.
+    The first array, (S, 4), is friction, restitution, stiffness [N/m] and
+    damping [N s/m] of a contact; the second, (S,), rolling resistance over load.
+    With `sinkage`, the contact on a soil has the surface's stiffness in series
+    with W / z, for the load W and Bekker's sinkage z, and is critically damped,
+    since soil does not spring back. The rolling resistance is then that of the
+    tyre plus that of compaction, instead of the surface's figure, which
+    includes both.
     """
     contacts = np.array([[s.friction, s.restitution, s.stiffness_npm, s.damping_nspm] for s in surfaces])
     rolling = np.array([s.rolling_resistance for s in surfaces])

@@ -1,4 +1,4 @@
-"""Trees and bushes: trunks that block, and leaves that are only seen."""
+"""Trees and bushes: solid trunks, and leaves that are only visible."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from dune_rl.worlds.world import Colour, Prop
 Array = NDArray[np.float64]
 
 _BARK: tuple[Colour, ...] = ((0.34, 0.26, 0.19), (0.40, 0.33, 0.26), (0.30, 0.24, 0.18))
-# From the shade within a crown to its lit outside.
+# Dark inside the crown, light outside.
 _LEAVES: tuple[Colour, ...] = ((0.22, 0.33, 0.13), (0.31, 0.43, 0.16), (0.42, 0.52, 0.21))
 _NEEDLES: tuple[Colour, ...] = ((0.15, 0.26, 0.16), (0.20, 0.33, 0.19))
 _BUSH: tuple[Colour, ...] = ((0.25, 0.34, 0.14), (0.36, 0.43, 0.18), (0.47, 0.49, 0.24))
 
-# How far trunks go into the ground under their lowest side.
+# Depth of trunks below the lowest ground around them.
 _SUNK_M = 0.35
 
 
@@ -32,8 +32,8 @@ class TreeSize:
     crown_m: float
 
 
-def draw_size(rng: np.random.Generator) -> TreeSize:
-    """A tree's size: trunks of 0.07 to 0.25 m radius, trees of 3 to 9 m."""
+def sample_tree_size(rng: np.random.Generator) -> TreeSize:
+    """A random tree size: trunk radii of 0.07 to 0.25 m, heights of 3 to 9 m."""
     radius = float(rng.uniform(0.07, 0.25))
     height = float(np.clip(3.0 + 26.0 * (radius - 0.05) + rng.uniform(-0.8, 0.8), 3.0, 9.0))
     return TreeSize(radius, height, float(rng.uniform(0.38, 0.52)) * height)
@@ -42,7 +42,7 @@ def draw_size(rng: np.random.Generator) -> TreeSize:
 def broadleaf(
     terrain: HeightField, name: str, xy: ArrayLike, size: TreeSize, rng: np.random.Generator
 ) -> list[Prop]:
-    """A trunk with three boughs, and leaves in clumps round their ends."""
+    """A trunk with three boughs and clumps of leaves round their ends."""
     foot = _foot(terrain, xy, size.radius_m)
     ground = foot[2] + _SUNK_M
     fork = np.array([*(foot[:2] + rng.normal(0.0, 0.03 * size.height_m, 2)), ground + 0.45 * size.height_m])
@@ -74,7 +74,7 @@ def broadleaf(
 def conifer(
     terrain: HeightField, name: str, xy: ArrayLike, size: TreeSize, rng: np.random.Generator
 ) -> list[Prop]:
-    """A straight trunk in tiers of drooping branches."""
+    """A straight trunk with tiers of drooping branches."""
     foot = _foot(terrain, xy, size.radius_m)
     ground = foot[2] + _SUNK_M
     top = np.array([*foot[:2], ground + 1.1 * size.height_m])
@@ -111,8 +111,10 @@ def _foliage(name: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colo
     ]
 
 
-def log(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, radius: float) -> Prop:
-    """A fallen trunk along `yaw`, a third of it in the ground where that is lowest."""
+def fallen_trunk(
+    terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, radius: float
+) -> Prop:
+    """A fallen trunk along `yaw`, at least a third of its radius in the ground."""
     along = unit_vector(yaw)
     s = np.linspace(-length / 2, length / 2, 9)
     ground = terrain.height(np.asarray(xy) + s[:, None] * along)
@@ -124,7 +126,7 @@ def log(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: floa
 
 
 def undergrowth(terrain: HeightField, places: Array, rng: np.random.Generator) -> list[Prop]:
-    """Bushes at `places` (K, 2), all of a shade in one prop: there is nothing of them to meet."""
+    """Bushes at `places` (K, 2), one prop per shade, not solid."""
     shades: list[list[Mesh]] = [[], [], []]
     for xy in places:
         width, height = rng.uniform(0.35, 0.9), rng.uniform(0.3, 0.75)
@@ -153,9 +155,9 @@ def _foot(terrain: HeightField, xy: ArrayLike, radius: float) -> Array:
 
 
 def _limb(nodes: Array, radii: Array, sides: int = 7) -> Mesh:
-    # A closed tube through `nodes` (N, 3), of these radii (N,) there.
+    # A closed tube through `nodes` (N, 3) with radii (N,) at them.
     angle = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
-    # One pair of axes for all rings, so that the tube is not twisted.
+    # All rings have the same axes, so that the tube is not twisted.
     _, side, up = level_axes(nodes[-1] - nodes[0])
     circle = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up
     rings = [node + radius * circle for node, radius in zip(nodes, radii, strict=True)]
@@ -173,8 +175,8 @@ def _limb(nodes: Array, radii: Array, sides: int = 7) -> Mesh:
 
 
 def _clump(rng: np.random.Generator, centre: Array, radii: Array, count: int, leaf_m: float) -> list[Mesh]:
-    # Leaves in an ellipsoid, most of them near its outside and facing out of it: a mesh for each of
-    # three shades, the darkest within and below.
+    # Leaves in an ellipsoid, most of them near its surface and facing outward: one mesh for each of three
+    # shades, the darkest inside and below.
     out = rng.standard_normal((count, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     depth = rng.uniform(0.35, 1.0, count) ** 0.5
@@ -185,7 +187,7 @@ def _clump(rng: np.random.Generator, centre: Array, radii: Array, count: int, le
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     other = np.cross(normal, side)
     size = leaf_m * rng.uniform(0.7, 1.3, (count, 1))
-    # A pointed oval that is bent over its length.
+    # Each leaf is a quadrilateral with pointed, drooping ends.
     tip, flank = size * side, 0.55 * size * other
     drop = -0.25 * size * normal
     corners = np.stack([at - tip + drop, at + flank, at + tip + drop, at - flank], axis=1)
@@ -204,7 +206,7 @@ def _quads(corners: Array) -> Mesh:
 
 
 def _skirt(rng: np.random.Generator, apex: Array, bottom: float, reach: float, points: int = 9) -> Mesh:
-    # A cone whose rim goes out and in: branches, drooping at their ends.
+    # A cone with a star-shaped rim, for drooping branches.
     angle = np.linspace(0.0, 2 * np.pi, 2 * points, endpoint=False) + rng.uniform(0.0, 2 * np.pi)
     angle += rng.normal(0.0, 0.06, 2 * points)
     out = np.tile([1.0, 0.62], points) * rng.uniform(0.85, 1.12, 2 * points) * reach

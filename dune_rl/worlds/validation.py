@@ -1,86 +1,86 @@
-"""Whether a world is sound, as one that a user's code has made may not be."""
+"""Validation of worlds built by users' code."""
 
 import warnings
 
 import numpy as np
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.topology import joined_faces, open_edges, weld_vertices
+from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.world import Prop, World
 
 
 def check_world(world: World) -> None:
-    """Raise `WorldError` with a line for each thing that cannot be.
+    """Raise `WorldError` with one line per fault.
 
-    Warns (`WorldWarning`) of solid props that are not closed, or inside out:
-    rays and wheels may pass them.
+    Issues a `WorldWarning` for each solid prop that is not closed or is inside
+    out, since rays and wheels may pass through it.
     """
-    faults = [*_figures(world), *(fault for prop in world.props for fault in _mesh_faults(prop))]
+    faults = [*_world_faults(world), *(fault for prop in world.props for fault in _prop_faults(prop))]
     if faults:
         raise WorldError("\n".join(f"the world {world.name!r}: {fault}" for fault in faults))
     for prop in world.props:
-        weakness = _weakness(prop) if prop.solid else None
-        if weakness is not None:
-            warnings.warn(f"the world {world.name!r}: {weakness}", WorldWarning, stacklevel=2)
+        leak = _describe_leak(prop) if prop.solid else None
+        if leak is not None:
+            warnings.warn(f"the world {world.name!r}: {leak}", WorldWarning, stacklevel=2)
 
 
-def _figures(world: World) -> list[str]:
-    found = []
+def _world_faults(world: World) -> list[str]:
+    faults = []
     region, extent = np.asarray(world.region, dtype=np.float64), np.asarray(world.extent)
     if region.shape != (4,) or not (region[0] < region[1] and region[2] < region[3]):
-        found.append(f"region must be (xmin, xmax, ymin, ymax) with min < max, not {world.region}")
+        faults.append(f"region must be (xmin, xmax, ymin, ymax) with min < max, not {world.region}")
     elif (region[[0, 2]] < extent[[0, 2]]).any() or (region[[1, 3]] > extent[[1, 3]]).any():
-        found.append(
+        faults.append(
             f"region {_rectangle(region)} reaches outside the terrain, which covers {_rectangle(extent)}"
         )
     if not 0.0 < world.friction <= 5.0:
-        found.append(f"friction must be above 0 and at most 5, not {world.friction}")
-    return found
+        faults.append(f"friction must be above 0 and at most 5, not {world.friction}")
+    return faults
 
 
-def _mesh_faults(prop: Prop) -> list[str]:
+def _prop_faults(prop: Prop) -> list[str]:
     vertices, faces, who = prop.vertices, prop.faces, f"prop {prop.name!r}"
     if not (isinstance(vertices, np.ndarray) and isinstance(faces, np.ndarray)):
         return [f"{who}: vertices and faces must be NumPy arrays"]
-    found = []
+    faults = []
     if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind != "f":
-        found.append(
+        faults.append(
             f"{who}: vertices must be floats of shape (V, 3), not {vertices.dtype} of {vertices.shape}"
         )
     elif not np.isfinite(vertices).all():
-        found.append(f"{who}: vertices must be finite")
+        faults.append(f"{who}: vertices must be finite")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or not len(faces):
-        found.append(
+        faults.append(
             f"{who}: faces must be integers of shape (F, 3), F > 0, not {faces.dtype} of {faces.shape}"
         )
     elif faces.min() < 0 or faces.max() >= len(vertices):
-        found.append(
-            f"{who}: faces must name vertices 0 to {len(vertices) - 1}, not {faces.min()} to {faces.max()}"
+        faults.append(
+            f"{who}: faces must index vertices 0 to {len(vertices) - 1}, not {faces.min()} to {faces.max()}"
         )
     colour = np.asarray(prop.colour, dtype=np.float64)
     if colour.shape != (3,) or not ((colour >= 0.0) & (colour <= 1.0)).all():
-        found.append(f"{who}: colour must be three numbers from 0 to 1, not {prop.colour}")
-    return found
+        faults.append(f"{who}: colour must be three numbers from 0 to 1, not {prop.colour}")
+    return faults
 
 
-def _weakness(prop: Prop) -> str | None:
+def _describe_leak(prop: Prop) -> str | None:
     ids = weld_vertices(prop.vertices, prop.faces)
     _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
     ids = ids.reshape(-1, 3)
     gaps = len(open_edges(ids)[0])
     if gaps:
         return (
-            f"the solid prop {prop.name!r} is not closed ({gaps} edges have one face only), so that rays and "
-            "wheels may pass it: close its mesh, or set solid=False"
+            f"the solid prop {prop.name!r} is not closed ({gaps} edges have one face only), so rays and "
+            "wheels may pass through it: close its mesh, or set solid=False"
         )
     points = prop.vertices[prop.faces.reshape(-1)[index]]
     a, b, c = np.moveaxis(points[ids] - points.mean(axis=0), 1, 0)
-    volumes = np.bincount(joined_faces(ids), np.einsum("ij,ij->i", a, np.cross(b, c)))
+    volumes = np.bincount(label_face_components(ids), np.einsum("ij,ij->i", a, np.cross(b, c)))
     if (volumes < 0).any():
         return (
             f"the solid prop {prop.name!r} is inside out: its faces must run counter-clockwise seen from "
-            "outside, so turn them round (faces[:, ::-1])"
+            "outside, so reverse them (faces[:, ::-1])"
         )
     return None
 

@@ -1,4 +1,4 @@
-"""A world: terrain, and the props that stand on it."""
+"""A world: terrain, props on it, and queries about both."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -13,11 +13,12 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
-from dune_rl.worlds.cache_folder import DiskCache
+from dune_rl.worlds.cache.folder import DiskCache
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import MEADOW, Ground, GroundPicture
-from dune_rl.worlds.queries import NearestObstacle, ObstacleSearch, RoughnessField
+from dune_rl.worlds.ground_texture import MEADOW, GroundColours, GroundPicture
+from dune_rl.worlds.obstacle_search import NearestObstacle, ObstacleSearch
+from dune_rl.worlds.roughness_field import RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
 from dune_rl.worlds.surfaces import SurfaceName
 
@@ -26,23 +27,22 @@ Rectangle = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
 T = TypeVar("T")
 
-# A robot's length or so, wheels included: what its wheels stand on at once.
+# About half a robot's length, so that the disc holds all wheels of a robot.
 ROUGHNESS_RADIUS_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Prop:
-    """A fixed thing in the world, as one mesh in the world frame: `vertices` (V, 3) [m], `faces` (F, 3).
+    """A fixed object, as one mesh in the world frame: `vertices` (V, 3) [m], `faces` (F, 3).
 
-    `solid=False` is to look at only (water): neither physics nor rays meet it.
+    `solid=False` (water) is only visible: physics and LiDAR beams pass it.
     `drivable=True` (a bridge's deck) counts as ground: touching it is no
-    collision. `colour` is red, green, blue in [0, 1], and `face_colours` (F, 3)
-    are those of its faces where they differ; `texture` is the pictures on them. A
-    solid prop is made of closed surfaces whose faces run counter-clockwise seen
-    from outside.
-    `segment` is what it is shown as where that does not follow from the rest.
-    `surface` is what a drivable one is made of where the world has a map of
-    surfaces; None: of what the ground below it is.
+    collision. `colour` is sRGB in [0, 1]; `face_colours` (F, 3) give each face
+    its own colour, `texture` its own picture. A solid prop consists of closed
+    surfaces whose faces run counter-clockwise seen from outside.
+    `segment` overrides the semantic class that follows from the other fields.
+    `surface` is the material of a drivable prop in a world with a surface map;
+    None: that of the ground below it.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Prop:
 
     @property
     def segment_class(self) -> Segment:
-        """What segmentations call it: `segment` where that is given."""
+        """Semantic class in segmentations: `segment` if given, else from `kind` and `drivable`."""
         if self.segment is not None:
             return self.segment
         if self.kind == "water":
@@ -68,7 +68,7 @@ class Prop:
 
 
 class SolidMesh(NamedTuple):
-    """All that rays and physics meet; `owner` (F,) is each face's index in `World.props`, -1 for terrain."""
+    """Terrain and solid props; `owner` (F,) is each face's index in `World.props`, -1 for terrain."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -76,17 +76,17 @@ class SolidMesh(NamedTuple):
 
 
 class World:
-    """Terrain and props, and what may be asked of them.
+    """Terrain and props, with the queries that physics, sensors and tasks need.
 
-    `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks spawn
-    and set goals unless told otherwise; `friction` is the coefficient of the
-    ground and of every prop. `ground` and `texture_seed` are what the ground
-    looks like, with `picture` over it where there is one; `grass` is what grows
-    on it. `surfaces`, where given, is what the ground and what lies drivable on
-    it are made of: wheels take it in place of `friction`, which is then that of
-    other things alone. `light` is its own sun, for weathers that do not say
-    where theirs is. `disk_cache` is where a `WorldStore` keeps what is worked out
-    from it.
+    `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks draw
+    starts and goals by default; `friction` is the friction coefficient of the
+    ground and of every prop. `ground` and `texture_seed` determine the ground's
+    texture, with `picture` over it if there is one; `grass` is the tall grass
+    on it. `surfaces`, if given, maps the materials of the ground and of
+    drivable props: they determine the contacts of wheels, and `friction` only
+    those of everything else. `light` is the world's own sun, for weathers that
+    do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays computed
+    from the world.
     """
 
     disk_cache: DiskCache | None = None
@@ -99,7 +99,7 @@ class World:
         *,
         region: Rectangle,
         friction: float = 1.0,
-        ground: Ground = MEADOW,
+        ground: GroundColours = MEADOW,
         texture_seed: int = 0,
         grass: Grass | None = None,
         surfaces: SurfaceMap | None = None,
@@ -119,23 +119,23 @@ class World:
         self.light = light
 
     @cached_property
-    def _kept(self) -> dict[Hashable, Any]:
+    def _memo(self) -> dict[Hashable, Any]:
         return {}
 
     def memoize(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What `make` gives, made at the first call with `key` and kept as long as the world.
+        """The value of `make()`, computed at the first call with `key` and stored with the world.
 
-        For what follows from the world, and from the settings in `key`, alone.
-        It must not refer to the world, which would then outlive its use.
+        It may depend on the world and on `key` only. It must not refer to the
+        world, or the cycle would keep the world in memory after its last use.
         """
-        if key not in self._kept:
-            self._kept[key] = make()
-        found: T = self._kept[key]
-        return found
+        if key not in self._memo:
+            self._memo[key] = make()
+        value: T = self._memo[key]
+        return value
 
     def disk_cached(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """What `make` gives, read back from the `disk_cache` if there is one."""
-        return make() if self.disk_cache is None else self.disk_cache.keep(name, make)
+        """The array `make()`, read from the `disk_cache` if there is one and it holds `name`."""
+        return make() if self.disk_cache is None else self.disk_cache.get_or_compute(name, make)
 
     @property
     def extent(self) -> Rectangle:
@@ -143,15 +143,14 @@ class World:
         return self.terrain.extent
 
     def solid_mesh(self) -> SolidMesh:
-        """Terrain and solid props as one mesh."""
+        """Terrain and solid props as one mesh, terrain first."""
         solid = [(index, prop) for index, prop in enumerate(self.props) if prop.solid]
         vertices, faces = self.terrain.mesh()
-        parts = [(-1, vertices, faces), *((index, prop.vertices, prop.faces) for index, prop in solid)]
-        return _join(parts)
+        return _join([(-1, vertices, faces), *((index, prop.vertices, prop.faces) for index, prop in solid)])
 
     @cached_property
     def rays(self) -> RayScene:
-        """All that is solid, to cast rays at."""
+        """Ray scene of `solid_mesh()`."""
         solid = self.solid_mesh()
         return RayScene(solid.vertices, solid.faces)
 
@@ -170,22 +169,22 @@ class World:
         return Decks(decks, self.terrain, self.surfaces) if decks else None
 
     def surface_below(self, points_w: Array) -> tuple[NDArray[np.uint8], Array]:
-        """What is under the bottoms of wheels (..., 3) [m]: its number in `surfaces`, and its height [m].
+        """Surface below wheels' lowest points (..., 3) [m]: number in `surfaces` (...), height [m] (...).
 
-        Each is of shape (...). One over a deck is on it unless it is well
-        below its top, as under a bridge. For worlds with `surfaces` only.
+        A point over a deck is on the deck unless it is well below the deck's
+        top, as under a bridge. For worlds with `surfaces` only.
         """
         assert self.surfaces is not None, "the world has no map of surfaces"
         numbers = self.surfaces.at(points_w[..., :2])
         height = self.terrain.height(points_w[..., :2])
         if self._decks is not None:
-            on, deck, top = self._decks.under(points_w)
-            numbers, height = np.where(on, deck, numbers), np.where(on, top, height)
+            on_deck, deck_number, top = self._decks.surface_below(points_w)
+            numbers, height = np.where(on_deck, deck_number, numbers), np.where(on_deck, top, height)
         return numbers, height
 
     @cached_property
     def clearance_field(self) -> ClearanceField:
-        """The distance field behind `clearance`."""
+        """The distance field that `clearance` interpolates."""
         blocking = [prop for prop in self.props if prop.solid and not prop.drivable]
         decks = [prop for prop in self.props if prop.solid and prop.drivable]
         return ClearanceField(
@@ -195,10 +194,11 @@ class World:
         )
 
     def clearance(self, xy: ArrayLike) -> Array:
-        """Distance [m], shape (...), from points (..., 2) to the nearest prop that a robot can hit.
+        """Distance [m], shape (...), from points (..., 2) to the nearest obstacle.
 
-        A prop counts where it stands between 0.03 and 0.45 m over the ground
-        (or over a drivable deck); 0 inside one, inf in a world without any.
+        An obstacle is a prop where it occupies the height band from 0.03 to
+        0.45 m above the ground (or above a drivable deck). 0 inside an
+        obstacle, inf in a world without obstacles.
         """
         return self.clearance_field(xy)
 
@@ -207,9 +207,9 @@ class World:
         return ObstacleSearch(self.clearance_field)
 
     def nearest_obstacle(self, xy: ArrayLike) -> NearestObstacle:
-        """Clearance [m], (...), of points (..., 2), and the points (..., 2) of the obstacles it is to.
+        """Clearance [m], (...), of points (..., 2), and the nearest obstacle points (..., 2).
 
-        These lie within two cells of `clearance_field` (0.1 m) of the true ones.
+        Obstacle points are accurate to two cells of `clearance_field` (0.1 m).
         """
         return self._obstacle_search(xy)
 
@@ -218,9 +218,9 @@ class World:
         return {}
 
     def roughness(self, xy: ArrayLike, radius_m: float = ROUGHNESS_RADIUS_M) -> Array:
-        """RMS height [m], (...), of the ground about its plane within `radius_m` of points (..., 2).
+        """RMS height [m], (...), of the ground about its best-fit plane within `radius_m` of points (..., 2).
 
-        See `RoughnessField`; the first question about a radius takes longer.
+        See `RoughnessField`; the first query of each radius computes its grid.
         """
         if radius_m not in self._roughness_fields:
             self._roughness_fields[radius_m] = RoughnessField(self.terrain, radius_m)

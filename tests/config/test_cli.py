@@ -13,7 +13,7 @@ from test_config import CHOOSE, NO_MOON
 
 from dune_rl import benchmark, command, engines, evaluate, train
 from dune_rl.learning.progress import Lines, Status
-from dune_rl.worlds.importing.import_files import WorldWarning
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 TINY = [
     "total_frames=192",
@@ -223,9 +223,9 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
     assert call(benchmark.main, *words) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    alone, cameras, sensors, terrain, new_world, together = lines
+    alone, cameras, sensors, terrain, new_world, groups, together = lines
     assert [line["benchmark"] for line in lines] == [
-        *("environment", "cameras", "sensors", "terrain", "new_world", "processes"),
+        *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
     ]
     for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
@@ -235,6 +235,9 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     for name in ("height", "normal", "slope", "roughness", "nearest_obstacle"):
         assert terrain[f"terrain_{name}_mpoints_per_s"] > 0
     assert min(new_world[f"{name}_ms"] for name in ("build", "fresh", "load", "kept")) > 0
+    for name in ("one_robot_core_ratio", "four_robots_core_ratio", "four_robots_agent_steps_per_s"):
+        assert groups[name] > 0
+    assert {"four_robots_overhead_ratio", "one_robot_overhead_us"} <= groups.keys()
     assert together["processes"] == 1
     assert together["core_steps_per_s"] > 0
 

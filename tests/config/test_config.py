@@ -40,8 +40,8 @@ from dune_rl.settings import Settings
 from dune_rl.tasks.task import TaskConf, walking_task
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap import HeightmapConf
-from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.heightmap.build import HeightmapConf
+from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf

@@ -1,12 +1,12 @@
-"""The count of faults in random driving: none where there is none, a fall among it, and each planted one."""
+"""Fault counts of random driving: none without faults, none for a fall, and every planted fault."""
 
 import numpy as np
 import pytest
 from batches import every_engine
 from planted.engines import KickedRobot, RaisedRobot, TeleportedRobot, UnchangedRobot, tampered
 
-from dune_rl.engine_comparison import watched
-from dune_rl.engine_comparison.stability import Count, PossibleSpeed, count
+from dune_rl.engine_comparison import recording
+from dune_rl.engine_comparison.stability import FaultCounts, SpeedLimit, count_faults
 from dune_rl.robots.hyperdog.robot import HyperDog
 from dune_rl.robots.rover_zero.robot import RoverZero
 
@@ -14,11 +14,11 @@ MASSES_KG = {"rover_zero": RoverZero.mass_kg, "hyperdog": HyperDog.mass_kg}
 every_robot = pytest.mark.parametrize("robot", MASSES_KG)
 
 
-def drive(monkeypatch, kind: type[UnchangedRobot], place: str, engine: str, robot: str) -> Count:
-    """Ten seconds of it."""
-    planted = tampered(kind, watched.scene_class, MASSES_KG[robot])
-    monkeypatch.setattr(watched, "scene_class", planted)
-    return count(place, engine, robot, minutes=1 / 6, scenes=2, seed=0)
+def drive(monkeypatch, kind: type[UnchangedRobot], world: str, engine: str, robot: str) -> FaultCounts:
+    """The faults of ten seconds of random driving."""
+    planted = tampered(kind, recording.scene_class, MASSES_KG[robot])
+    monkeypatch.setattr(recording, "scene_class", planted)
+    return count_faults(world, engine, robot, minutes=1 / 6, scenes=2, seed=0)
 
 
 @every_engine
@@ -31,9 +31,9 @@ def test_driving_on_flat_ground_is_sound(monkeypatch, engine, robot):
 
 @every_engine
 @every_robot
-@pytest.mark.parametrize("place", ["flat", "slope"])
-def test_a_fall_is_no_jump_however_fast(monkeypatch, engine, robot, place):
-    found = drive(monkeypatch, RaisedRobot, place, engine, robot)
+@pytest.mark.parametrize("world", ["flat", "slope"])
+def test_a_fall_is_no_jump_however_fast(monkeypatch, engine, robot, world):
+    found = drive(monkeypatch, RaisedRobot, world, engine, robot)
     assert found.fastest_mps > 6.0
     assert (found.fallen, found.jumps, found.diverged) == (0, 0, 0)
 
@@ -49,10 +49,10 @@ def test_a_kick_from_nowhere_and_a_leap_are_jumps(monkeypatch, engine, robot, ki
 
 
 def possible(speeds, work_j=0.0, drop_m=0.0) -> np.ndarray:
-    """What a robot of 2 kg that goes at most 1 m/s can come to in each step, going at `speeds` before it."""
-    limits = PossibleSpeed(1.0, 2.0, np.array([speeds[0]]))
+    """Largest possible speeds after steps with `speeds` before them, of a robot of 2 kg and 1 m/s."""
+    limits = SpeedLimit(1.0, 2.0, np.array([speeds[0]]))
     rest = np.array([work_j]), np.array([drop_m])
-    return np.array([limits.after(*rest, np.array([speed]))[0] for speed in [*speeds[1:], 0.0]])
+    return np.array([limits.update(*rest, np.array([speed]))[0] for speed in [*speeds[1:], 0.0]])
 
 
 def test_what_is_possible_follows_from_work_and_height():
@@ -73,6 +73,6 @@ def test_speed_from_nowhere_is_not_believed_and_speed_lost_is_lost():
 
 
 def test_after_a_new_start_its_speed_is_believed():
-    limits = PossibleSpeed(1.0, 2.0, np.array([0.0, 3.0]))
+    limits = SpeedLimit(1.0, 2.0, np.array([0.0, 3.0]))
     limits.restart(np.array([True, False]), np.array([5.0, 9.0]))
-    np.testing.assert_allclose(limits.after(np.zeros(2), np.zeros(2), np.zeros(2)), [5.0, 3.0])
+    np.testing.assert_allclose(limits.update(np.zeros(2), np.zeros(2), np.zeros(2)), [5.0, 3.0])

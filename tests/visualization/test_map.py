@@ -211,7 +211,7 @@ def test_the_marked_cells_are_the_spawner_s(name: str) -> None:
 
 def test_points_beyond_the_world_are_in_no_cell() -> None:
     free = site("flat").spawner.free_space
-    everywhere = np.ones(free.parts.shape, bool)
+    everywhere = np.ones(free.components.shape, bool)
     far = np.array([[1e3, 0.0], [0.0, -1e3], [0.0, 0.0]])
     assert at_points(free, everywhere, far).tolist() == [False, False, True]
 

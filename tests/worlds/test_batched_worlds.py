@@ -57,7 +57,7 @@ def test_groups_are_of_equal_things_in_the_order_of_their_scenes() -> None:
     before = things.groups
     things.put(1, second)
     assert things.groups is before
-    (one, rows), (other, others) = things.select_scenes(np.array([1, 2]))
+    (one, rows), (other, others) = things.select_groups(np.array([1, 2]))
     assert (one, rows.tolist(), other, others.tolist()) == (second, [0], first, [1])
 
 

@@ -35,7 +35,7 @@ def other(**settings: float) -> World:
 
 def largest_share(world: World, radius_m: float) -> float:
     free = FreeSpace(world, radius_m, 25.0)
-    counts = np.bincount(free.parts[free.parts > 0])
+    counts = np.bincount(free.components[free.components > 0])
     return float(counts.max() / counts.sum())
 
 

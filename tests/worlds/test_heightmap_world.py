@@ -13,9 +13,9 @@ from world_files import SHARED_WORLDS, ground_height
 
 from dune_rl.errors import WorldError
 from dune_rl.tasks.spawn import SpawnConf, Spawner
-from dune_rl.worlds.importing.heightmap import HeightmapConf, build_heightmap
-from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.imported import ImportedWorld
+from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap
+from dune_rl.worlds.importing.imported_world import ImportedWorld
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 
 def samples(rows: int = 81, columns: int = 101) -> np.ndarray:

@@ -17,8 +17,8 @@ from world_files import (
 )
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import MAX_FILE_BYTES, WorldWarning
-from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
+from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.untrusted_files import MAX_FILE_BYTES, WorldWarning
 
 
 def refused(path, match: str, **settings) -> None:

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from world_digest import digest
 
+from dune_rl.worlds.cache.store import WorldStore
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.registry import build
-from dune_rl.worlds.store import WorldStore
 
 CONFS = [IslandConf(seed=seed) for seed in range(3)]
 PATIENCE_S = 60.0
@@ -84,7 +84,7 @@ import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.store import WorldStore
+from dune_rl.worlds.cache.store import WorldStore
 store = WorldStore(Path(sys.argv[1]))
 store.prepare([IslandConf(seed=seed) for seed in range(200)])
 fork = os.fork() if "fork" in sys.argv[2] else 0

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from world_files import write_yard
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import WorldWarning
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 
 @pytest.fixture(autouse=True)

@@ -19,22 +19,22 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.paths import cache_folder
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds import registry
-from dune_rl.worlds import store as module
 from dune_rl.worlds.appearance import bake_world, precompute_appearance
-from dune_rl.worlds.cache_folder import CacheFolder, CacheWarning
+from dune_rl.worlds.cache import store as module
+from dune_rl.worlds.cache.folder import CacheFolder, CacheWarning
+from dune_rl.worlds.cache.serialization import state_of
+from dune_rl.worlds.cache.store import WorldStore, shared_store, world_key
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap import HeightmapConf
-from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.heightmap.build import HeightmapConf
+from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.packing import state_of
 from dune_rl.worlds.registry import build
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.store import WorldStore, shared_store, world_key
 from dune_rl.worlds.world import World
 
 QUICK = IslandConf(seed=4, grass_cover=0.3)
@@ -321,7 +321,7 @@ def test_an_imported_world_follows_its_files(tmp_path: Path, counted: list[World
 
 def test_two_processes_may_keep_the_same_world(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from dune_rl.worlds.store import WorldStore;"
+        "import sys; from pathlib import Path; from dune_rl.worlds.cache.store import WorldStore;"
         "from dune_rl.worlds.island import IslandConf; from world_digest import digest;"
         "conf = IslandConf(seed=4, grass_cover=0.3);"
         "print(*{digest(WorldStore(Path(sys.argv[1])).get(conf.model_copy(update={'seed': s % 3})))"

@@ -18,10 +18,10 @@ from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.camera import Camera
 from dune_rl.worlds.appearance import bake_in_weather, bake_world, build_scenery, with_own_sun
-from dune_rl.worlds.importing import import_files
-from dune_rl.worlds.importing.import_files import ImportReport, WorldWarning
-from dune_rl.worlds.importing.imported_mesh import MeshConf, build_mesh
+from dune_rl.worlds.importing import untrusted_files
+from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
+from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldWarning
 from dune_rl.worlds.world import Prop, World
 
 RED, GREEN, BLUE, YELLOW = (
@@ -145,11 +145,11 @@ def test_pictures_together_are_held_to_a_size():
 
 
 def test_textures_beyond_the_room_for_them_are_coarse_and_warned_of(monkeypatch):
-    monkeypatch.setattr(import_files, "_MOST_TEXELS", 100_000)
+    monkeypatch.setattr(untrusted_files, "_MOST_TEXELS", 100_000)
     report = ImportReport("w.glb")
     large = np.zeros((300, 300, 3), np.uint8)
-    assert report.kept(large).shape == (300, 300, 3)
-    assert report.kept(large).shape == (32, 32, 3)
+    assert report.limit_texture(large).shape == (300, 300, 3)
+    assert report.limit_texture(large).shape == (32, 32, 3)
     assert len(report.texts) == 1
 
 
@@ -176,10 +176,10 @@ def test_transparent_and_sixteen_bit_pictures_have_sound_colours():
     cut = np.zeros((8, 8, 4), np.uint8)
     cut[:4] = (60, 160, 40, 255)
     np.testing.assert_array_equal(
-        import_files.downscale_image(Image.fromarray(cut)), np.tile((60, 160, 40), (8, 8, 1))
+        untrusted_files.downscale_image(Image.fromarray(cut)), np.tile((60, 160, 40), (8, 8, 1))
     )
     grey = Image.fromarray(np.full((8, 8), 40_000, np.uint16))
-    assert set(import_files.downscale_image(grey).ravel().tolist()) == {40_000 >> 8}
+    assert set(untrusted_files.downscale_image(grey).ravel().tolist()) == {40_000 >> 8}
 
 
 SUN = '<light name="sun" type="directional"><direction>{}</direction><diffuse>{}</diffuse></light>'

@@ -22,7 +22,7 @@ from dune_rl.config.compose import check_sweep, compose, compose_environment, co
 from dune_rl.env.registration import register_envs
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.worlds import HeightField, Prop, Settings, World, check_world, upright_box
-from dune_rl.worlds.importing.import_files import WorldWarning
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.registry import WORLDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -227,7 +227,7 @@ def test_a_program_cannot_take_a_name(user: Path) -> None:
         ),
         (plain(replace(CUBE, vertices=CUBE.vertices * np.nan)), "'cube': vertices must be finite"),
         (plain(replace(CUBE, faces=CUBE.faces[:0])), "'cube': faces must be integers of shape (F, 3), F > 0"),
-        (plain(replace(CUBE, faces=CUBE.faces + 1)), "'cube': faces must name vertices 0 to 7, not 1 to 8"),
+        (plain(replace(CUBE, faces=CUBE.faces + 1)), "'cube': faces must index vertices 0 to 7, not 1 to 8"),
         (plain(replace(CUBE, colour=(255, 0, 0))), "'cube': colour must be three numbers from 0 to 1"),
     ],
 )

@@ -115,7 +115,7 @@ def test_free_space_labels_what_a_wall_divides():
     walls = prop(upright_box([0, 0], np.pi / 2, -0.2, 2.0, 20.0, 0.3))
     world = level_world(walls)
     free = FreeSpace(world, 0.3, 30.0)
-    left, right, far_left, on_wall, beyond = free.part(
+    left, right, far_left, on_wall, beyond = free.component_at(
         np.array([[-3.0, 0.0], [3.0, 0.0], [-8.0, 5.0], [0.0, 0.0], [99.0, 0.0]])
     )
     assert left == far_left != 0
@@ -222,7 +222,7 @@ def test_yard_obstacles_are_seen_by_a_lidar_and_leave_one_free_part(seed):
     thing = [p for p in world.props if p.name.startswith("yard") and p.solid]
     free = FreeSpace(world, 0.45, 30.0)
     xy = grid(*world.region, 0.1)
-    parts = free.part(xy)
+    parts = free.component_at(xy)
     share = np.bincount(parts[parts > 0]).max() / (parts > 0).sum()
     assert share > 0.98
     assert 0.4 < (parts > 0).mean() < 0.95

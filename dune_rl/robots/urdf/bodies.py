@@ -65,7 +65,7 @@ def rigid_bodies(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) 
             name, pose = inside.pop(0)
             link = model.links[name]
             if link.inertial is not None:
-                inertials.append(link.inertial.moved(pose))
+                inertials.append(link.inertial.transform(pose))
             for geometry in link.collisions:
                 solids.append(_solid(_placed(geometry, pose), name, meshes, model))
             visuals += [_placed(geometry, pose) for geometry in link.visuals]

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dune_rl.errors import RobotError, WorldError
-from dune_rl.worlds.importing.import_files import ImportReport, WorldFiles, printable
-from dune_rl.worlds.importing.mesh_files import FORMATS, mesh_parts
-from dune_rl.worlds.importing.parts import MeshPart
+from dune_rl.worlds.importing.mesh.files import FORMATS, load_mesh_parts
+from dune_rl.worlds.importing.mesh_parts import MeshPart
+from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, printable
 
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"
@@ -63,7 +63,7 @@ class UrdfMeshes:
             )
         try:
             # URDF reads files as they are: their own idea of up does not count.
-            return mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
+            return load_mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
         except WorldError as error:
             raise RobotError(_for_robots(error)) from None
 

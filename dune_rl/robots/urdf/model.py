@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import euler_matrix
 
 from dune_rl.errors import RobotError, WorldError
-from dune_rl.worlds.importing.import_files import printable, read_bytes, read_xml
+from dune_rl.worlds.importing.untrusted_files import printable, read_bytes, read_xml
 
 Array = NDArray[np.float64]
 JointKind = Literal["fixed", "continuous", "revolute", "prismatic"]
@@ -30,7 +30,7 @@ class Inertial:
     centre: Array
     inertia: Array
 
-    def moved(self, pose: Array) -> "Inertial":
+    def transform(self, pose: Array) -> "Inertial":
         """The same, as seen from the frame in which this one has `pose` (4, 4)."""
         turn = pose[:3, :3]
         return Inertial(self.mass, turn @ self.centre + pose[:3, 3], turn @ self.inertia @ turn.T)
@@ -258,7 +258,7 @@ def _inertial(element: Element, where: str) -> Inertial | None:
             "of the other two: a solid box has m (a² + b²) / 12 about each axis."
         )
     pose = _pose(element, where)
-    return Inertial(mass, np.zeros(3), inertia).moved(pose)
+    return Inertial(mass, np.zeros(3), inertia).transform(pose)
 
 
 def _geometry(element: Element, where: str) -> Geometry:

@@ -158,7 +158,7 @@ def spawn_mask(spawner: Spawner) -> Flags:
     """The cells of the spawner's free space, (rows, columns), in which starts and goals lie."""
     free = spawner.free_space
     cells = np.rint((spawner.cells - [free.x[0], free.y[0]]) / free.cell_m).astype(int)
-    mask = np.zeros(free.parts.shape, bool)
+    mask = np.zeros(free.components.shape, bool)
     mask[cells[:, 1], cells[:, 0]] = True
     return mask
 

@@ -1,1 +1,1 @@
-"""The construction site: rooms of stud walls."""
+"""The construction world: a building site indoors, with rooms of plastered and stud walls."""

@@ -1,4 +1,4 @@
-"""A building site indoors: rooms of plastered and of stud walls, and what builders leave in them."""
+"""The construction world: rooms of plastered and stud walls with building materials in them."""
 
 from typing import Literal, Self
 
@@ -8,11 +8,11 @@ from pydantic import Field, model_validator
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.construction.layout import place_things
+from dune_rl.worlds.construction.layout import place_props
 from dune_rl.worlds.construction.walls import build_storey
-from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.ground_texture import GroundColours
 from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
-from dune_rl.worlds.seeded import SeededConf
+from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 
 LENGTH_M, WIDTH_M = 44.0, 25.0
 SPACING_M = 0.5
-# The building stands this far within the floor.
+# Distance from the floor's edge to the building.
 _MARGIN_M = 2.0
 _MOUND_RADII_M = (2.0, 2.85)
 
-# The floor is level, so that earth lies only on the mounds' slopes.
-_CONCRETE = Ground(
+# The floor is level, so only the mounds' slopes show bare earth.
+_CONCRETE = GroundColours(
     low=(0.52, 0.51, 0.49), high=(0.60, 0.59, 0.56), bare=(0.47, 0.40, 0.32), bare_from_rad=0.16, contrast=0.5
 )
 
@@ -68,7 +68,7 @@ class ConstructionConf(SeededConf):
 def build_construction(conf: ConstructionConf) -> World:
     """The site of `conf.seed`: a floor of 44 by 25 m round the origin, most of it divided into rooms.
 
-    Raises WorldError where so many things do not fit.
+    Raises `WorldError` if the props do not fit.
     """
     terrain = build_floor(conf.seed, conf.mounds_per_100m2, conf.mound_height_m)
     plan = (
@@ -78,12 +78,12 @@ def build_construction(conf: ConstructionConf) -> World:
         WIDTH_M / 2 - _MARGIN_M,
     )
     storey = build_storey(terrain, plan, conf.layout, conf.room_size_m, conf.door_width_m, conf.stud_share)
-    things = place_things(terrain, storey, conf.layout, conf.things_per_100m2)
+    props = place_props(terrain, storey, conf.layout, conf.things_per_100m2)
     reach = conf.region_size_m / 2
     return World(
         "construction",
         terrain,
-        [*storey.props, *things],
+        [*storey.props, *props],
         region=(-reach, reach, -reach, reach),
         friction=conf.friction,
         ground=_CONCRETE,
@@ -93,7 +93,7 @@ def build_construction(conf: ConstructionConf) -> World:
 
 
 def build_floor(seed: int, mounds_per_100m2: float, mound_height_m: float) -> HeightField:
-    """A level floor at z = 0 with round mounds, 4 to 5.7 m wide, that keep apart."""
+    """A level floor at z = 0 with round mounds 4 to 5.7 m wide, spread out over it."""
     rng = stream(seed, "construction mounds")
     x = np.arange(-LENGTH_M / 2, LENGTH_M / 2 + SPACING_M / 2, SPACING_M)
     y = np.arange(-WIDTH_M / 2, WIDTH_M / 2 + SPACING_M / 2, SPACING_M)
@@ -101,17 +101,17 @@ def build_floor(seed: int, mounds_per_100m2: float, mound_height_m: float) -> He
     z = np.zeros(xy.shape[:2])
     count = round(mounds_per_100m2 * LENGTH_M * WIDTH_M / 100.0)
     half = np.array([LENGTH_M / 2, WIDTH_M / 2]) - _MOUND_RADII_M[1]
-    centres = _apart(rng, half, count)
+    centres = _spread_points(rng, half, count)
     radii = rng.uniform(*_MOUND_RADII_M, count)
     for centre, radius in zip(centres, radii, strict=True):
         away = np.minimum(np.hypot(*np.moveaxis(xy - centre, -1, 0)) / radius, 1.0)
         z = np.maximum(z, mound_height_m * (1.0 + np.cos(np.pi * away)) / 2)
-    # Millimetres, so that another machine's last bits do not show.
+    # Rounded to 1 mm, so that machines whose arithmetic differs in the last bits make the same terrain.
     return HeightField(np.round(z, 3), SPACING_M, (x[0], y[0]))
 
 
-def _apart(rng: np.random.Generator, half: Array, count: int) -> Array:
-    # Of a few draws for each point, the one farthest from those before it.
+def _spread_points(rng: np.random.Generator, half: Array, count: int) -> Array:
+    # Best-candidate sampling: of 12 random points, the one farthest from those before it.
     centres = np.empty((0, 2))
     for _ in range(count):
         draws = rng.uniform(-half, half, (12, 2))

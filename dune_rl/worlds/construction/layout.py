@@ -1,4 +1,4 @@
-"""Where the things of the construction world stand in its rooms."""
+"""Placement of props in the rooms of the construction world."""
 
 from dataclasses import dataclass
 from itertools import cycle, islice
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.construction import objects as things
+from dune_rl.worlds.construction import props as things
 from dune_rl.worlds.construction.walls import Storey
-from dune_rl.worlds.plan import Plan
+from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.world import Prop, Rectangle
 
 Array = NDArray[np.float64]
 
 _TRIES = 600
-# What leaves a robot of up to 0.45 m radius a way.
+# Wide enough for a robot of up to 0.45 m radius.
 _GAP_M = 1.0
 _FLUSH_M = 0.08
 _FLUSH_SHARE = 0.55
 _DOORWAY_M = 2.2
 
-# Of every eleven things; in the order in which they are placed.
+# Kinds of every eleven props, in the order of their placement.
 _KINDS = (
     "bricks", "sawhorse", "bricks", "container", "bricks", "beams",
     "bricks", "sawhorse", "crate", "bricks", "bricks",
@@ -32,39 +32,41 @@ _SIZES = {"bricks": (0.9, 0.9), "sawhorse": (1.5, 1.3), "container": (1.2, 1.0),
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Placement:
     xy: Array
     yaw: float
 
 
-def place_things(terrain: HeightField, storey: Storey, seed: int, per_100m2: float) -> list[Prop]:
-    """A scaffold, and so many things for each 100 m² of floor; raises WorldError where they do not fit."""
-    walls, doors, taken = Plan(), Plan(), Plan()
+def place_props(terrain: HeightField, storey: Storey, seed: int, per_100m2: float) -> list[Prop]:
+    """A scaffold, and `per_100m2` other props per 100 m² of floor; `WorldError` if they do not fit."""
+    walls, doors, occupied = OccupiedRectangles(), OccupiedRectangles(), OccupiedRectangles()
     for start, end in storey.stretches:
         ahead = end - start
         yaw = float(np.arctan2(ahead[1], ahead[0]))
-        walls.take((start + end) / 2, yaw, float(np.hypot(*ahead)), things.WALL_THICKNESS_M)
+        walls.add((start + end) / 2, yaw, float(np.hypot(*ahead)), things.WALL_THICKNESS_M)
     for door in storey.doors:
-        doors.take(door.middle, door.yaw, door.width_m, _DOORWAY_M)
+        doors.add(door.middle, door.yaw, door.width_m, _DOORWAY_M)
     rng = stream(seed, "construction things")
-    props = _scaffold(terrain, storey, taken, rng)
+    props = _scaffold(terrain, storey, occupied, rng)
     xmin, xmax, ymin, ymax = terrain.extent
     count = round(per_100m2 * (xmax - xmin) * (ymax - ymin) / 100.0)
     for number, kind in enumerate(islice(cycle(_KINDS), count), start=1):
         length, width = _SIZES.get(kind, (float(rng.uniform(2.2, 3.4)), 0.75))
-        place = _find(storey.rooms, walls, doors, taken, rng, length, width)
+        place = _find_placement(storey.rooms, walls, doors, occupied, rng, length, width)
         if place is None:
             raise WorldError(
                 f"The construction site has no room for world.things_per_100m2={per_100m2:g}: "
                 f"thing {number} of {count} fits nowhere. Lower it, or raise world.room_size_m."
             )
-        taken.take(place.xy, place.yaw, length, width)
+        occupied.add(place.xy, place.yaw, length, width)
         props.append(_build(terrain, rng, kind, f"{kind} {number}", place, length))
     return props
 
 
-def _scaffold(terrain: HeightField, storey: Storey, taken: Plan, rng: np.random.Generator) -> list[Prop]:
-    # In the largest room, along its longer side; none where no room holds one.
+def _scaffold(
+    terrain: HeightField, storey: Storey, occupied: OccupiedRectangles, rng: np.random.Generator
+) -> list[Prop]:
+    # In the largest room, along its longer side; none if it does not fit there.
     length, width = things.SCAFFOLD_M
     room = max(storey.rooms, key=_least_side)
     sides = np.array([room[1] - room[0], room[3] - room[2]])
@@ -74,7 +76,7 @@ def _scaffold(terrain: HeightField, storey: Storey, taken: Plan, rng: np.random.
     size = np.array([length, width] if yaw == 0.0 else [width, length])
     spare = np.maximum(sides - size - 0.4, 0.0) / 2
     xy = np.array([room[0] + room[1], room[2] + room[3]]) / 2 + rng.uniform(-spare, spare)
-    taken.take(xy, yaw, length, width)
+    occupied.add(xy, yaw, length, width)
     return list(things.scaffold(terrain, "scaffold", xy, yaw))
 
 
@@ -82,45 +84,45 @@ def _least_side(room: Rectangle) -> float:
     return min(room[1] - room[0], room[3] - room[2])
 
 
-def _find(
+def _find_placement(
     rooms: tuple[Rectangle, ...],
-    walls: Plan,
-    doors: Plan,
-    taken: Plan,
+    walls: OccupiedRectangles,
+    doors: OccupiedRectangles,
+    occupied: OccupiedRectangles,
     rng: np.random.Generator,
     length: float,
     width: float,
-) -> _Place | None:
+) -> _Placement | None:
     areas = np.array([(room[1] - room[0]) * (room[3] - room[2]) for room in rooms])
     for _ in range(_TRIES):
         room = rooms[int(rng.choice(len(rooms), p=areas / areas.sum()))]
         flush = rng.uniform() < _FLUSH_SHARE
-        place = _at_wall(room, rng, length, width) if flush else _in_room(room, rng)
+        place = _draw_at_wall(room, rng, length, width) if flush else _draw_in_room(room, rng)
         clear = walls.gap(place.xy, place.yaw, length, width)
         if clear < (0.02 if flush else _GAP_M) or doors.gap(place.xy, place.yaw, length, width) < 0.05:
             continue
-        if taken.gap(place.xy, place.yaw, length, width) >= _GAP_M:
+        if occupied.gap(place.xy, place.yaw, length, width) >= _GAP_M:
             return place
     return None
 
 
-def _in_room(room: Rectangle, rng: np.random.Generator) -> _Place:
+def _draw_in_room(room: Rectangle, rng: np.random.Generator) -> _Placement:
     xy = rng.uniform([room[0], room[2]], [room[1], room[3]])
-    return _Place(xy, float(rng.uniform(-np.pi, np.pi)))
+    return _Placement(xy, float(rng.uniform(-np.pi, np.pi)))
 
 
-def _at_wall(room: Rectangle, rng: np.random.Generator, length: float, width: float) -> _Place:
-    # The long side along one of the room's four walls.
+def _draw_at_wall(room: Rectangle, rng: np.random.Generator, length: float, width: float) -> _Placement:
+    # Long side along one of the room's four walls.
     side = int(rng.integers(4))
     axis, far = side // 2, side % 2
     off = things.WALL_THICKNESS_M / 2 + _FLUSH_M + width / 2
     xy = rng.uniform([room[0], room[2]], [room[1], room[3]])
     xy[1 - axis] = room[2 * (1 - axis) + far] + (off if far == 0 else -off)
-    return _Place(xy, axis * np.pi / 2)
+    return _Placement(xy, axis * np.pi / 2)
 
 
 def _build(
-    terrain: HeightField, rng: np.random.Generator, kind: str, name: str, place: _Place, length: float
+    terrain: HeightField, rng: np.random.Generator, kind: str, name: str, place: _Placement, length: float
 ) -> Prop:
     xy, yaw = place.xy, place.yaw
     if kind == "bricks":

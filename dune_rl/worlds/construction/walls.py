@@ -1,4 +1,4 @@
-"""The rooms of the construction world, and the walls and doors between them."""
+"""Rooms of the construction world, with the walls and doors between them."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.construction.objects import (
+from dune_rl.worlds.construction.props import (
     PLASTER,
     TIMBER,
     WALL_THICKNESS_M,
@@ -21,7 +21,7 @@ from dune_rl.worlds.world import Prop, Rectangle
 
 Array = NDArray[np.float64]
 
-# From a door to the next wall that meets this one.
+# Smallest distance between a door and a junction with another wall.
 _BESIDE_DOOR_M = 0.3
 _DOOR_EVERY_M = 7.0
 _OUTER_DOOR_SHARE = 1.8
@@ -29,7 +29,7 @@ _OUTER_DOOR_SHARE = 1.8
 
 @dataclass(frozen=True, eq=False)
 class Door:
-    """A gap `width_m` wide in the wall round `middle` (2,), which runs along `yaw`."""
+    """A gap of `width_m` centred at `middle` (2,) in a wall along `yaw` [rad]."""
 
     middle: Array
     yaw: float
@@ -38,7 +38,7 @@ class Door:
 
 @dataclass(frozen=True, eq=False)
 class _Wall:
-    # From `start` along an axis (0 is x, 1 is y) for `length`; `outer` ones bound the building.
+    # From `start` (2,) along an axis (0: x, 1: y) for `length`; `outer` walls bound the building.
     start: Array
     axis: int
     length: float
@@ -54,11 +54,10 @@ class _Wall:
 
 @dataclass(frozen=True)
 class Storey:
-    """Rooms as rectangles (xmin, xmax, ymin, ymax) between the middles of walls; doors; walls as props.
+    """Rooms as rectangles (xmin, xmax, ymin, ymax) between the walls' centre lines; doors; walls as props.
 
-    `stretches` are the ends (2,) of what stands of them between doors.
-
-    Of each wall the finished parts are one prop and the frames another: engines take time for each body.
+    `stretches` are the end points (2,) of the pieces of wall between doors. Each wall has one prop of its
+    plastered pieces and one of its frames, since engines spend time on every body.
     """
 
     rooms: tuple[Rectangle, ...]
@@ -75,7 +74,7 @@ def build_storey(
     door_width_m: float,
     stud_share: float,
 ) -> Storey:
-    """Rooms that divide `plan`, all joined by doors, a share `stud_share` of the walls' parts but frames."""
+    """Rooms that divide `plan`, all connected by doors; a share `stud_share` of wall pieces are frames."""
     rng = stream(seed, "construction rooms")
     rooms, walls = _divide(plan, room_size_m, rng)
     doors: list[Door] = []
@@ -84,10 +83,10 @@ def build_storey(
     half = WALL_THICKNESS_M / 2
     for number, wall in enumerate(walls, start=1):
         width = door_width_m * (_OUTER_DOOR_SHARE if wall.outer else 1.0)
-        met = sorted(_junctions(wall, walls))
-        gaps = _door_places(wall, met, width, rng)
+        junctions = sorted(_junctions(wall, walls))
+        gaps = _place_doors(wall, junctions, width, rng)
         doors += [Door(wall.at(s), wall.axis * np.pi / 2, width) for s in gaps]
-        # Walls end at the face of the one they meet, and outer ones along x go round the corners.
+        # A wall ends at the face of the wall it joins; outer walls along x include the corners.
         inset = -half if wall.outer and wall.axis == 0 else half
         edges = [inset, *(s + side * width / 2 for s in gaps for side in (-1, 1)), wall.length - inset]
         finished: list[Mesh] = []
@@ -100,8 +99,10 @@ def build_storey(
             if rng.uniform() < stud_share:
                 frame += stud_wall(terrain, wall.at(first), wall.at(last))
             else:
-                # A board for each stretch between walls, so that light can differ from board to board.
-                ends = [s + side * half for s in met for side in (-1, 1) if first < s + side * half < last]
+                # One board per piece between junctions, so that each board can be lit differently.
+                ends = [
+                    s + side * half for s in junctions for side in (-1, 1) if first < s + side * half < last
+                ]
                 boards = pairwise(sorted({first, *ends, last}))
                 finished += [plastered_wall(terrain, wall.at(u), wall.at(v)) for u, v in boards]
         if finished:
@@ -123,9 +124,9 @@ def _divide(
         _Wall(np.array([across[0], ymin]), 1, ymax - ymin, True),
     ]
     rooms: list[Rectangle] = []
-    waiting = [plan]
-    while waiting:
-        room = waiting.pop()
+    undivided = [plan]
+    while undivided:
+        room = undivided.pop()
         sides = room[1] - room[0], room[3] - room[2]
         axis = int(sides[1] > sides[0])
         if sides[axis] < 1.6 * room_size_m:
@@ -137,7 +138,7 @@ def _divide(
         walls.append(_Wall(start, 1 - axis, sides[1 - axis], False))
         first, second = list(room), list(room)
         first[2 * axis + 1] = second[2 * axis] = cut
-        waiting += [_rectangle(second), _rectangle(first)]
+        undivided += [_rectangle(second), _rectangle(first)]
     return rooms, walls
 
 
@@ -147,21 +148,21 @@ def _rectangle(values: list[float]) -> Rectangle:
 
 
 def _junctions(wall: _Wall, walls: list[_Wall]) -> list[float]:
-    # Where other walls end on this one, measured along it.
-    found = {0.0, wall.length}
+    # Positions along the wall where other walls end on it.
+    positions = {0.0, wall.length}
     for other in walls:
         if other.axis != wall.axis:
             for end in (other.start, other.end):
                 s = float(end[wall.axis] - wall.start[wall.axis])
                 if abs(end[1 - wall.axis] - wall.start[1 - wall.axis]) < 1e-9 and 0.0 < s < wall.length:
-                    found.add(s)
-    return list(found)
+                    positions.add(s)
+    return list(positions)
 
 
-def _door_places(wall: _Wall, met: list[float], width: float, rng: np.random.Generator) -> list[float]:
-    # One door for every seven metres, in the longest stretches between junctions.
+def _place_doors(wall: _Wall, junctions: list[float], width: float, rng: np.random.Generator) -> list[float]:
+    # One door per seven metres of wall, in the longest pieces between junctions.
     room = width / 2 + _BESIDE_DOOR_M + WALL_THICKNESS_M
-    stretches = sorted(pairwise(met), key=lambda ends: ends[0] - ends[1])
+    stretches = sorted(pairwise(junctions), key=lambda ends: ends[0] - ends[1])
     places = []
     for first, last in stretches[: max(1, round(wall.length / _DOOR_EVERY_M))]:
         if last - first > 2 * room:

@@ -7,7 +7,7 @@ from scipy import ndimage
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import linear_to_srgb
 from dune_rl.rendering.mesh_texture import TextureSampler
-from dune_rl.worlds.ground import GroundPicture, texels
+from dune_rl.worlds.ground_texture import GroundPicture, texture_shape
 from dune_rl.worlds.importing.height_grid import Triangles, cast_down
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ Floats = NDArray[np.float32]
 _TEXEL_M = 0.025
 
 
-def ground_picture(
+def bake_ground_picture(
     soup: Triangles, is_ground: NDArray[np.bool_], terrain: HeightField, colours: Floats
 ) -> GroundPicture | None:
     """The textures of the ground's triangles on `terrain`, None where it has none.
@@ -28,7 +28,7 @@ def ground_picture(
         return None
     ground = np.flatnonzero(is_ground)
     look = TextureSampler(soup.texture.select_faces(ground))
-    rows, columns = texels(terrain, _TEXEL_M)
+    rows, columns = texture_shape(terrain, _TEXEL_M)
     xmin, xmax, ymin, ymax = terrain.extent
     x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
     y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
@@ -39,7 +39,7 @@ def ground_picture(
     shown = np.flatnonzero((face >= 0) & look.textured[face])
     at = np.stack(np.meshgrid(x, y), axis=-1)
     places = np.concatenate([at, heights[..., None]], axis=-1).reshape(-1, 3)[shown]
-    picture = on_texels(colours, (rows, columns))
+    picture = resample_to_texels(colours, (rows, columns))
     texel_m = (xmax - xmin) / columns
     picture.reshape(-1, 3)[shown] = linear_to_srgb(
         look.albedo(face[shown], places.astype(np.float32), texel_m)
@@ -49,7 +49,7 @@ def ground_picture(
     return GroundPicture(picture, detailed.reshape(rows, columns))
 
 
-def on_texels(colours: Floats, shape: tuple[int, int]) -> Floats:
+def resample_to_texels(colours: Floats, shape: tuple[int, int]) -> Floats:
     """`colours` (rows, columns, 3) of a terrain's points, between them in the middle of `shape` texels."""
     rows, columns = colours.shape[:2]
     at = np.meshgrid(
@@ -60,15 +60,15 @@ def on_texels(colours: Floats, shape: tuple[int, int]) -> Floats:
     return np.stack(channels, axis=-1).astype(np.float32)
 
 
-def coloured_ground(terrain: HeightField, colours: Floats) -> GroundPicture:
+def picture_from_colours(terrain: HeightField, colours: Floats) -> GroundPicture:
     """A picture of the `colours` (rows, columns, 3) of the terrain's points, with no detail of its own."""
-    shape = texels(terrain)
-    return GroundPicture(on_texels(colours, shape), np.zeros(shape, bool))
+    shape = texture_shape(terrain)
+    return GroundPicture(resample_to_texels(colours, shape), np.zeros(shape, bool))
 
 
-def tiled_ground(terrain: HeightField, picture: NDArray[np.uint8], tile_m: float) -> GroundPicture:
+def tile_picture(terrain: HeightField, picture: NDArray[np.uint8], tile_m: float) -> GroundPicture:
     """`picture` in tiles `tile_m` wide from the terrain's north-western corner on, as Gazebo lays them."""
-    rows, columns = texels(terrain, _TEXEL_M)
+    rows, columns = texture_shape(terrain, _TEXEL_M)
     xmin, xmax, ymin, ymax = terrain.extent
     x = (np.arange(columns) + 0.5) * (xmax - xmin) / columns
     y = (np.arange(rows)[::-1] + 0.5) * (ymax - ymin) / rows

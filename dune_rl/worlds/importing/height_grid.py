@@ -37,7 +37,7 @@ class Triangles(NamedTuple):
     texture: MeshTexture | None = None
 
 
-def extent_of(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
+def ground_extent(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
     points = soup.vertices[soup.faces[ground], :2].reshape(-1, 2)
     low, high = points.min(axis=0), points.max(axis=0)
     if (high - low).min() < _SMALLEST_M:

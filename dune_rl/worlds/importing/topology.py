@@ -25,7 +25,7 @@ def weld_vertices(vertices: Array, faces: Faces) -> Ids:
     return np.asarray(place, np.int64).reshape(-1)[faces]
 
 
-def joined_faces(ids: Ids) -> Ids:
+def label_face_components(ids: Ids) -> Ids:
     """The number of the piece (F,) that each face (F, 3) belongs to: faces that share an edge are of one."""
     count = len(ids)
     low, high = _edges(ids)
@@ -68,7 +68,9 @@ def boundary_edges(ids: Ids) -> tuple[Ids, Ids]:
     return np.repeat(first, times), np.repeat(second, times)
 
 
-def closed(vertices: Array, faces: Faces, ground_height: Array) -> tuple[Array, Faces, NDArray[np.intp]]:
+def close_surface(
+    vertices: Array, faces: Faces, ground_height: Array
+) -> tuple[Array, Faces, NDArray[np.intp]]:
     """The same piece as a closed surface that faces outward, and the face (F,) that each of its came from.
 
     One that is open only at or below the ground (`ground_height` (V,) [m] under its vertices) is closed down

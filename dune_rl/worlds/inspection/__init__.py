@@ -1,1 +1,1 @@
-"""The inspection site: solar arrays, a bridge, a pipeline, walls and water."""
+"""The inspection world: an industrial site with solar arrays, a bridge, a pipeline, walls and water."""

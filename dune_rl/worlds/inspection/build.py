@@ -8,7 +8,7 @@ from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.inspection.layout import place_props
 from dune_rl.worlds.inspection.terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
 from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
-from dune_rl.worlds.seeded import SeededConf
+from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
@@ -22,8 +22,8 @@ _SURFACES = (
 class InspectionConf(SeededConf):
     """Settings of `build_inspection`.
 
-    Every `seed` gives another site of the same family: the slopes, the relief
-    and the share of ground built over stay alike.
+    Every `seed` gives a different site with the same distribution of slopes,
+    the same relief and a similar share of occupied ground.
     """
 
     name: Literal["inspection"] = "inspection"
@@ -38,12 +38,12 @@ class InspectionConf(SeededConf):
 
 
 def build_inspection(conf: InspectionConf) -> World:
-    """The site of `conf.seed`: 60 by 60 m with a margin of 2 m, its training square in the south-west."""
+    """The site of `conf.seed`: 60 by 60 m with a margin of 2 m; the training square is in the south-west."""
     terrain, gully = build_terrain(conf.seed)
     props = place_props(terrain, gully, conf.layout, conf.yard_obstacles)
     x, y = YARD_CENTRE
     region = (x - YARD_HALF_M, x + YARD_HALF_M, y - YARD_HALF_M, y + YARD_HALF_M)
-    standing = [(prop.vertices, prop.faces) for prop in props]
+    obstacles = [(prop.vertices, prop.faces) for prop in props]
     return World(
         "inspection",
         terrain,
@@ -51,6 +51,6 @@ def build_inspection(conf: InspectionConf) -> World:
         region=region,
         friction=conf.friction,
         texture_seed=conf.seed,
-        grass=grow_grass(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed),
+        grass=grow_grass(terrain, obstacles, conf.grass_cover, conf.grass_height_m, conf.seed),
         surfaces=surface_map(conf.surfaces, terrain, conf.seed, _SURFACES, sinkage=conf.sinkage),
     )

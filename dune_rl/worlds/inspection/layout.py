@@ -1,4 +1,4 @@
-"""Where the inspection world's props stand."""
+"""Placement of the inspection world's props."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds import structures
+from dune_rl.worlds.inspection import props as site_props
 from dune_rl.worlds.inspection.terrain import (
     BRIDGE_LENGTH_M,
     BRIDGE_WIDTH_M,
@@ -18,7 +18,7 @@ from dune_rl.worlds.inspection.terrain import (
     YARD_CENTRE,
     Gully,
 )
-from dune_rl.worlds.plan import Plan
+from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.props import unit_vector
 from dune_rl.worlds.world import Prop
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 _HOLLOW_RADIUS_M = 11.0
 _GAP_M = 1.6
-# Convex things this far apart leave a robot of up to 0.5 m radius a way round each of them.
+# Wide enough for a robot of up to 0.5 m radius between convex props.
 _YARD_GAP_M = 1.3
 _YARD_REACH_M = 4.2
 _YARD_ARRAY_NEAR_M = 3.6
@@ -42,14 +42,14 @@ _COUNTS = {"array": 4, "culvert": 5, "wall": 4, "post": 8}
 
 
 def place_props(terrain: HeightField, gully: Gully, seed: int, yard_obstacles: int) -> list[Prop]:
-    """All props of the world of `seed`, `yard_obstacles` of them in and round the training square."""
+    """All props of the world of `seed`, with `yard_obstacles` of them in and round the training square."""
     rng = stream(seed, "inspection layout")
-    plan = Plan(_POINT_SPACING_M)
+    plan = OccupiedRectangles(_POINT_SPACING_M)
     water = _water(terrain)
-    plan.take_points(water.vertices[:, :2])
+    plan.add_points(water.vertices[:, :2])
     props: list[Prop] = [water]
-    props += structures.bridge(terrain, "bridge", gully.centre, gully.yaw, BRIDGE_LENGTH_M, BRIDGE_WIDTH_M)
-    plan.take(np.array(gully.centre), gully.yaw, BRIDGE_LENGTH_M + 4.0, BRIDGE_WIDTH_M + 2.0)
+    props += site_props.bridge(terrain, "bridge", gully.centre, gully.yaw, BRIDGE_LENGTH_M, BRIDGE_WIDTH_M)
+    plan.add(np.array(gully.centre), gully.yaw, BRIDGE_LENGTH_M + 4.0, BRIDGE_WIDTH_M + 2.0)
     props += _main_pipeline(terrain, plan)
     props += _yard(terrain, plan, stream(seed, "inspection yard"), yard_obstacles)
     props += _scatter(terrain, plan, rng)
@@ -61,10 +61,10 @@ def _water(terrain: HeightField) -> Prop:
     xy = np.stack([x, y], axis=-1).reshape(-1, 2)
     heights = terrain.height(xy)
     lowest = xy[heights.argmin()]
-    return structures.water_table(terrain, "water table", lowest, float(heights.min()) + 0.6, 8.0)
+    return site_props.water_table(terrain, "water table", lowest, float(heights.min()) + 0.6, 8.0)
 
 
-def _main_pipeline(terrain: HeightField, plan: Plan) -> list[Prop]:
+def _main_pipeline(terrain: HeightField, plan: OccupiedRectangles) -> list[Prop]:
     nodes = np.array(_MAIN_PIPE)
     legs = []
     for i, lift in enumerate(_MAIN_PIPE_LIFTS):
@@ -73,39 +73,39 @@ def _main_pipeline(terrain: HeightField, plan: Plan) -> list[Prop]:
         spacing = 2.2 if low else 3.0
         name = f"pipeline {i + 1}"
         legs.append(
-            structures.pipe_run(terrain, name, start, end, radius=0.21, lift=lift, spacing=spacing, valve=low)
+            site_props.pipe_run(terrain, name, start, end, radius=0.21, lift=lift, spacing=spacing, valve=low)
         )
         ahead = end - start
-        plan.take((start + end) / 2, float(np.arctan2(ahead[1], ahead[0])), float(np.hypot(*ahead)), 0.5)
+        plan.add((start + end) / 2, float(np.arctan2(ahead[1], ahead[0])), float(np.hypot(*ahead)), 0.5)
     return legs
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Placement:
     xy: Array
     yaw: float
 
 
 def _find(
     rng: np.random.Generator,
-    plan: Plan,
+    plan: OccupiedRectangles,
     draw: Callable[[], Array],
     size: tuple[float, float],
     gap: float,
     yaws: tuple[float, float] = (-np.pi, np.pi),
-) -> _Place | None:
-    # A free place for a rectangle of this length and width, or None.
+) -> _Placement | None:
+    # A free position for a rectangle of this length and width, or None.
     for _ in range(_TRIES):
-        place = _Place(draw(), float(rng.uniform(*yaws)))
+        place = _Placement(draw(), float(rng.uniform(*yaws)))
         if plan.gap(place.xy, place.yaw, *size) >= gap:
             return place
     return None
 
 
-def _yard(terrain: HeightField, plan: Plan, rng: np.random.Generator, count: int) -> list[Prop]:
+def _yard(terrain: HeightField, plan: OccupiedRectangles, rng: np.random.Generator, count: int) -> list[Prop]:
     props: list[Prop] = []
     for i, listed in enumerate(islice(cycle(_YARD_KINDS), count)):
-        # One array and one pipe are what the square holds; further rounds of the list bring small things.
+        # The square has room for one array and one pipe; later rounds of the list have stands instead.
         kind = "stand" if i >= len(_YARD_KINDS) and listed in ("array", "pipe") else listed
         size = _yard_size(rng, kind)
         place = _find_in_yard(terrain, plan, rng, kind, size)
@@ -114,15 +114,19 @@ def _yard(terrain: HeightField, plan: Plan, rng: np.random.Generator, count: int
                 f"The inspection yard has no room for world.yard_obstacles={count}: "
                 f"obstacle {i + 1} fits nowhere. Lower it to {i} or less."
             )
-        plan.take(place.xy, place.yaw, *size)
+        plan.add(place.xy, place.yaw, *size)
         props += _build(terrain, rng, kind, f"yard {kind} {i + 1}", place, size[0])
     return props
 
 
 def _find_in_yard(
-    terrain: HeightField, plan: Plan, rng: np.random.Generator, kind: str, size: tuple[float, float]
-) -> _Place | None:
-    # In the training square while there is room, then in the wider square round it.
+    terrain: HeightField,
+    plan: OccupiedRectangles,
+    rng: np.random.Generator,
+    kind: str,
+    size: tuple[float, float],
+) -> _Placement | None:
+    # In the training square if there is room, else in a larger square round it.
     inner, outer = (_YARD_ARRAY_NEAR_M, _YARD_ARRAY_FAR_M) if kind == "array" else (0.0, _YARD_REACH_M)
     for reach in (outer, max(outer, _WIDE_YARD_HALF_M - size[0] / 2)):
 
@@ -135,7 +139,7 @@ def _find_in_yard(
         found = [_find(rng, plan, draw, size, _YARD_GAP_M) for _ in range(8 if kind == "array" else 1)]
         places = [place for place in found if place is not None]
         if places:
-            return min(places, key=lambda place: structures.array_gap(terrain, place.xy, place.yaw))
+            return min(places, key=lambda place: site_props.array_unevenness(terrain, place.xy, place.yaw))
     return None
 
 
@@ -143,7 +147,7 @@ def _yard_size(rng: np.random.Generator, kind: str) -> tuple[float, float]:
     if kind == "wall":
         return float(rng.uniform(1.6, 2.8)), 0.3
     sizes = {
-        "array": (structures.ARRAY_LENGTH_M, structures.ARRAY_DEPTH_M),
+        "array": (site_props.ARRAY_LENGTH_M, site_props.ARRAY_DEPTH_M),
         "pipe": (3.6, 0.5),
         "post": (0.3, 0.3),
         "stand": (0.6, 0.6),
@@ -151,7 +155,7 @@ def _yard_size(rng: np.random.Generator, kind: str) -> tuple[float, float]:
     return sizes[kind]
 
 
-def _scatter(terrain: HeightField, plan: Plan, rng: np.random.Generator) -> list[Prop]:
+def _scatter(terrain: HeightField, plan: OccupiedRectangles, rng: np.random.Generator) -> list[Prop]:
     def draw() -> Array:
         while True:
             xy = rng.uniform(-(HALF_MAIN_M - 3.0), HALF_MAIN_M - 3.0, 2)
@@ -160,7 +164,7 @@ def _scatter(terrain: HeightField, plan: Plan, rng: np.random.Generator) -> list
                 return xy
 
     props: list[Prop] = []
-    sizes = {"array": (structures.ARRAY_LENGTH_M, 3.0), "culvert": (0.8, 2.8), "post": (0.3, 0.3)}
+    sizes = {"array": (site_props.ARRAY_LENGTH_M, 3.0), "culvert": (0.8, 2.8), "post": (0.3, 0.3)}
     facing = float(rng.uniform(-np.pi, np.pi))
     for kind, count in _COUNTS.items():
         yaws = (facing - 0.2, facing + 0.2) if kind == "array" else (-np.pi, np.pi)
@@ -168,15 +172,15 @@ def _scatter(terrain: HeightField, plan: Plan, rng: np.random.Generator) -> list
             size = (float(rng.uniform(3.0, 5.5)), 0.3) if kind == "wall" else sizes[kind]
             found = [_find(rng, plan, draw, size, _GAP_M, yaws) for _ in range(8)]
             places = [place for place in found if place is not None]
-            # The gentlest of a few places, as a builder would choose.
-            place = min(places, key=lambda place: _unfitness(terrain, kind, place))
-            plan.take(place.xy, place.yaw, *size)
+            # The most level of a few positions, as a builder would choose.
+            place = min(places, key=lambda place: _unevenness(terrain, kind, place))
+            plan.add(place.xy, place.yaw, *size)
             props += _build(terrain, rng, kind, f"{kind} {i + 1}", place, size[0])
     return props
 
 
-def _unfitness(terrain: HeightField, kind: str, place: _Place) -> float:
-    uneven = structures.array_gap(terrain, place.xy, place.yaw) if kind == "array" else 0.0
+def _unevenness(terrain: HeightField, kind: str, place: _Placement) -> float:
+    uneven = site_props.array_unevenness(terrain, place.xy, place.yaw) if kind == "array" else 0.0
     return uneven + float(terrain.slope(place.xy))
 
 
@@ -185,19 +189,19 @@ def _build(
     rng: np.random.Generator,
     kind: str,
     name: str,
-    place: _Place,
+    place: _Placement,
     length: float,
 ) -> tuple[Prop, ...]:
     xy, yaw = place.xy, place.yaw
     if kind == "array":
-        return structures.solar_array(terrain, name, xy, yaw)
+        return site_props.solar_array(terrain, name, xy, yaw)
     if kind == "pipe":
         step = length / 2 * unit_vector(yaw)
-        return (structures.pipe_run(terrain, name, xy - step, xy + step, radius=0.2, lift=0.1, valve=True),)
+        return (site_props.pipe_run(terrain, name, xy - step, xy + step, radius=0.2, lift=0.1, valve=True),)
     if kind == "culvert":
-        return (structures.culvert(terrain, name, xy, yaw),)
+        return (site_props.culvert(terrain, name, xy, yaw),)
     if kind == "wall":
-        return (structures.wall(terrain, name, xy, yaw, length, float(rng.uniform(0.9, 1.5))),)
+        return (site_props.wall(terrain, name, xy, yaw, length, float(rng.uniform(0.9, 1.5))),)
     if kind == "stand":
-        return (structures.stand(terrain, name, xy, yaw),)
-    return (structures.post(terrain, name, xy, float(rng.uniform(0.05, 0.15)), float(rng.uniform(2.0, 3.0))),)
+        return (site_props.stand(terrain, name, xy, yaw),)
+    return (site_props.post(terrain, name, xy, float(rng.uniform(0.05, 0.15)), float(rng.uniform(2.0, 3.0))),)

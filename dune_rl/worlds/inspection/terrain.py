@@ -1,4 +1,4 @@
-"""The ground of the inspection world: hills round a hollow, a gully, and a smoother yard."""
+"""Terrain of the inspection world: hills round a hollow, a gully, and a smoother yard."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
+from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.props import unit_vector
 
 Array = NDArray[np.float64]
@@ -21,7 +22,8 @@ GULLY_DEPTH_M = 1.75
 BRIDGE_LENGTH_M = 14.0
 BRIDGE_WIDTH_M = 3.9
 
-# Figures of the site that this world stands in for; the amplitudes are solved for so that each seed has them.
+# Relief and slope percentiles of the real site that this world is modelled on. Every seed has them: the
+# amplitudes of its waves are solved for.
 _RELIEF_M = 8.6
 _SLOPE_DEG = {50: 13.0, 90: 25.2, 99: 35.6}
 _YARD_SLOPE_DEG = {10: 5.0, 50: 8.8, 90: 17.7}
@@ -29,14 +31,14 @@ _YARD_SLOPE_DEG = {10: 5.0, 50: 8.8, 90: 17.7}
 
 @dataclass(frozen=True)
 class Gully:
-    """A straight ditch through `centre`, crossed at a right angle by the bridge along `yaw`."""
+    """A straight ditch through `centre`, crossed at a right angle by a bridge along `yaw` [rad]."""
 
     centre: tuple[float, float]
     yaw: float
 
 
 def build_terrain(seed: int) -> tuple[HeightField, Gully]:
-    """Terrain of 64 by 64 m round the origin, and where its gully runs."""
+    """Terrain of 64 by 64 m round the origin, and its gully."""
     rng = stream(seed, "inspection terrain")
     axis = np.arange(-HALF_EXTENT_M, HALF_EXTENT_M + SPACING_M / 2, SPACING_M)
     x, y = np.meshgrid(axis, axis)
@@ -79,7 +81,7 @@ def build_terrain(seed: int) -> tuple[HeightField, Gully]:
     yard_amplitudes = least_squares(
         yard_misfit, yard_amplitudes, bounds=([0.0, 0.0], [0.3, 1.0]), diff_step=1e-3
     ).x
-    # Millimetres, so that another machine's last bits do not show.
+    # Rounded to 1 mm, so that machines whose arithmetic differs in the last bits make the same terrain.
     z = np.round(heights(site_amplitudes, yard_amplitudes), 3)
     return HeightField(z, SPACING_M, (-HALF_EXTENT_M, -HALF_EXTENT_M)), gully
 
@@ -87,7 +89,7 @@ def build_terrain(seed: int) -> tuple[HeightField, Gully]:
 def _waves(
     rng: np.random.Generator, xy: Array, shortest_m: float, longest_m: float, count: int = 48
 ) -> Array:
-    # A random field of unit variance with wavelengths in the given band.
+    # A random field of zero mean and unit variance with wavelengths in the given band.
     wavelength = np.exp(rng.uniform(np.log(shortest_m), np.log(longest_m), count))
     towards = rng.uniform(0.0, 2 * np.pi, count)
     phase = rng.uniform(0.0, 2 * np.pi, count)
@@ -96,28 +98,23 @@ def _waves(
     return (field - field.mean()) / field.std()
 
 
-def _smooth_step(t: Array) -> Array:
-    t = np.clip(t, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
 def _yard_window(xy: Array) -> Array:
     beyond = np.abs(xy - YARD_CENTRE) - YARD_HALF_M - 0.5
-    return np.prod(1.0 - _smooth_step(beyond / 6.0), axis=-1)
+    return np.prod(1.0 - smooth_step(beyond / 6.0), axis=-1)
 
 
 def _dig(z: Array, xy: Array, axis: Array, gully: Gully) -> Array:
-    # The ditch fades out 14 m from the bridge; at the bridge the banks are levelled to a straight line.
+    # The ditch ends 14 m from the bridge; at the bridge, the banks are levelled to a straight line.
     ahead, left = unit_vector(gully.yaw), unit_vector(gully.yaw + np.pi / 2)
     u, v = (xy - gully.centre) @ ahead, (xy - gully.centre) @ left
     half = BRIDGE_LENGTH_M / 2
-    ditch = GULLY_DEPTH_M * (1.0 - _smooth_step((np.abs(u) - 1.2) / (half - 2.2)))
-    along = 1.0 - _smooth_step((np.abs(v) - 6.0) / 8.0)
+    ditch = GULLY_DEPTH_M * (1.0 - smooth_step((np.abs(u) - 1.2) / (half - 2.2)))
+    along = 1.0 - smooth_step((np.abs(v) - 6.0) / 8.0)
     field = HeightField(z, SPACING_M, (axis[0], axis[0]))
     first, last = field.height(np.array([gully.centre - half * ahead, gully.centre + half * ahead]))
     banks = (first + last) / 2 + (last - first) * u / BRIDGE_LENGTH_M
-    near_u = 1.0 - _smooth_step((np.abs(u) - half - 1.0) / 5.0)
-    near_v = 1.0 - _smooth_step((np.abs(v) - BRIDGE_WIDTH_M / 2 - 1.2) / 5.0)
+    near_u = 1.0 - smooth_step((np.abs(u) - half - 1.0) / 5.0)
+    near_v = 1.0 - smooth_step((np.abs(v) - BRIDGE_WIDTH_M / 2 - 1.2) / 5.0)
     near = near_u * near_v
     return z + near * (banks - z) - ditch * along
 
@@ -129,7 +126,7 @@ def _slope_misfit(z: Array, targets_deg: dict[int, float]) -> Array:
 
 
 def triangle_slopes_deg(z: Array, spacing_m: float) -> Array:
-    """Slope [deg] of each of a grid's triangles, all of which cover the same area seen from above."""
+    """Slopes [deg] of a grid's triangles, which all cover the same area seen from above."""
     upper = np.hypot(z[1:, 1:] - z[1:, :-1], z[1:, :-1] - z[:-1, :-1])
     lower = np.hypot(z[:-1, 1:] - z[:-1, :-1], z[1:, 1:] - z[:-1, 1:])
     return np.rad2deg(np.arctan(np.concatenate([upper.ravel(), lower.ravel()]) / spacing_m))

@@ -1,1 +1,1 @@
-"""A wooded hillside with rocks."""
+"""The rubicon world: a wooded hillside with rocks."""

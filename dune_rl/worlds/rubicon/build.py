@@ -1,4 +1,4 @@
-"""A wooded hillside: slopes, rocks of every size, trees with trunks and leaves, undergrowth."""
+"""The rubicon world: a wooded hillside with rocks of every size, trees and undergrowth."""
 
 from typing import Literal
 
@@ -8,30 +8,30 @@ from pydantic import Field
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
+from dune_rl.worlds.fractal_terrain import rough_field, slope_magnitude, smooth_step
 from dune_rl.worlds.grass import grow_grass
-from dune_rl.worlds.ground import Ground
+from dune_rl.worlds.ground_texture import GroundColours
 from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.props import merge_meshes
-from dune_rl.worlds.roughness import gradient, rough_field, smooth_step
 from dune_rl.worlds.rubicon.layout import place_props
-from dune_rl.worlds.seeded import SeededConf
+from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
 HALF_EXTENT_M = 22.0
-# Two spacings are the shortest wave there is: 0.8 m, not three times the rover's wheelbase.
+# The shortest wavelength is two spacings, 0.8 m: less than three times the rover's wheelbase.
 SPACING_M = 0.4
 HILLS_M = (13.0, 60.0)
 BUMPS_M = (0.8, 6.0)
 HURST = 0.75
 
-# In the glade in the middle the hills' median slope is this share of that elsewhere, on every seed.
+# Median slope of the hills in the central glade, relative to that elsewhere, on every seed.
 _GLADE = 0.8
 _GLADE_HALF_M, _GLADE_EDGE_M = 4.5, 7.0
 
-FOREST_FLOOR = Ground(
+FOREST_FLOOR = GroundColours(
     low=(0.30, 0.33, 0.17), high=(0.44, 0.41, 0.25), bare=(0.44, 0.36, 0.28), bare_from_rad=0.42
 )
 
@@ -45,9 +45,9 @@ _SURFACES = (
 class RubiconConf(SeededConf):
     """Settings of `build_rubicon`.
 
-    Every `seed` gives another hillside of the same family. The slopes met are
-    those of the hills and of the bumps on them together: with the defaults a
-    median of 15 degrees, and a tenth of the ground above 26.
+    Every `seed` gives a different hillside. The terrain's slopes result from
+    hills and bumps together: with the defaults, their median is 15 degrees and
+    their 90th percentile 26.
     """
 
     name: Literal["rubicon"] = "rubicon"
@@ -71,7 +71,7 @@ class RubiconConf(SeededConf):
 def build_rubicon(conf: RubiconConf) -> World:
     """The hillside of `conf.seed`, 44 by 44 m round the origin, with a gentler glade in the middle.
 
-    Raises WorldError where so many trees and rocks do not fit.
+    Raises `WorldError` if the trees and rocks do not fit.
     """
     terrain = build_terrain(conf.seed, conf.slope_rad, conf.roughness_m)
     props = place_props(
@@ -87,7 +87,7 @@ def build_rubicon(conf: RubiconConf) -> World:
         friction=conf.friction,
         ground=FOREST_FLOOR,
         texture_seed=conf.seed,
-        # As one mesh: hundreds of small ones take a hundred times as long.
+        # Merged, since hundreds of small meshes take a hundred times as long.
         grass=grow_grass(
             terrain, [merge_meshes(solid)] if solid else (), conf.grass_cover, conf.grass_height_m, conf.seed
         ),
@@ -96,22 +96,22 @@ def build_rubicon(conf: RubiconConf) -> World:
 
 
 def build_terrain(seed: int, slope_rad: float, roughness_m: float) -> HeightField:
-    """Hills of the median slope `slope_rad`, and bumps of `roughness_m` [m] root mean square on them."""
+    """Hills of median slope `slope_rad`, with bumps of `roughness_m` [m] RMS on them."""
     rng = stream(seed, "rubicon terrain")
     axis = np.arange(-HALF_EXTENT_M, HALF_EXTENT_M + SPACING_M / 2, SPACING_M)
     shape = (len(axis), len(axis))
     hills = rough_field(rng, shape, SPACING_M, *HILLS_M, hurst=1.4)
-    # Where bumps are high there are more high ones: stony and smooth patches.
+    # High bumps cluster, which makes stony and smooth patches.
     patches = rough_field(rng, shape, SPACING_M, 7.0, 22.0, hurst=1.0)
     bumps = rough_field(rng, shape, SPACING_M, *BUMPS_M, hurst=HURST) * np.exp(0.3 * patches)
     bumps -= bumps.mean()
-    steepness = gradient(hills, SPACING_M)
+    steepness = slope_magnitude(hills, SPACING_M)
     beyond = np.maximum(np.abs(axis)[:, None], np.abs(axis)) - _GLADE_HALF_M
     glade = beyond < 0.0
     factor = _GLADE * np.median(steepness) / np.median(steepness[glade]) - 1.0
     hills -= hills[glade].mean()
     hills *= 1.0 + factor * (1.0 - smooth_step(beyond / _GLADE_EDGE_M))
-    hills *= np.tan(slope_rad) / np.median(gradient(hills, SPACING_M))
-    # Millimetres, so that another machine's last bits do not show.
+    hills *= np.tan(slope_rad) / np.median(slope_magnitude(hills, SPACING_M))
+    # Rounded to 1 mm, so that machines whose arithmetic differs in the last bits make the same terrain.
     z = np.round(hills + bumps * (roughness_m / bumps.std()), 3)
     return HeightField(z, SPACING_M, (-HALF_EXTENT_M, -HALF_EXTENT_M))

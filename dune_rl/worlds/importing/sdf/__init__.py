@@ -1,1 +1,1 @@
-"""Gazebo models and worlds (SDF)."""
+"""Worlds from Gazebo models and worlds (SDF)."""

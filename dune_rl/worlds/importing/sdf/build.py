@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.ground_pictures import tiled_ground
-from dune_rl.worlds.importing.height_files import read_heights
-from dune_rl.worlds.importing.heightmap import grid_of
-from dune_rl.worlds.importing.import_files import ImportReport, WorldFiles, resolve_world_path
-from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region, with_region
-from dune_rl.worlds.importing.objects import is_single_sheet, things_on
-from dune_rl.worlds.importing.parts import MeshPart, without_faults
-from dune_rl.worlds.importing.sdf.files import Library
-from dune_rl.worlds.importing.sdf.reader import Found, HeightMap, SdfReader, mean_colour
-from dune_rl.worlds.importing.sdf.shapes import plane
+from dune_rl.worlds.importing.ground_pictures import tile_picture
+from dune_rl.worlds.importing.heightmap.build import terrain_from_samples
+from dune_rl.worlds.importing.heightmap.files import read_heights
+from dune_rl.worlds.importing.imported_props import extract_props, is_single_sheet
+from dune_rl.worlds.importing.imported_world import ImportedWorld, assemble_world, check_region, set_region
+from dune_rl.worlds.importing.mesh_parts import MeshPart, drop_faulty_triangles
+from dune_rl.worlds.importing.sdf.files import SdfFileFinder
+from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
+from dune_rl.worlds.importing.sdf.shapes import build_plane
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
 from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
@@ -52,11 +52,11 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
     path = resolve_world_path(conf.path)
     report = ImportReport(path.name)
     own = WorldFiles(path.resolve() if path.is_dir() else path.resolve().parent)
-    library = Library(own.root, report)
+    library = SdfFileFinder(own.root, report)
     file = library.description(own.root, own) if path.is_dir() else path.resolve()
     found = SdfReader(library, report).read(file, own)
-    parts = without_faults(found.parts, report)
-    region = checked_region(conf.region)
+    parts = drop_faulty_triangles(found.parts, report)
+    region = check_region(conf.region)
     levels = [height_map for height_map in found.height_maps if _is_level(height_map)]
     friction = conf.friction if conf.friction is not None else _ground_friction(found, parts, report)
     if len(found.height_maps) == 1 and levels:
@@ -70,7 +70,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             raise WorldError(
                 f"{path} holds nothing that a robot could stand on: it needs a plane, mesh or height map."
             )
-        world = assembled(
+        world = assemble_world(
             "sdf",
             parts,
             report,
@@ -80,15 +80,15 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             light=found.light,
         )
     world.surfaces = read_surfaces(conf, world.extent)
-    report.tell()
+    report.emit_warnings()
     return world
 
 
-def _is_level(height_map: HeightMap) -> bool:
+def _is_level(height_map: SdfHeightMap) -> bool:
     return bool(np.allclose(height_map.matrix[:3, :3], np.eye(3), atol=1e-6))
 
 
-def _in_metres(height_map: HeightMap, report: ImportReport) -> Array:
+def _in_metres(height_map: SdfHeightMap, report: ImportReport) -> Array:
     """Samples (rows, columns) [m] over the map's own middle, as Gazebo scales them."""
     heights = read_heights(height_map.path, report)
     samples, top = heights.samples, float(height_map.size[2])
@@ -103,16 +103,16 @@ def _in_metres(height_map: HeightMap, report: ImportReport) -> Array:
 
 
 def _on_height_map(
-    height_map: HeightMap,
+    height_map: SdfHeightMap,
     parts: list[MeshPart],
     conf: SdfConf,
     friction: float,
-    found: Found,
+    found: SdfContents,
     report: ImportReport,
 ) -> ImportedWorld:
     # Its own grid, exactly: nothing is sampled anew.
     size = (float(height_map.size[0]), float(height_map.size[1]))
-    terrain, known = grid_of(_in_metres(height_map, report), size, conf.spacing_m, report)
+    terrain, known = terrain_from_samples(_in_metres(height_map, report), size, conf.spacing_m, report)
     x, y, z = height_map.matrix[:3, 3]
     moved = type(terrain)(
         terrain.heights + z, terrain.spacing_m, (terrain.origin[0] + x, terrain.origin[1] + y)
@@ -120,35 +120,35 @@ def _on_height_map(
     none = np.zeros(sum(len(part.faces) for part in parts), bool)
     colours, picture = None, None
     if height_map.picture is not None:
-        picture = tiled_ground(moved, height_map.picture, height_map.tile_m)
+        picture = tile_picture(moved, height_map.picture, height_map.tile_m)
         colours = np.full((*terrain.heights.shape, 3), picture.colours.mean(axis=(0, 1)), np.float32)
     elif height_map.colour is not None:
         colours = np.broadcast_to(np.array(height_map.colour, np.float32), (*terrain.heights.shape, 3))
     world = ImportedWorld(
         "sdf",
         moved,
-        things_on(parts, none, moved, report),
+        extract_props(parts, none, moved, report),
         region=moved.extent,
         friction=friction,
         ground_colours=colours,
         picture=picture,
         light=found.light,
     )
-    return with_region(world, checked_region(conf.region), report, known)
+    return set_region(world, check_region(conf.region), report, known)
 
 
-def _as_part(height_map: HeightMap, report: ImportReport) -> MeshPart:
+def _as_part(height_map: SdfHeightMap, report: ImportReport) -> MeshPart:
     samples = _in_metres(height_map, report)
     size = (float(height_map.size[0]), float(height_map.size[1]))
-    terrain, _ = grid_of(samples, size, None, report)
+    terrain, _ = terrain_from_samples(samples, size, None, report)
     colour = height_map.colour
     if colour is None and height_map.picture is not None:
         report.warn("the textures of several height maps are shown in their mean colours")
         colour = mean_colour(height_map.picture)
-    return MeshPart.of("heightmap", *terrain.mesh(), colour, ground=True).moved(height_map.matrix)
+    return MeshPart.of("heightmap", *terrain.mesh(), colour, ground=True).transform(height_map.matrix)
 
 
-def _with_planes(found: Found, parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
+def _with_planes(found: SdfContents, parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
     """The parts and the planes, unless a mesh is the terrain: then a plane would be under or through it."""
     terrain = next((part for part in parts if _is_terrain(part)), None)
     if terrain is not None:
@@ -161,7 +161,7 @@ def _with_planes(found: Found, parts: list[MeshPart], report: ImportReport) -> l
     return [
         *parts,
         *(
-            MeshPart.of("ground plane", *plane(shape, least), colour).moved(matrix)
+            MeshPart.of("ground plane", *build_plane(shape, least), colour).transform(matrix)
             for shape, matrix, colour in found.planes
         ),
     ]
@@ -172,7 +172,7 @@ def _is_terrain(part: MeshPart) -> bool:
     return part.solid and is_single_sheet(part) and across.min() > _TERRAIN_M and across.prod() > _TERRAIN_M2
 
 
-def _ground_friction(found: Found, parts: list[MeshPart], report: ImportReport) -> float:
+def _ground_friction(found: SdfContents, parts: list[MeshPart], report: ImportReport) -> float:
     """The ground's friction; a warning where others differ, since a world has one."""
     if not found.frictions:
         return 1.0

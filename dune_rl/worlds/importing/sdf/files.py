@@ -6,7 +6,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import (
+from dune_rl.worlds.importing.file_dependencies import mark_incomplete, record_absent
+from dune_rl.worlds.importing.untrusted_files import (
     ImportReport,
     OutsideFolderError,
     WorldFiles,
@@ -14,7 +15,6 @@ from dune_rl.worlds.importing.import_files import (
     read_bytes,
     read_xml,
 )
-from dune_rl.worlds.importing.sources import note_absent, note_untraced
 
 RESOURCE_VARIABLE = "GZ_SIM_RESOURCE_PATH"
 
@@ -22,7 +22,7 @@ _MODEL_FILE_BYTES = 32 * 2**20
 _NAMES = ("world.sdf", "model.sdf")
 
 
-class Library:
+class SdfFileFinder:
     """Files by their URIs: beside the world's file and below, and in the folders of GZ_SIM_RESOURCE_PATH.
 
     `model://NAME/...` is looked for in the world's own folder if that is called NAME, in the folder NAME or
@@ -97,7 +97,7 @@ class Library:
         names: list[str] = []
         config = folder / "model.config"
         if not config.is_file():
-            note_absent(config)
+            record_absent(config)
         else:
             within.at(folder).find("model.config")
             root = read_xml(read_bytes(config, _MODEL_FILE_BYTES), config.name)
@@ -108,7 +108,7 @@ class Library:
                 return within.at(folder).find(name)
             except FileNotFoundError:
                 continue
-        note_untraced()
+        mark_incomplete()
         found = sorted(p for ending in ("*.sdf", "*.world") for p in folder.glob(ending))
         if len(found) == 1:
             return within.at(folder).find(found[0].name)
@@ -134,14 +134,14 @@ def _inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | None:
             return base, folder
     except (OSError, ValueError):
         pass
-    note_absent(base)
+    record_absent(base)
     return None
 
 
 def _is_folder(path: Path) -> bool:
     if path.is_dir():
         return True
-    note_absent(path)
+    record_absent(path)
     return False
 
 

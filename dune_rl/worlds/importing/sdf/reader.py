@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
 from dune_rl.rendering.light import LightConf
-from dune_rl.worlds.importing.import_files import (
+from dune_rl.worlds.importing.mesh.files import load_mesh_parts
+from dune_rl.worlds.importing.mesh_parts import GREY, MeshPart, guess_colour
+from dune_rl.worlds.importing.sdf.files import SdfFileFinder
+from dune_rl.worlds.importing.sdf.shapes import build_primitive, parse_numbers, parse_pose
+from dune_rl.worlds.importing.sdf.sun import parse_sun
+from dune_rl.worlds.importing.untrusted_files import (
     MAX_FACES,
     Bytes,
     ImportReport,
@@ -20,11 +25,6 @@ from dune_rl.worlds.importing.import_files import (
     read_bytes,
     read_image,
 )
-from dune_rl.worlds.importing.mesh_files import mesh_parts
-from dune_rl.worlds.importing.parts import GREY, MeshPart, likely_colour
-from dune_rl.worlds.importing.sdf.files import Library
-from dune_rl.worlds.importing.sdf.shapes import numbers, pose_of, simple_shape
-from dune_rl.worlds.importing.sdf.sun import sun_of
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
@@ -39,7 +39,7 @@ _SILENT = {
 
 
 @dataclass(eq=False)
-class HeightMap:
+class SdfHeightMap:
     """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4).
 
     Its `colour`; and the `picture` (rows, columns, 3) that it shows in tiles `tile_m` wide, None for none.
@@ -54,12 +54,12 @@ class HeightMap:
 
 
 @dataclass(eq=False)
-class Found:
+class SdfContents:
     """All that a file holds: solid and visible parts, planes with their places, height maps, the sun."""
 
     parts: list[MeshPart] = field(default_factory=list)
     planes: list[tuple[Element, Array, Colour]] = field(default_factory=list)
-    height_maps: list[HeightMap] = field(default_factory=list)
+    height_maps: list[SdfHeightMap] = field(default_factory=list)
     # Of a part's, a plane's ("plane") or a height map's ("heightmap") surface.
     frictions: dict[str, float] = field(default_factory=dict)
     light: LightConf | None = None
@@ -68,14 +68,14 @@ class Found:
 class SdfReader:
     """Reads a file and all that it includes into `found`."""
 
-    def __init__(self, library: Library, report: ImportReport) -> None:
-        self.found = Found()
+    def __init__(self, library: SdfFileFinder, report: ImportReport) -> None:
+        self.found = SdfContents()
         self._library, self._report = library, report
         self._elements = self._includes = self._faces = 0
         self._meshes: dict[Path, list[MeshPart]] = {}
         self._pictures: dict[Path, Bytes] = {}
 
-    def read(self, path: Path, folder: WorldFiles) -> Found:
+    def read(self, path: Path, folder: WorldFiles) -> SdfContents:
         """All of the file at `path`, which may name files in `folder`."""
         self._file(path, folder, np.eye(4), "", ())
         return self.found
@@ -134,7 +134,7 @@ class SdfReader:
             self._report.warn(
                 "<pose relative_to> is not supported; such poses are taken in their parent's frame"
             )
-        return pose_of(element)
+        return parse_pose(element)
 
     def _include(
         self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
@@ -209,9 +209,9 @@ class SdfReader:
     def _solids(
         self, shape: Element, folder: WorldFiles, matrix: Array, name: str, look: Colour | None, solid: bool
     ) -> Iterator[MeshPart]:
-        mesh = simple_shape(shape)
+        mesh = build_primitive(shape)
         if mesh is not None:
-            yield MeshPart.of(name, *mesh, look, shape.tag, ground=None, solid=solid).moved(matrix)
+            yield MeshPart.of(name, *mesh, look, shape.tag, ground=None, solid=solid).transform(matrix)
         elif shape.tag == "mesh":
             if shape.find("submesh") is not None:
                 self._report.warn("<submesh> is not supported; the whole mesh is taken")
@@ -221,9 +221,9 @@ class SdfReader:
             path, within = found
             real = path.resolve()
             if real not in self._meshes:
-                self._meshes[real] = mesh_parts(path, within.at(path.parent), self._report)
+                self._meshes[real] = load_mesh_parts(path, within.at(path.parent), self._report)
             scale = np.eye(4)
-            scale[range(3), range(3)] = numbers(shape.find("scale"), 3, (1, 1, 1))
+            scale[range(3), range(3)] = parse_numbers(shape.find("scale"), 3, (1, 1, 1))
             if abs(float(np.linalg.det(scale))) < 1e-12:
                 raise WorldError("<scale> of a <mesh> must not be zero.")
             for part in self._meshes[real]:
@@ -232,7 +232,7 @@ class SdfReader:
                 texture = part.texture if look is None else None
                 yield MeshPart.of(
                     name, part.vertices, part.faces, colours, about, ground=None, solid=solid, texture=texture
-                ).moved(matrix @ scale)
+                ).transform(matrix @ scale)
         else:
             self._report.warn(f"<{printable(shape.tag, 40)}> as a shape is not supported and left out")
 
@@ -247,19 +247,19 @@ class SdfReader:
         for texture in (t for s in pictures for t in s.findall("texture")):
             diffuse = self._picture((texture.findtext("diffuse") or "").strip(), folder)
             if picture is None and diffuse is not None:
-                picture, tile_m = diffuse, float(numbers(texture.find("size"), 1, (10.0,))[0])
+                picture, tile_m = diffuse, float(parse_numbers(texture.find("size"), 1, (10.0,))[0])
             # Only its absence is told.
             self._picture((texture.findtext("normal") or "").strip(), folder)
         if not 1e-3 <= tile_m <= 1e5:
             self._report.warn(f"<size> of a <texture> is {tile_m:g} m; it is shown in its mean colour")
             look = look or (None if picture is None else mean_colour(picture))
             picture = None
-        size = numbers(shape.find("size"), 3, (1, 1, 1))
+        size = parse_numbers(shape.find("size"), 3, (1, 1, 1))
         place = np.eye(4)
-        place[:3, 3] = numbers(shape.find("pos"), 3, (0, 0, 0))
+        place[:3, 3] = parse_numbers(shape.find("pos"), 3, (0, 0, 0))
         if not ((size > 0) & (size < 1e5)).all():
             raise WorldError("<size> of a <heightmap> must be above 0.")
-        self.found.height_maps.append(HeightMap(found[0], size, matrix @ place, look, picture, tile_m))
+        self.found.height_maps.append(SdfHeightMap(found[0], size, matrix @ place, look, picture, tile_m))
 
     def _look(self, visual: Element, folder: WorldFiles) -> Colour | None:
         """A visual's one colour; None where it says none, or is a mesh with its own."""
@@ -278,7 +278,7 @@ class SdfReader:
         script = material.findtext("script/name")
         if found is None and script:
             self._report.warn("material scripts are not supported; their colours are guessed by name")
-            found = likely_colour(script)
+            found = guess_colour(script)
         return found
 
     def _picture(self, uri: str, folder: WorldFiles) -> Bytes | None:
@@ -289,7 +289,7 @@ class SdfReader:
         real = found[0].resolve()
         try:
             if real not in self._pictures:
-                self._pictures[real] = self._report.kept(read_image(read_bytes(real)))
+                self._pictures[real] = self._report.limit_texture(read_image(read_bytes(real)))
             return self._pictures[real]
         except ValueError as error:
             self._report.warn(f"{printable(uri)} is left out: {first_line(error)}")
@@ -305,7 +305,7 @@ class SdfReader:
         if self.found.light is not None:
             self._report.warn("has several directional lights; the first is the sun")
             return
-        self.found.light = sun_of(element, (matrix @ self._pose(element))[:3, :3], self._report)
+        self.found.light = parse_sun(element, (matrix @ self._pose(element))[:3, :3], self._report)
 
 
 def mean_colour(picture: Bytes) -> Colour:
@@ -322,5 +322,5 @@ def _friction(collision: Element) -> float | None:
     for way in ("ode/mu", "bullet/friction"):
         found = collision.find(f"surface/friction/{way}")
         if found is not None:
-            return float(numbers(found, 1, (1.0,))[0])
+            return float(parse_numbers(found, 1, (1.0,))[0])
     return None

@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import printable
+from dune_rl.worlds.importing.untrusted_files import printable
 
 Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.int32]]
@@ -16,7 +16,7 @@ _ROUND_SIDES = 24
 _LARGEST_M = 1e5
 
 
-def numbers(element: Element | None, count: int, default: tuple[float, ...]) -> Array:
+def parse_numbers(element: Element | None, count: int, default: tuple[float, ...]) -> Array:
     """The `count` finite numbers that an element holds; the default where there is no element or no text."""
     text = None if element is None else (element.text or "").strip()
     if not text or element is None:
@@ -30,18 +30,18 @@ def numbers(element: Element | None, count: int, default: tuple[float, ...]) -> 
     return found
 
 
-def pose_of(element: Element) -> Array:
+def parse_pose(element: Element) -> Array:
     """The transform (4, 4) of an element's <pose>: x y z [m], roll pitch yaw [rad] unless it says other."""
     pose = element.find("pose")
     if pose is None:
         return np.eye(4)
     matrix = np.eye(4)
     if pose.get("rotation_format") == "quat_xyzw":
-        found = numbers(pose, 7, (0, 0, 0, 0, 0, 0, 1))
+        found = parse_numbers(pose, 7, (0, 0, 0, 0, 0, 0, 1))
         x, y, z, w = found[3:] / max(float(np.linalg.norm(found[3:])), 1e-12)
         matrix = trimesh.transformations.quaternion_matrix([w, x, y, z])
     else:
-        found = numbers(pose, 6, (0,) * 6)
+        found = parse_numbers(pose, 6, (0,) * 6)
         angles = np.deg2rad(found[3:]) if pose.get("degrees") in ("true", "1") else found[3:]
         matrix = trimesh.transformations.euler_matrix(angles[0], angles[1], angles[2], "sxyz")
     matrix = np.asarray(matrix, np.float64)
@@ -49,7 +49,7 @@ def pose_of(element: Element) -> Array:
     return matrix
 
 
-def simple_shape(element: Element) -> Mesh | None:
+def build_primitive(element: Element) -> Mesh | None:
     """The closed surface of a <box>, <cylinder>, <cone>, <sphere>, <ellipsoid> or <capsule>; else None."""
     kind = element.tag
     if kind == "box":
@@ -76,9 +76,9 @@ def simple_shape(element: Element) -> Mesh | None:
     return np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int32)
 
 
-def plane(element: Element, least_m: Array) -> Mesh:
+def build_plane(element: Element, least_m: Array) -> Mesh:
     """A <plane> as two triangles of its size, and at least `least_m` (2,): to physics it has no end."""
-    normal = numbers(element.find("normal"), 3, (0, 0, 1))
+    normal = parse_numbers(element.find("normal"), 3, (0, 0, 1))
     length = float(np.linalg.norm(normal))
     if length < 1e-9:
         raise WorldError("<normal> of a <plane> must not be zero.")
@@ -93,7 +93,7 @@ def _round(element: Element) -> tuple[float, float]:
 
 
 def _lengths(element: Element, name: str, count: int, default: tuple[float, ...]) -> Array:
-    found = numbers(element.find(name), count, default)
+    found = parse_numbers(element.find(name), count, default)
     if not ((found > 0) & (found <= _LARGEST_M)).all():
         raise WorldError(f"<{name}> of a <{element.tag}> must be above 0 and at most {_LARGEST_M:g} m.")
     return found

@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.rendering.light import LightConf
-from dune_rl.worlds.importing.import_files import ImportReport, printable
-from dune_rl.worlds.importing.sdf.shapes import numbers
+from dune_rl.worlds.importing.sdf.shapes import parse_numbers
+from dune_rl.worlds.importing.untrusted_files import ImportReport, printable
 
 Colour = tuple[float, float, float]
 
 
-def sun_of(element: Element, turn: NDArray[np.float64], report: ImportReport) -> LightConf | None:
+def parse_sun(element: Element, turn: NDArray[np.float64], report: ImportReport) -> LightConf | None:
     """The sun of a <light> whose frame is turned by `turn` (3, 3); None, with a warning, if from below."""
-    to_sun = -turn @ numbers(element.find("direction"), 3, (0, 0, -1))
+    to_sun = -turn @ parse_numbers(element.find("direction"), 3, (0, 0, -1))
     length = float(np.linalg.norm(to_sun))
     if length < 1e-9 or to_sun[2] / length < 0.02:
         report.warn("its directional light does not come from above and is left out")

@@ -10,19 +10,19 @@ from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.mesh_texture import join_textures
-from dune_rl.worlds.ground import GroundPicture
-from dune_rl.worlds.importing.ground_pictures import ground_picture
+from dune_rl.worlds.ground_texture import GroundPicture
+from dune_rl.worlds.importing.ground_pictures import bake_ground_picture
 from dune_rl.worlds.importing.height_grid import (
     Triangles,
     cast_down,
-    extent_of,
     fill_gaps,
     grid_axes,
     grid_spacing,
+    ground_extent,
 )
-from dune_rl.worlds.importing.import_files import ImportReport
-from dune_rl.worlds.importing.parts import MeshPart
-from dune_rl.worlds.importing.topology import joined_faces, open_edges, weld_vertices
+from dune_rl.worlds.importing.mesh_parts import MeshPart
+from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
+from dune_rl.worlds.importing.untrusted_files import ImportReport
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -39,7 +39,7 @@ _VAULT_RISE = 0.2
 _ISLAND_SHARE, _ISLAND_M2 = 0.005, 4.0
 
 
-class Ground(NamedTuple):
+class ImportedGround(NamedTuple):
     """Heights on a grid; where they were found, not filled in (rows, columns); and the colours there.
 
     `picture` is what the ground shows between the grid's points, None where it has no textures.
@@ -53,7 +53,9 @@ class Ground(NamedTuple):
     picture: GroundPicture | None
 
 
-def find_ground(parts: Sequence[MeshPart], spacing_m: float | None, report: ImportReport) -> Ground:
+def extract_ground(
+    parts: Sequence[MeshPart], spacing_m: float | None, report: ImportReport
+) -> ImportedGround:
     """The ground of the `parts`, sampled by rays straight down every `spacing_m`; None: chosen by its size.
 
     Connected triangles that face up and are not steep make a surface. The widest that nothing as wide lies
@@ -69,7 +71,7 @@ def find_ground(parts: Sequence[MeshPart], spacing_m: float | None, report: Impo
             "look whether its up axis is right (world.up) and its faces are not inside out."
         )
     is_ground = _grown(soup, surface, report)
-    low, high = extent_of(soup, is_ground)
+    low, high = ground_extent(soup, is_ground)
     step = grid_spacing(low, high, spacing_m)
     x, y, origin = grid_axes(low, high, step)
     heights, face = cast_down(soup, np.flatnonzero(is_ground), x, y, low, high)
@@ -80,8 +82,8 @@ def find_ground(parts: Sequence[MeshPart], spacing_m: float | None, report: Impo
     smooth = [fill_gaps(colours[..., channel].astype(np.float64), known) for channel in range(3)]
     colours = np.stack(smooth, axis=-1).astype(np.float32)
     terrain = HeightField(ground_heights, step, origin)
-    picture = ground_picture(soup, is_ground, terrain, colours)
-    return Ground(terrain, known, colours, is_ground, picture)
+    picture = bake_ground_picture(soup, is_ground, terrain, colours)
+    return ImportedGround(terrain, known, colours, is_ground, picture)
 
 
 def _soup(parts: Sequence[MeshPart]) -> Triangles:
@@ -115,7 +117,7 @@ def _surfaces(soup: Triangles) -> NDArray[np.int64]:
     surface = np.full(len(soup.faces), -1, np.int64)
     chosen = np.flatnonzero(upward)
     if len(chosen):
-        surface[chosen] = joined_faces(weld_vertices(soup.vertices, soup.faces)[chosen])
+        surface[chosen] = label_face_components(weld_vertices(soup.vertices, soup.faces)[chosen])
     return surface
 
 

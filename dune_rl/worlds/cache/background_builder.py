@@ -71,7 +71,7 @@ class Preparation:
         try:
             child = subprocess.Popen(
                 # -P: the working folder is no place to import from.
-                [sys.executable, "-P", "-m", "dune_rl.worlds.prepare", str(os.getpid())],
+                [sys.executable, "-P", "-m", "dune_rl.worlds.cache.background_process", str(os.getpid())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

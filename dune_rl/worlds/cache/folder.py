@@ -111,14 +111,14 @@ class DiskCache:
     def __init__(self, cache: CacheFolder, key: str) -> None:
         self._cache, self._key = cache, key
 
-    def holds(self, name: str) -> bool:
+    def contains(self, name: str) -> bool:
         """Whether something has been kept under that name."""
         return self._cache.entry(self._entry(name)).exists()
 
     def _entry(self, name: str) -> str:
         return hashlib.sha256(f"{self._key} {name}".encode()).hexdigest()
 
-    def keep(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+    def get_or_compute(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """What `make` gives, read back if it has been kept."""
         key = self._entry(name)
         found = self._cache.read(key)

@@ -1,4 +1,4 @@
-"""What the ground looks like: grass, earth and stones mixed by noise and by slope, or its surfaces."""
+"""Textures of the ground: colours mixed by noise and slope, by surface material, or taken from a picture."""
 
 from dataclasses import dataclass
 
@@ -10,6 +10,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import GroundTexture
 from dune_rl.seeding import stream
+from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.surface_map import SurfaceMap
 
 Floats = NDArray[np.float32]
@@ -20,11 +21,11 @@ _MOST_TEXELS = 1024
 
 
 @dataclass(frozen=True)
-class Ground:
-    """Colours (sRGB) of a ground: `low` and `high` patches of growth, and `bare` earth on steep places.
+class GroundColours:
+    """Colours (sRGB) of a ground: patches between `low` and `high`, and `bare` earth on steep slopes.
 
-    `bare_from_rad` is the slope from which growth gives way; `contrast` scales
-    the grain.
+    `bare_from_rad` is the slope above which earth shows; `contrast` scales the
+    brightness noise.
     """
 
     low: Colour
@@ -34,41 +35,41 @@ class Ground:
     contrast: float = 1.0
 
 
-MEADOW = Ground(
+MEADOW = GroundColours(
     low=(0.34, 0.38, 0.21), high=(0.50, 0.48, 0.29), bare=(0.46, 0.385, 0.305), bare_from_rad=0.30
 )
-GRAVEL = Ground(
+GRAVEL = GroundColours(
     low=(0.55, 0.53, 0.49), high=(0.64, 0.61, 0.56), bare=(0.50, 0.46, 0.42), bare_from_rad=0.6, contrast=0.8
 )
 
-# How surfaces look where a world has a map of them: earth shows through grass alone.
-SURFACE_LOOKS: dict[str, Ground] = {
+# Colours of surface materials, for worlds with a surface map; only grass gives way to bare earth.
+SURFACE_COLOURS: dict[str, GroundColours] = {
     "grass": MEADOW,
-    "gravel": Ground((0.43, 0.415, 0.39), (0.53, 0.51, 0.48), (0.46, 0.44, 0.41), 0.6, contrast=0.9),
-    "mud": Ground((0.22, 0.165, 0.12), (0.31, 0.24, 0.18), (0.26, 0.20, 0.15), 0.6, contrast=0.6),
-    "sand": Ground((0.70, 0.61, 0.44), (0.80, 0.72, 0.55), (0.72, 0.63, 0.47), 0.6, contrast=0.6),
-    "rock": Ground((0.30, 0.295, 0.30), (0.40, 0.39, 0.38), (0.35, 0.34, 0.335), 0.6, contrast=0.8),
-    "concrete": Ground((0.63, 0.63, 0.62), (0.70, 0.70, 0.68), (0.66, 0.65, 0.63), 0.6, contrast=0.3),
-    "wood": Ground((0.45, 0.30, 0.17), (0.56, 0.40, 0.24), (0.48, 0.33, 0.20), 0.6, contrast=0.5),
+    "gravel": GroundColours((0.43, 0.415, 0.39), (0.53, 0.51, 0.48), (0.46, 0.44, 0.41), 0.6, contrast=0.9),
+    "mud": GroundColours((0.22, 0.165, 0.12), (0.31, 0.24, 0.18), (0.26, 0.20, 0.15), 0.6, contrast=0.6),
+    "sand": GroundColours((0.70, 0.61, 0.44), (0.80, 0.72, 0.55), (0.72, 0.63, 0.47), 0.6, contrast=0.6),
+    "rock": GroundColours((0.30, 0.295, 0.30), (0.40, 0.39, 0.38), (0.35, 0.34, 0.335), 0.6, contrast=0.8),
+    "concrete": GroundColours((0.63, 0.63, 0.62), (0.70, 0.70, 0.68), (0.66, 0.65, 0.63), 0.6, contrast=0.3),
+    "wood": GroundColours((0.45, 0.30, 0.17), (0.56, 0.40, 0.24), (0.48, 0.33, 0.20), 0.6, contrast=0.5),
 }
-# Surfaces run into each other over about this far.
+# Neighbouring surfaces blend over about this distance.
 _BLEND_M = 0.12
 
 
 @dataclass(frozen=True, eq=False)
 class GroundPicture:
-    """Colours of a ground from a file: `colours` (rows, columns, 3) in sRGB over the terrain's rectangle.
+    """Ground colours from a file: `colours` (rows, columns, 3) in sRGB over the terrain's rectangle.
 
-    Row 0 lies at its lowest y, column 0 at its lowest x. `detailed` (rows, columns) tells where they are
-    those of a picture, which is shown as it is; elsewhere they get the patches and the grain of a `Ground`.
+    Row 0 is at the lowest y, column 0 at the lowest x. `detailed` (rows, columns) marks colours that come
+    from a picture and are shown unchanged; the others get the brightness noise of a `GroundColours`.
     """
 
     colours: Floats
     detailed: NDArray[np.bool_]
 
 
-def texels(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
-    """Rows and columns of a texture on `terrain`."""
+def texture_shape(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
+    """Rows and columns of a ground texture on `terrain` with texels of `texel_m` [m]."""
     xmin, xmax, ymin, ymax = terrain.extent
     columns, rows = (
         int(np.clip(round(side / texel_m), 2, _MOST_TEXELS)) for side in (xmax - xmin, ymax - ymin)
@@ -76,10 +77,10 @@ def texels(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
     return rows, columns
 
 
-def apply_ground_picture(
-    terrain: HeightField, ground: Ground, seed: int, picture: GroundPicture
+def ground_texture_from_picture(
+    terrain: HeightField, ground: GroundColours, seed: int, picture: GroundPicture
 ) -> GroundTexture:
-    """The look of a `picture` on `terrain`, grained like `ground` where it has no detail of its own."""
+    """Ground texture of a `picture`, with the brightness noise of `ground` where it is not detailed."""
     albedo = srgb_to_linear(picture.colours)
     if picture.detailed.all():
         return GroundTexture(np.clip(albedo, 0.01, 0.95))
@@ -92,11 +93,11 @@ def apply_ground_picture(
 
 
 def ground_texture(
-    terrain: HeightField, ground: Ground, seed: int, surfaces: SurfaceMap | None = None
+    terrain: HeightField, ground: GroundColours, seed: int, surfaces: SurfaceMap | None = None
 ) -> GroundTexture:
-    """The look of `ground` on `terrain`, or of the `surfaces` it is made of: the same for the same seed."""
+    """Ground texture of `ground` on `terrain`, or of its `surfaces`; deterministic in `seed`."""
     xmin, xmax, ymin, ymax = terrain.extent
-    rows, columns = texels(terrain)
+    rows, columns = texture_shape(terrain)
     rng = stream(seed, "ground texture")
     texel_m = (xmax - xmin) / columns
     patches = _noise(rng, rows, columns, [9.0, 4.0, 1.6, 0.6], texel_m)
@@ -107,31 +108,33 @@ def ground_texture(
     xy = np.stack(np.meshgrid(x, y), axis=-1)
     slope = terrain.slope(xy)
     slope = ndimage.gaussian_filter(slope, 0.5 / texel_m)
-    growth = _step((patches + 0.8) / 1.6)[..., None]
-    shown = [(ground, np.ones((rows, columns)))]
+    growth = smooth_step((patches + 0.8) / 1.6)[..., None]
+    layers = [(ground, np.ones((rows, columns)))]
     if surfaces is not None:
-        shown = _shares(surfaces, surfaces.at(xy), ground, _BLEND_M / texel_m)
+        layers = _surface_layers(surfaces, surfaces.at(xy), ground, _BLEND_M / texel_m)
     texture = np.zeros((rows, columns, 3))
-    for look, share in shown:
-        bare = _step((slope - look.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
-        low, high, earth = (srgb_to_linear(np.array(colour)) for colour in (look.low, look.high, look.bare))
+    for colours, share in layers:
+        bare = smooth_step((slope - colours.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
+        low, high, earth = (
+            srgb_to_linear(np.array(colour)) for colour in (colours.low, colours.high, colours.bare)
+        )
         albedo = low + growth * (high - low)
         albedo = albedo + bare * (earth - albedo)
-        # Grass is rougher than earth.
-        shade = 1.0 + look.contrast * (0.16 * grain[..., None] + 0.10 * patches[..., None]) * (
+        # Grass has more contrast than earth.
+        shade = 1.0 + colours.contrast * (0.16 * grain[..., None] + 0.10 * patches[..., None]) * (
             1.0 - 0.3 * bare
         )
         texture += share[..., None] * (albedo * shade)
     return GroundTexture(np.clip(texture, 0.01, 0.95).astype(np.float32))
 
 
-def _shares(
-    surfaces: SurfaceMap, numbers: NDArray[np.uint8], ground: Ground, blend: float
-) -> list[tuple[Ground, NDArray[np.float64]]]:
-    """The looks that there are and the share (rows, columns) of each; `ground` where a surface has none."""
+def _surface_layers(
+    surfaces: SurfaceMap, numbers: NDArray[np.uint8], ground: GroundColours, blend: float
+) -> list[tuple[GroundColours, NDArray[np.float64]]]:
+    """Colours of each surface in `numbers` and its blended share (rows, columns); default `ground`."""
     return [
         (
-            SURFACE_LOOKS.get(surfaces.names[number], ground),
+            SURFACE_COLOURS.get(surfaces.names[number], ground),
             ndimage.gaussian_filter((numbers == number).astype(np.float64), blend),
         )
         for number in np.unique(numbers).tolist()
@@ -141,7 +144,7 @@ def _shares(
 def _noise(
     rng: np.random.Generator, rows: int, columns: int, wavelengths_m: list[float], texel_m: float
 ) -> NDArray[np.float64]:
-    # Value noise of several wavelengths, the shorter the weaker, of about unit variance.
+    # Value noise of several wavelengths, weaker at shorter ones, of about unit variance.
     total, power = np.zeros((rows, columns)), 0.0
     for level, wavelength in enumerate(wavelengths_m):
         cells = [max(2, round(n * texel_m / wavelength)) + 3 for n in (rows, columns)]
@@ -153,8 +156,3 @@ def _noise(
         total += weight * ndimage.map_coordinates(coarse, at, order=2, mode="nearest")
         power += weight**2
     return total / (0.7 * np.sqrt(power))
-
-
-def _step(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    t = np.clip(t, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)

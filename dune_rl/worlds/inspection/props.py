@@ -1,4 +1,4 @@
-"""Things found on industrial sites, each built to stand on given terrain."""
+"""Props of industrial sites, each fitted to the terrain below it."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ _PLASTER: Colour = (0.72, 0.60, 0.50)
 _SIGNAL: Colour = (0.80, 0.25, 0.15)
 _WATER: Colour = (0.20, 0.42, 0.55)
 
-# How far feet go into the ground, so that none shows a gap on a slope.
+# Depth of feet below the ground, so that no gap shows on a slope.
 _SUNK_M = 0.4
 
 ARRAY_LENGTH_M = 6.2
@@ -31,13 +31,13 @@ _ARRAY_THICKNESS_M = 0.08
 
 
 def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tuple[Prop, Prop]:
-    """A tilted panel 6.2 m long (along `yaw`) and 2.6 m deep on six posts: the panel, and its frame.
+    """A tilted panel, 6.2 m long (along `yaw`) and 2.6 m deep, on six posts: panel, and frame.
 
-    Its low edge, on the right of `yaw`, passes 0.18 m above the highest ground under it.
+    Its low edge, to the right of `yaw`, clears the highest ground below it by 0.18 m.
     """
     along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     low_edge = np.asarray(xy) - ARRAY_DEPTH_M / 2 * across
-    s, t, ground = _under_array(terrain, xy, yaw)
+    s, t, ground = _ground_below_array(terrain, xy, yaw)
     pitch, level = np.polyfit(s, ground[:, 0], 1)
     rise = np.tan(_ARRAY_TILT)
     level += (ground - (level + pitch * s[:, None] + rise * t)).max() + _ARRAY_LOW_EDGE_M
@@ -65,7 +65,7 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
             foot = float(terrain.height(top[:2])) - _SUNK_M
             frame.append(upright_box(top[:2], yaw, foot, top[2] + 0.04, 0.12, 0.12))
         frame.append(beam(underside(-3.0, t_m), underside(3.0, t_m), 0.08, 0.08))
-    # Kick boards close the low edge down to the ground, or it would catch a robot above its LiDAR's plane.
+    # Kick boards close the gap below the low edge, which robots would hit above their LiDAR's plane.
     for s_m in (np.arange(6) - 2.5) * ARRAY_LENGTH_M / 6:
         top = underside(float(s_m), 0.05)
         bottom = float(terrain.height(top[:2])) + 0.1
@@ -76,14 +76,14 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
     )
 
 
-def array_gap(terrain: HeightField, xy: ArrayLike, yaw: float) -> float:
-    """How far [m] a solar array's straight low edge would at most be from ground this uneven."""
-    s, _, ground = _under_array(terrain, xy, yaw)
+def array_unevenness(terrain: HeightField, xy: ArrayLike, yaw: float) -> float:
+    """Range [m] of the gap between a solar array's straight low edge and the ground below it."""
+    s, _, ground = _ground_below_array(terrain, xy, yaw)
     return float(np.ptp(ground[:, 0] - np.polyval(np.polyfit(s, ground[:, 0], 1), s)))
 
 
-def _under_array(terrain: HeightField, xy: ArrayLike, yaw: float) -> tuple[Array, Array, Array]:
-    # Places along (S,) and across (T,) from the middle of the low edge, and the ground there (S, T).
+def _ground_below_array(terrain: HeightField, xy: ArrayLike, yaw: float) -> tuple[Array, Array, Array]:
+    # Coordinates along (S,) and across (T,) the panel from the middle of its low edge; ground heights (S, T).
     along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     s = np.linspace(-ARRAY_LENGTH_M / 2, ARRAY_LENGTH_M / 2, 25)
     t = np.linspace(0.0, ARRAY_DEPTH_M, 9)
@@ -94,7 +94,7 @@ def _under_array(terrain: HeightField, xy: ArrayLike, yaw: float) -> tuple[Array
 def bridge(
     terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, width: float
 ) -> tuple[Prop, Prop]:
-    """A wooden bridge along `yaw`, its ends flush with the ground: the drivable deck, and piers and rails."""
+    """A wooden bridge along `yaw`, its ends flush with the ground: drivable deck, and piers and rails."""
     centre, along, across = np.asarray(xy), unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     ends_xy = np.array([centre - length / 2 * along, centre + length / 2 * along])
     ends = np.column_stack([ends_xy, terrain.height(ends_xy) + 0.03])
@@ -138,15 +138,15 @@ def pipe_run(
     spacing: float = 2.2,
     valve: bool = False,
 ) -> Prop:
-    """A pipe on stands about `spacing` [m] apart, its underside `lift` [m] above the ground at them.
+    """A pipe on stands about `spacing` [m] apart, its underside `lift` [m] above the ground at the stands.
 
-    It comes out of the ground at `start` and goes back into it at `end`.
+    It comes out of the ground at `start` and goes back into it at `end` (2,).
     """
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     spans = max(1, round(float(np.linalg.norm(last - first)) / spacing))
     nodes_xy = first + np.linspace(0.0, 1.0, spans + 1)[:, None] * (last - first)
     z = terrain.height(nodes_xy) + lift + radius
-    z = _clear_of_ground(terrain, nodes_xy, z, radius + min(lift, 0.12))
+    z = _raise_over_bumps(terrain, nodes_xy, z, radius + min(lift, 0.12))
     nodes = np.column_stack([nodes_xy, z])
     ahead = (last - first) / np.linalg.norm(last - first)
     yaw = float(np.arctan2(ahead[1], ahead[0]))
@@ -174,8 +174,8 @@ def pipe_run(
     return Prop(name, "pipeline", *merge_meshes(parts), colour=_PIPE)
 
 
-def _clear_of_ground(terrain: HeightField, nodes: Array, z: Array, room: float) -> Array:
-    # Between its stands a straight pipe would cut through a bump: lift both stands over it.
+def _raise_over_bumps(terrain: HeightField, nodes: Array, z: Array, room: float) -> Array:
+    # Where a straight pipe would pass through a bump between two stands, both stands are raised.
     z, t = z.copy(), np.linspace(0.0, 1.0, 13)[:, None]
     for i in range(len(nodes) - 1):
         ground = terrain.height(nodes[i] + t * (nodes[i + 1] - nodes[i]))
@@ -185,7 +185,7 @@ def _clear_of_ground(terrain: HeightField, nodes: Array, z: Array, room: float) 
 
 
 def culvert(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
-    """A concrete ring 2.8 m wide and 0.8 m long, its axis along `yaw`, its foot in the ground."""
+    """A concrete ring of 2.8 m diameter and 0.8 m length, its axis along `yaw`, its bottom in the ground."""
     radius, half = 1.4, 0.4
     axis = unit_vector(yaw)
     along = np.asarray(xy) + np.linspace(-half, half, 5)[:, None] * axis
@@ -196,7 +196,7 @@ def culvert(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
 
 
 def wall(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, height: float) -> Prop:
-    """A wall 0.3 m thick along `yaw`, in steps of about a metre that follow the ground."""
+    """A wall 0.3 m thick along `yaw`, in blocks of about a metre that follow the ground."""
     count = max(1, round(length))
     step, along = length / count, unit_vector(yaw)
     blocks = []
@@ -215,7 +215,7 @@ def post(terrain: HeightField, name: str, xy: ArrayLike, radius: float, height: 
 
 
 def water_table(terrain: HeightField, name: str, xy: ArrayLike, level: float, reach: float) -> Prop:
-    """Water standing at height `level` round `xy`, out to the shore or `reach` [m]; not solid."""
+    """Water at height `level` [m] round `xy`, out to the shore or `reach` [m]; not solid."""
     centre = np.asarray(xy)
     angles = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
     distances = np.arange(0.0, reach, 0.25)

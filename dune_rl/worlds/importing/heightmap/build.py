@@ -10,11 +10,11 @@ from scipy import ndimage
 
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.importing.height_files import Heights, read_heights
 from dune_rl.worlds.importing.height_grid import MAX_POINTS, fill_gaps
-from dune_rl.worlds.importing.import_files import ImportReport, resolve_world_path
-from dune_rl.worlds.importing.imported import ImportedWorld, checked_region, with_region
+from dune_rl.worlds.importing.heightmap.files import HeightSamples, read_heights
+from dune_rl.worlds.importing.imported_world import ImportedWorld, check_region, set_region
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.importing.untrusted_files import ImportReport, resolve_world_path
 from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
@@ -66,15 +66,15 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
     heights = read_heights(path, report)
     size = _size(conf, heights, path)
     samples = _in_metres(conf, heights, path)
-    terrain, known = grid_of(samples, size, conf.spacing_m, report)
+    terrain, known = terrain_from_samples(samples, size, conf.spacing_m, report)
     world = ImportedWorld("heightmap", terrain, (), region=terrain.extent, friction=conf.friction)
-    with_region(world, checked_region(conf.region), report, known)
+    set_region(world, check_region(conf.region), report, known)
     world.surfaces = read_surfaces(conf, world.extent)
-    report.tell()
+    report.emit_warnings()
     return world
 
 
-def grid_of(
+def terrain_from_samples(
     samples: Array, size_m: tuple[float, float], spacing_m: float | None, report: ImportReport
 ) -> tuple[HeightField, NDArray[np.bool_]]:
     """Terrain of samples (rows, columns; north first) [m] over `size_m` round the origin; where it is known.
@@ -122,7 +122,7 @@ def grid_of(
     return HeightField(heights, wanted, (float(start[0]), float(start[1]))), near
 
 
-def _size(conf: HeightmapConf, heights: Heights, path: Path) -> tuple[float, float]:
+def _size(conf: HeightmapConf, heights: HeightSamples, path: Path) -> tuple[float, float]:
     rows, columns = heights.samples.shape
     if conf.size_m is not None:
         size = conf.size_m
@@ -141,7 +141,7 @@ def _size(conf: HeightmapConf, heights: Heights, path: Path) -> tuple[float, flo
     return size
 
 
-def _in_metres(conf: HeightmapConf, heights: Heights, path: Path) -> Array:
+def _in_metres(conf: HeightmapConf, heights: HeightSamples, path: Path) -> Array:
     samples = heights.samples
     low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
     if conf.relief_m is not None:

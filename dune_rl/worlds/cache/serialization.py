@@ -15,9 +15,9 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.settings import Settings
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.ground import Ground, GroundPicture
-from dune_rl.worlds.importing.imported import ImportedWorld
-from dune_rl.worlds.importing.objects import ImportedProp
+from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
+from dune_rl.worlds.importing.imported_props import ImportedProp
+from dune_rl.worlds.importing.imported_world import ImportedWorld
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Soil, Surface
@@ -30,7 +30,7 @@ Packed = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 _PLAIN: tuple[type, ...] = (
     ClearanceField,
     Grass,
-    Ground,
+    GroundColours,
     GroundPicture,
     ImportedProp,
     ImportedWorld,
@@ -112,12 +112,12 @@ class _Packer:
             state = [[name, self.pack(held)] for name, held in state_of(value).items()]
             self.objects.append({"class": type(value).__name__, "state": state})
             return {"object": len(self.objects) - 1}
-        raise UnpackableError(f"{type(value).__name__} is not known to dune_rl.worlds.packing")
+        raise UnpackableError(f"{type(value).__name__} is not known to dune_rl.worlds.cache.serialization")
 
     def _array(self, value: NDArray[Any]) -> dict[str, Any]:
         kind = value.dtype.name
         if kind not in _TYPES:
-            raise UnpackableError(f"arrays of {kind} are not known to dune_rl.worlds.packing")
+            raise UnpackableError(f"arrays of {kind} are not known to dune_rl.worlds.cache.serialization")
         start = self._sizes.get(kind, 0)
         self._sizes[kind] = start + value.size
         self.parts.setdefault(kind, []).append(value.reshape(-1))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.rendering.mesh_texture import MeshTexture
-from dune_rl.worlds.importing.import_files import ImportReport
+from dune_rl.worlds.importing.untrusted_files import ImportReport
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -76,18 +76,18 @@ class MeshPart:
     ) -> "MeshPart":
         """A part; `colours` is one (3,) for all, one a face (F, 3), or None for a guess by name."""
         corners = np.asarray(faces, np.int32).reshape(-1, 3)
-        rgb = likely_colour(f"{name} {about}") if colours is None else colours
+        rgb = guess_colour(f"{name} {about}") if colours is None else colours
         each = np.broadcast_to(np.clip(np.asarray(rgb, np.float32), 0.0, 1.0), (len(corners), 3))
         points = np.asarray(vertices, np.float64).reshape(-1, 3)
         return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid, texture)
 
-    def moved(self, matrix: Array) -> "MeshPart":
+    def transform(self, matrix: Array) -> "MeshPart":
         """The same part under a transform (4, 4); a mirrored one keeps its outside outside."""
         if np.array_equal(matrix, np.eye(4)):
             return self
         vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         faces = self.faces[:, ::-1].copy() if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
-        texture = None if self.texture is None else self.texture.moved(matrix)
+        texture = None if self.texture is None else self.texture.transform(matrix)
         return replace(self, vertices=vertices, faces=faces, texture=texture)
 
     @property
@@ -113,13 +113,13 @@ class MeshPart:
         return "thing"
 
 
-def likely_colour(text: str) -> tuple[float, float, float]:
+def guess_colour(text: str) -> tuple[float, float, float]:
     """A guess at the colour (sRGB) of what is called that: grey where no word tells."""
     low = text.lower()
     return next((colour for word, colour in _COLOURS if word in low), GREY)
 
 
-def without_faults(parts: Sequence[MeshPart], report: ImportReport) -> list[MeshPart]:
+def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> list[MeshPart]:
     """The parts without triangles that have no area or wrong numbers, which are warned of."""
     kept: list[MeshPart] = []
     for part in parts:
@@ -153,7 +153,7 @@ def _used(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
     )
 
 
-def texture_colours(image: NDArray[np.uint8], uv: Array) -> Floats:
+def mean_face_colours(image: NDArray[np.uint8], uv: Array) -> Floats:
     """Mean colours (F, 3) of triangles in a picture (rows, columns, 3), `uv` (F, 3, 2) from lower left."""
     rows, columns = image.shape[:2]
     # All inside, or the picture's other edge would show at the seams.

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
 from dune_rl.rendering.mesh_texture import MeshTexture
-from dune_rl.worlds.importing.import_files import (
+from dune_rl.worlds.importing.mesh_parts import MeshPart, mean_face_colours
+from dune_rl.worlds.importing.untrusted_files import (
     MAX_FACES,
     ImportReport,
     WorldFiles,
@@ -25,7 +26,6 @@ from dune_rl.worlds.importing.import_files import (
     read_image,
     read_xml,
 )
-from dune_rl.worlds.importing.parts import MeshPart, texture_colours
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _MOST_NODES = 20_000
 _DEEPEST = 100
 
 
-def collada_parts(
+def load_collada_parts(
     data: bytes, name: str, folder: WorldFiles, report: ImportReport
 ) -> tuple[list[MeshPart], float, str | None]:
     """Parts in the file's own unit and axes; that unit [m]; and the axis that is up: "x", "y" or "z".
@@ -121,7 +121,7 @@ class _Reader:
                 colours,
                 about,
                 texture=texture,
-            ).moved(matrix)
+            ).transform(matrix)
 
     def _count(self, faces: int) -> None:
         self._faces += faces
@@ -142,7 +142,7 @@ class _Reader:
             return look.mean(axis=(0, 1)) / 255.0, None
         uv = np.asarray(primitive.texcoordset[0], np.float64)[primitive.texcoord_indexset[0]][..., :2]
         corners = np.asarray(primitive.vertex, np.float64)[primitive.vertex_index]
-        return texture_colours(look, uv), MeshTexture.of(look, corners, uv)
+        return mean_face_colours(look, uv), MeshTexture.of(look, corners, uv)
 
     def _look(self, material: Any) -> NDArray[Any] | None:
         """A picture in bytes (rows, columns, 3), one colour in [0, 1] (3,), or None if it has neither."""
@@ -152,7 +152,9 @@ class _Reader:
             if picture in self._pictures:
                 return self._pictures[picture]
             try:
-                found = self._pictures[picture] = self._report.kept(read_image(self._folder.read(picture)))
+                found = self._pictures[picture] = self._report.limit_texture(
+                    read_image(self._folder.read(picture))
+                )
                 return found
             except FileNotFoundError:
                 self._report.warn(f"{printable(picture)} is missing: what it colours has a plain colour")

@@ -1,4 +1,4 @@
-"""`python -m dune_rl.worlds.prepare PARENT`: builds the worlds whose settings come in into the cache.
+"""`python -m dune_rl.worlds.cache.background_process PARENT`: builds the worlds whose settings come in into the cache.
 
 A line of JSON each. It ends with its input, with the process PARENT, or after a minute without work.
 """
@@ -23,7 +23,7 @@ def main() -> None:
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
     from dune_rl.worlds.appearance import precompute_appearance
-    from dune_rl.worlds.store import requested, shared_store
+    from dune_rl.worlds.cache.store import requested, shared_store
 
     warnings.simplefilter("ignore")
     store = shared_store()

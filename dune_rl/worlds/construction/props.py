@@ -1,4 +1,4 @@
-"""Things found on building sites, each built to stand on given terrain."""
+"""Props of building sites, each fitted to the terrain below it."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,14 +31,14 @@ _BRICK_M, _LAYER_M = 0.8, 0.14
 def plastered_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> Mesh:
     """A finished wall from `start` to `end` (2,), 2.5 m high and 9 cm thick."""
     middle, yaw, length = _span(start, end)
-    low, _ = _ground(terrain, middle, yaw, length, WALL_THICKNESS_M)
+    low, _ = _ground_range(terrain, middle, yaw, length, WALL_THICKNESS_M)
     return upright_box(middle, yaw, low - _SUNK_M, low + WALL_HEIGHT_M, length, WALL_THICKNESS_M)
 
 
 def stud_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> list[Mesh]:
     """The frame of a wall: studs about 0.6 m apart between two plates."""
     middle, yaw, length = _span(start, end)
-    low, high = _ground(terrain, middle, yaw, length, WALL_THICKNESS_M)
+    low, high = _ground_range(terrain, middle, yaw, length, WALL_THICKNESS_M)
     top = low + WALL_HEIGHT_M
     parts = [
         upright_box(middle, yaw, low - _SUNK_M, high + _STUD_M, length, WALL_THICKNESS_M),
@@ -52,17 +52,17 @@ def stud_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> list[Me
 
 
 def lintel(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> Mesh:
-    """What closes a wall over a door."""
+    """The wall above a door from `start` to `end` (2,)."""
     middle, yaw, length = _span(start, end)
-    low, _ = _ground(terrain, middle, yaw, length, WALL_THICKNESS_M)
+    low, _ = _ground_range(terrain, middle, yaw, length, WALL_THICKNESS_M)
     return upright_box(middle, yaw, low + _LINTEL_FROM_M, low + WALL_HEIGHT_M, length, WALL_THICKNESS_M)
 
 
 def bricks(
     terrain: HeightField, name: str, xy: ArrayLike, yaw: float, layers: int, rng: np.random.Generator
 ) -> Prop:
-    """Packs of bricks 0.8 m square and 0.14 m high, stacked not quite straight."""
-    low, high = _ground(terrain, xy, yaw, _BRICK_M, _BRICK_M)
+    """A slightly skewed stack of `layers` packs of bricks, each 0.8 m square and 0.14 m high."""
+    low, high = _ground_range(terrain, xy, yaw, _BRICK_M, _BRICK_M)
     parts: list[Mesh] = []
     for layer in range(layers):
         bottom = low - _SUNK_M if layer == 0 else high + layer * _LAYER_M + 0.006
@@ -73,9 +73,9 @@ def bricks(
 
 
 def beams(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float) -> Prop:
-    """Nine beams on each other, in rows of four, three and two."""
-    _, high = _ground(terrain, xy, yaw, length, 0.7)
-    low, _ = _ground(terrain, xy, yaw, length, 0.7)
+    """A stack of nine beams, in rows of four, three and two."""
+    _, high = _ground_range(terrain, xy, yaw, length, 0.7)
+    low, _ = _ground_range(terrain, xy, yaw, length, 0.7)
     across = unit_vector(yaw + np.pi / 2)
     parts = []
     for row, count in enumerate((4, 3, 2)):
@@ -88,7 +88,7 @@ def beams(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: fl
 
 def trestle(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """Two sawhorses 0.95 m high under a board of 1.5 by 1.3 m."""
-    low, high = _ground(terrain, xy, yaw, 1.5, 1.3)
+    low, high = _ground_range(terrain, xy, yaw, 1.5, 1.3)
     along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     top = high + 0.95
     parts = [upright_box(xy, yaw, top - 0.04, top, 1.5, 1.3)]
@@ -107,8 +107,8 @@ def trestle(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
 
 
 def container(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, rng: np.random.Generator) -> Prop:
-    """A box like a container, 1.2 by 1 m and 2.4 m high, ribbed."""
-    low, high = _ground(terrain, xy, yaw, 1.2, 1.0)
+    """A ribbed container, 1.2 by 1 m and 2.4 m high."""
+    low, high = _ground_range(terrain, xy, yaw, 1.2, 1.0)
     parts = [upright_box(xy, yaw, low - _SUNK_M, high + 2.4, 1.14, 0.94)]
     for u in np.linspace(-0.54, 0.54, 5):
         parts.append(
@@ -121,7 +121,7 @@ def container(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, rng: n
 
 def crate(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """A wooden crate 2.3 by 1.6 m and 1.15 m high, with battens."""
-    low, high = _ground(terrain, xy, yaw, 2.3, 1.6)
+    low, high = _ground_range(terrain, xy, yaw, 2.3, 1.6)
     along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     parts = [upright_box(xy, yaw, low - _SUNK_M, high + 1.12, 2.24, 1.54)]
     for u in (-1.1, 0.0, 1.1):
@@ -136,9 +136,9 @@ def crate(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
 
 
 def scaffold(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tuple[Prop, Prop]:
-    """A scaffold 4.7 by 4.3 m under whose boards, 2 m up, a robot can drive: the tubes, and the boards."""
+    """A scaffold, 4.7 by 4.3 m, with room for robots below its boards at 2 m: tubes, and boards."""
     length, width = SCAFFOLD_M
-    low, high = _ground(terrain, xy, yaw, length, width)
+    low, high = _ground_range(terrain, xy, yaw, length, width)
     along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
     half_u, half_v = length / 2 - 0.1, width / 2 - 0.1
 
@@ -155,7 +155,7 @@ def scaffold(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tupl
     for v in (-half_v, half_v):
         for above in (1.86, 2.38):
             tubes.append(tube(at(-half_u - 0.1, v, above), at(half_u + 0.1, v, above), 0.03, sides=6))
-        # Braces stand on the ends alone; the long sides are left to pass through.
+        # Only the ends have braces; the long sides stay open for robots.
     for u in (-half_u, half_u):
         tubes.append(tube(at(u, -half_v, 0.15), at(u, half_v, 1.8), 0.025, sides=6))
     boards = []
@@ -175,10 +175,10 @@ def _span(start: ArrayLike, end: ArrayLike) -> tuple[Array, float, float]:
     return (first + last) / 2, float(np.arctan2(ahead[1], ahead[0])), float(np.hypot(*ahead))
 
 
-def _ground(
+def _ground_range(
     terrain: HeightField, xy: ArrayLike, yaw: float, length: float, width: float
 ) -> tuple[float, float]:
-    # The lowest and the highest ground under a rectangle.
+    # Lowest and highest ground below a rectangle.
     u = np.linspace(-length / 2, length / 2, 2 + int(length / 0.4))
     v = np.linspace(-width / 2, width / 2, 2 + int(width / 0.4))
     axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])

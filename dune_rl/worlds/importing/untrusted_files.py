@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dune_rl.errors import DuneWarning, WorldError
-from dune_rl.worlds.importing.sources import note_absent, note_read, note_untraced
+from dune_rl.worlds.importing.file_dependencies import mark_incomplete, record_absent, record_read
 
 MAX_FILE_BYTES = 256 * 2**20
 MAX_FACES = 4_000_000
@@ -38,7 +38,7 @@ class WorldWarning(DuneWarning):
 class ImportReport:
     """What is to be warned of about one import: each text is given once, however often it is met.
 
-    It is kept until `tell`, since the libraries that read files have their own warnings silenced meanwhile.
+    It is kept until `emit_warnings`, since the libraries that read files have their own warnings silenced meanwhile.
     """
 
     def __init__(self, source: str) -> None:
@@ -51,7 +51,7 @@ class ImportReport:
         if text not in self.texts:
             self.texts.append(text)
 
-    def kept(self, picture: Bytes) -> Bytes:
+    def limit_texture(self, picture: Bytes) -> Bytes:
         """`picture` (rows, columns, 3), or a coarse copy where those before it have taken all the room."""
         self._texels += picture.shape[0] * picture.shape[1]
         if self._texels <= _MOST_TEXELS:
@@ -61,7 +61,7 @@ class ImportReport:
         image.thumbnail((_COARSE_PIXELS, _COARSE_PIXELS))
         return np.asarray(image)
 
-    def tell(self) -> None:
+    def emit_warnings(self) -> None:
         """Give the warnings noted so far, with the file's name before each."""
         texts, self.texts = self.texts, []
         for text in texts:
@@ -73,7 +73,7 @@ class OutsideFolderError(WorldError):
 
     def __init__(self, message: str) -> None:
         super().__init__(message)
-        note_untraced()
+        mark_incomplete()
 
 
 class WorldFiles:
@@ -101,7 +101,7 @@ class WorldFiles:
                     "Copy what the world needs into that folder."
                 )
             if not real.is_file():
-                note_absent(path)
+                record_absent(path)
                 raise FileNotFoundError(name)
         except (OSError, ValueError) as error:
             if isinstance(error, FileNotFoundError):
@@ -137,7 +137,7 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
             data = file.read(limit)
     except OSError as error:
         raise WorldError(f"{path} cannot be read: {error.strerror or error}.") from None
-    note_read(path, data)
+    record_read(path, data)
     return data
 
 

@@ -1,4 +1,4 @@
-"""Settings that all worlds made from a seed have."""
+"""Settings common to all worlds that are generated from a seed."""
 
 from pydantic import Field
 
@@ -6,14 +6,14 @@ from dune_rl.worlds.settings import WorldSettings
 
 
 class SeededConf(WorldSettings):
-    """The seed of a world; with a `layout_seed`, what stands on its ground is drawn from that."""
+    """Seed of a world's terrain and props; `layout_seed` replaces it for the props."""
 
     seed: int = Field(default=0, ge=0, lt=2**32)
     layout_seed: int | None = Field(
-        default=None, ge=0, lt=2**32, description="of what stands there alone; null: the seed"
+        default=None, ge=0, lt=2**32, description="seed of the props' layout alone; null: the seed"
     )
 
     @property
     def layout(self) -> int:
-        """The seed of what stands there."""
+        """The seed of the props' layout."""
         return self.seed if self.layout_seed is None else self.layout_seed

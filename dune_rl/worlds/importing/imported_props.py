@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import connected_components
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
-from dune_rl.worlds.importing.import_files import ImportReport
-from dune_rl.worlds.importing.parts import MeshPart
-from dune_rl.worlds.importing.topology import closed, joined_faces, weld_vertices
+from dune_rl.worlds.importing.mesh_parts import MeshPart
+from dune_rl.worlds.importing.topology import close_surface, label_face_components, weld_vertices
+from dune_rl.worlds.importing.untrusted_files import ImportReport
 from dune_rl.worlds.world import Prop
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class ImportedProp(Prop):
     face_colours: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
 
-def things_on(
+def extract_props(
     parts: Sequence[MeshPart], is_ground: NDArray[np.bool_], terrain: HeightField, report: ImportReport
 ) -> list[ImportedProp]:
     """Props of the triangles that are not ground; `is_ground` (F,) runs over all parts in their order.
@@ -91,13 +91,13 @@ def _pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Ite
         rest = rest[~_within_ground(part, rest, over, terrain)]
         if not len(rest):
             return
-    number = joined_faces(weld_vertices(part.vertices, part.faces[rest]))
+    number = label_face_components(weld_vertices(part.vertices, part.faces[rest]))
     order = np.argsort(number, kind="stable")
     for piece in np.split(rest[order], np.flatnonzero(np.diff(number[order])) + 1):
         faces = part.faces[piece]
         if part.solid and (over[faces] < _FLUSH_M).all():
             continue
-        vertices, corners, source = closed(part.vertices, faces, height)
+        vertices, corners, source = close_surface(part.vertices, faces, height)
         texture = None if part.texture is None else part.texture.select_faces(piece[source])
         yield _Piece(vertices, corners, part.colours[piece][source], texture)
 

@@ -1,4 +1,4 @@
-"""Random ground as a sum of waves whose power falls with their number: what natural terrain is like."""
+"""Random self-affine height fields, as a model of natural terrain."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,11 @@ def rough_field(
 ) -> Array:
     """A field (rows, columns) of zero mean and unit standard deviation with wavelengths in the given band.
 
-    In the band, power per area of wave numbers k falls as k^-(2 hurst + 2), as
-    on a self-affine surface: 0.7 to 0.9 is what natural ground has, less is
-    rougher in the small.
+    In the band, the power spectral density at wave number k is proportional to
+    k^-(2 hurst + 2), as on a self-affine surface. Natural ground has a Hurst
+    exponent of 0.7 to 0.9; a smaller one is rougher at short wavelengths.
     """
-    # Twice the size, of which a quarter is kept: opposite edges of the whole would join.
+    # The field is periodic, so a quarter of one of twice the size is used: its edges do not match.
     rows, columns = 2 * shape[0], 2 * shape[1]
     across, along = np.fft.fftfreq(rows, spacing_m), np.fft.rfftfreq(columns, spacing_m)
     number = np.hypot(across[:, None], along)
@@ -32,19 +32,19 @@ def rough_field(
     spread = field.std()
     if spread == 0.0:
         raise ValueError(
-            f"no wave from {shortest_m:g} to {longest_m:g} m fits a grid of {shape} points, "
+            f"no wavelength from {shortest_m:g} to {longest_m:g} m fits a grid of {shape} points "
             f"{spacing_m:g} m apart"
         )
     return (field - field.mean()) / spread
 
 
-def gradient(heights: Array, spacing_m: float) -> Array:
-    """Steepness dz/ds, (rows, columns), of `heights` at the points of their grid."""
+def slope_magnitude(heights: Array, spacing_m: float) -> Array:
+    """Magnitude of the slope dz/ds, (rows, columns), of `heights` at the points of their grid."""
     rise_y, rise_x = np.gradient(heights, spacing_m)
     return np.hypot(rise_x, rise_y)
 
 
 def smooth_step(t: Array) -> Array:
-    """0 below 0 and 1 above 1, with no kink between."""
+    """Smoothstep: 0 below 0, 1 above 1, and 3 t^2 - 2 t^3 between."""
     t = np.clip(t, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

@@ -12,13 +12,13 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.free_space import FreeSpace
-from dune_rl.worlds.ground import Ground, GroundPicture
-from dune_rl.worlds.importing.ground_from_mesh import find_ground
-from dune_rl.worlds.importing.ground_pictures import coloured_ground
-from dune_rl.worlds.importing.import_files import ImportReport
-from dune_rl.worlds.importing.objects import ImportedProp, things_on
-from dune_rl.worlds.importing.parts import GREY, MeshPart
+from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
+from dune_rl.worlds.importing.ground_pictures import picture_from_colours
+from dune_rl.worlds.importing.imported_props import ImportedProp, extract_props
+from dune_rl.worlds.importing.mesh.ground import extract_ground
+from dune_rl.worlds.importing.mesh_parts import GREY, MeshPart
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
+from dune_rl.worlds.importing.untrusted_files import ImportReport
 from dune_rl.worlds.world import Rectangle, World
 
 Floats = NDArray[np.float32]
@@ -58,7 +58,7 @@ class ImportedWorld(World):
             and ground_colours is not None
             and np.ptp(ground_colours, axis=(0, 1)).max() > _EVEN
         ):
-            picture = coloured_ground(terrain, ground_colours)
+            picture = picture_from_colours(terrain, ground_colours)
         super().__init__(
             name,
             terrain,
@@ -82,7 +82,7 @@ class ImportedWorld(World):
         )
 
 
-def assembled(
+def assemble_world(
     name: str,
     parts: Sequence[MeshPart],
     report: ImportReport,
@@ -93,9 +93,9 @@ def assembled(
     light: LightConf | None = None,
 ) -> ImportedWorld:
     """The world of the `parts`: ground and things told apart, a region chosen where none is given."""
-    ground = find_ground(parts, spacing_m, report)
-    things = things_on(parts, ground.faces, ground.terrain, report)
-    return with_region(
+    ground = extract_ground(parts, spacing_m, report)
+    things = extract_props(parts, ground.faces, ground.terrain, report)
+    return set_region(
         ImportedWorld(
             name,
             ground.terrain,
@@ -112,7 +112,7 @@ def assembled(
     )
 
 
-def with_region(
+def set_region(
     world: ImportedWorld,
     region: Rectangle | None,
     report: ImportReport,
@@ -122,18 +122,18 @@ def with_region(
 
     `known` is where the terrain's heights are not filled in; None: everywhere.
     """
-    world.region = region if region is not None else best_region(world, report, known)
+    world.region = region if region is not None else find_free_region(world, report, known)
     return world
 
 
-def checked_region(region: Rectangle | None) -> Rectangle | None:
+def check_region(region: Rectangle | None) -> Rectangle | None:
     """The same rectangle; `WorldError` where it has no area."""
     if region is not None and not (region[0] < region[1] and region[2] < region[3]):
         raise WorldError(f"world.region must be (xmin, xmax, ymin, ymax) with min < max, not {region}.")
     return region
 
 
-def best_region(world: World, report: ImportReport, known: NDArray[np.bool_] | None = None) -> Rectangle:
+def find_free_region(world: World, report: ImportReport, known: NDArray[np.bool_] | None = None) -> Rectangle:
     """The square of 8 m (less in a small world) with the most ground that a robot can stand on."""
     xmin, xmax, ymin, ymax = world.extent
     edge = min(_EDGE_M, 0.15 * min(xmax - xmin, ymax - ymin))
@@ -176,7 +176,7 @@ def _differ(colours: Floats) -> bool:
     return bool(np.ptp(colours, axis=(0, 1)).max() > _EVEN)
 
 
-def _look(colours: Floats | None) -> Ground:
+def _look(colours: Floats | None) -> GroundColours:
     """A ground in the mean of its colours: a little darker and lighter in patches, and bare where steep."""
     mean = np.array(GREY) if colours is None else colours.reshape(-1, 3).mean(axis=0)
     if np.allclose(mean, GREY, atol=0.02):
@@ -187,4 +187,4 @@ def _look(colours: Floats | None) -> Ground:
         red, green, blue = np.clip(mean * factor, 0.0, 1.0)
         return float(red), float(green), float(blue)
 
-    return Ground(low=toned(0.9), high=toned(1.1), bare=toned(0.8), bare_from_rad=0.45, contrast=0.8)
+    return GroundColours(low=toned(0.9), high=toned(1.1), bare=toned(0.8), bare_from_rad=0.45, contrast=0.8)

@@ -14,19 +14,19 @@ from typing import Any
 from dune_rl.errors import ConfigError
 from dune_rl.paths import cache_folder, package_folder
 from dune_rl.worlds.appearance import is_appearance_cached
-from dune_rl.worlds.cache_folder import CacheFolder, DiskCache
+from dune_rl.worlds.cache.background_builder import Preparation
+from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
+from dune_rl.worlds.cache.serialization import UnpackableError, pack, unpack
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap import HeightmapConf
-from dune_rl.worlds.importing.import_files import WorldWarning
-from dune_rl.worlds.importing.imported_mesh import MeshConf
+from dune_rl.worlds.importing.file_dependencies import FileDependencies, record_dependencies
+from dune_rl.worlds.importing.heightmap.build import HeightmapConf
+from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
-from dune_rl.worlds.importing.sources import Sources, recorded
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.packing import UnpackableError, pack, unpack
-from dune_rl.worlds.preparation import Preparation
 from dune_rl.worlds.registry import build, own_settings
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
@@ -125,7 +125,7 @@ class WorldStore:
         return world
 
     def _built(self, cache: CacheFolder, key: str, conf: WorldSettings) -> World:
-        with warnings.catch_warnings(record=True) as caught, recorded() as sources:
+        with warnings.catch_warnings(record=True) as caught, record_dependencies() as sources:
             warnings.simplefilter("always")
             world = build(conf)
             # It would be asked for at once, and takes longer than all the rest of some worlds.
@@ -145,7 +145,7 @@ class WorldStore:
         key: str,
         conf: WorldSettings,
         world: World,
-        sources: Sources,
+        sources: FileDependencies,
         told: list[str],
     ) -> None:
         try:

@@ -7,7 +7,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 
-class Sources:
+class FileDependencies:
     """What has been looked at: `read` maps paths to digests of their bytes, `absent` are those not there.
 
     `complete` is False where the result depends on more than that.
@@ -19,13 +19,13 @@ class Sources:
         self.complete = True
 
 
-_recording: ContextVar[Sources | None] = ContextVar("recording", default=None)
+_recording: ContextVar[FileDependencies | None] = ContextVar("recording", default=None)
 
 
 @contextmanager
-def recorded() -> Iterator[Sources]:
+def record_dependencies() -> Iterator[FileDependencies]:
     """What is looked at within the block."""
-    sources = Sources()
+    sources = FileDependencies()
     token = _recording.set(sources)
     try:
         yield sources
@@ -33,19 +33,19 @@ def recorded() -> Iterator[Sources]:
         _recording.reset(token)
 
 
-def note_read(path: Path, data: bytes) -> None:
+def record_read(path: Path, data: bytes) -> None:
     """The file at `path` had these bytes."""
     if (sources := _recording.get()) is not None:
         sources.read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
 
 
-def note_absent(path: Path) -> None:
+def record_absent(path: Path) -> None:
     """There was nothing at `path` that could be used."""
     if (sources := _recording.get()) is not None:
         sources.absent.add(str(path.absolute()))
 
 
-def note_untraced() -> None:
+def mark_incomplete() -> None:
     """Something else decided, such as what lies in a folder or where a link leads."""
     if (sources := _recording.get()) is not None:
         sources.complete = False

@@ -16,8 +16,9 @@ from trimesh.resolvers import Resolver
 
 from dune_rl.errors import WorldError
 from dune_rl.rendering.mesh_texture import MeshTexture
-from dune_rl.worlds.importing.collada_file import collada_parts
-from dune_rl.worlds.importing.import_files import (
+from dune_rl.worlds.importing.mesh.collada import load_collada_parts
+from dune_rl.worlds.importing.mesh_parts import MeshPart, drop_faulty_triangles, mean_face_colours
+from dune_rl.worlds.importing.untrusted_files import (
     MAX_FACES,
     Bytes,
     ImportReport,
@@ -29,7 +30,6 @@ from dune_rl.worlds.importing.import_files import (
     raise_unreadable,
     read_bytes,
 )
-from dune_rl.worlds.importing.parts import MeshPart, texture_colours, without_faults
 
 Array = NDArray[np.float64]
 UpAxis = Literal["y", "z"]
@@ -45,7 +45,7 @@ _NUMBER_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _ITEM_NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
-def mesh_parts(
+def load_mesh_parts(
     path: Path,
     folder: WorldFiles,
     report: ImportReport,
@@ -67,7 +67,7 @@ def mesh_parts(
     if not data:
         raise WorldError(f"{path} is empty: export it again.")
     if kind == ".dae":
-        parts, own_unit, own_up = collada_parts(data, path.name, folder, report)
+        parts, own_unit, own_up = load_collada_parts(data, path.name, folder, report)
     else:
         _CHECKS[kind](data, path.name)
         parts, own_unit, own_up = _loaded(data, path.name, kind, folder, report), 1.0, None
@@ -82,7 +82,7 @@ def mesh_parts(
         matrix = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
         matrix = Y_UP @ matrix
     matrix[:3] *= unit_m if unit_m is not None else own_unit
-    kept = without_faults([part.moved(matrix) for part in parts], report)
+    kept = drop_faulty_triangles([part.transform(matrix) for part in parts], report)
     if not kept:
         raise WorldError(f"{path} has no triangles that can be used: export it with its faces.")
     return kept
@@ -156,7 +156,7 @@ def _parts(scene: Any, kind: str, report: ImportReport) -> Iterator[MeshPart]:
         part = MeshPart.of(
             printable(name), mesh.vertices, faces, colours, f"{own_name} {printable(about)}", texture=texture
         )
-        yield part.moved(np.asarray(matrix, np.float64))
+        yield part.transform(np.asarray(matrix, np.float64))
 
 
 def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, str, MeshTexture | None]:
@@ -180,7 +180,7 @@ def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, 
             else:
                 uv = np.asarray(visual.uv, np.float64)[mesh.faces]
                 corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-                return texture_colours(found, uv), name, MeshTexture.of(found, corners, uv)
+                return mean_face_colours(found, uv), name, MeshTexture.of(found, corners, uv)
         has_default = tint is None or np.allclose(tint, 0.4, atol=0.01) or np.allclose(tint, 1.0)
         return (None if has_default else tint), name, None
     if visual.kind in ("vertex", "face"):
@@ -192,7 +192,7 @@ def _picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report
     """A picture in bytes, each colour darkened by its shade; once for all who have the same."""
     key = (id(image), *shades.tolist())
     if key not in pictures:
-        pictures[key] = report.kept((downscale_image(image) * shades + 0.5).astype(np.uint8))
+        pictures[key] = report.limit_texture((downscale_image(image) * shades + 0.5).astype(np.uint8))
     return pictures[key]
 
 

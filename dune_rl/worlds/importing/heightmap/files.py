@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import (
+from dune_rl.worlds.importing.untrusted_files import (
     ImportReport,
     first_line,
     open_image,
@@ -30,7 +30,7 @@ _GT_MODEL_TYPE, _PROJECTED = 1024, 1
 _NO_DATA_BELOW, _NO_DATA_ABOVE = -1e5, 1e5
 
 
-class Heights(NamedTuple):
+class HeightSamples(NamedTuple):
     """Samples (rows, columns), the first row farthest north; NaN where there is none.
 
     `metric` is whether they are metres; else they are brightness in [0, 1]. `pixel_m` is the size of a sample
@@ -42,7 +42,7 @@ class Heights(NamedTuple):
     pixel_m: tuple[float, float] | None
 
 
-def read_heights(path: Path, report: ImportReport) -> Heights:
+def read_heights(path: Path, report: ImportReport) -> HeightSamples:
     """The heights in a file, of a kind told by its ending; `WorldError` where there are none to be read."""
     kind = path.suffix.lower()
     if kind not in FORMATS:
@@ -54,7 +54,7 @@ def read_heights(path: Path, report: ImportReport) -> Heights:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             if kind == ".npy":
-                found = Heights(load_npy(data), True, None)
+                found = HeightSamples(load_npy(data), True, None)
             elif kind == ".png":
                 found = _picture(data, report)
             else:
@@ -91,10 +91,10 @@ def load_npy(data: bytes) -> Array:
     return np.asarray(np.load(file, allow_pickle=False), np.float64)
 
 
-def _picture(data: bytes, report: ImportReport) -> Heights:
+def _picture(data: bytes, report: ImportReport) -> HeightSamples:
     image = open_image(data)
     _check_size(image.size)
-    return Heights(_grey(image, report), False, None)
+    return HeightSamples(_grey(image, report), False, None)
 
 
 def _grey(image: Image.Image, report: ImportReport) -> Array:
@@ -107,7 +107,7 @@ def _grey(image: Image.Image, report: ImportReport) -> Array:
     return np.asarray(image.convert("L"), np.float64) / 255.0
 
 
-def _tiff(data: bytes, report: ImportReport) -> Heights:
+def _tiff(data: bytes, report: ImportReport) -> HeightSamples:
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         if not len(file.pages):
             raise ValueError("it has no picture")
@@ -139,7 +139,7 @@ def _tiff(data: bytes, report: ImportReport) -> Heights:
     pixel = None
     if scale is not None and len(scale) >= 2 and scale[0] > 0 and scale[1] > 0 and not in_degrees:
         pixel = (float(scale[0]), float(scale[1]))
-    return Heights(heights, metric, pixel)
+    return HeightSamples(heights, metric, pixel)
 
 
 def _compressed(data: bytes, page: tifffile.TiffPage) -> NDArray[np.generic]:

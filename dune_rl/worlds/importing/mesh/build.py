@@ -8,11 +8,11 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.import_files import ImportReport, WorldFiles, resolve_world_path
-from dune_rl.worlds.importing.imported import ImportedWorld, assembled, checked_region
-from dune_rl.worlds.importing.mesh_files import UpAxis, mesh_parts
-from dune_rl.worlds.importing.parts import MeshPart
+from dune_rl.worlds.importing.imported_world import ImportedWorld, assemble_world, check_region
+from dune_rl.worlds.importing.mesh.files import UpAxis, load_mesh_parts
+from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
 from dune_rl.worlds.world import Rectangle
 
 # Further out, single precision is coarser than a millimetre.
@@ -50,18 +50,18 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
     path = resolve_world_path(conf.path)
     report = ImportReport(path.name)
     folder = WorldFiles(path.resolve().parent, path.resolve().parent)
-    parts = mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
+    parts = load_mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
     parts = _near_origin(_claimed(parts, conf.ground), report)
-    world = assembled(
+    world = assemble_world(
         "mesh",
         parts,
         report,
         spacing_m=conf.spacing_m,
         friction=conf.friction,
-        region=checked_region(conf.region),
+        region=check_region(conf.region),
     )
     world.surfaces = read_surfaces(conf, world.extent)
-    report.tell()
+    report.emit_warnings()
     return world
 
 
@@ -85,4 +85,4 @@ def _near_origin(parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
     report.warn("lies far from its origin and is moved there, by ({:g}, {:g}, {:g}) m".format(*-middle))
     matrix = np.eye(4)
     matrix[:3, 3] = -middle
-    return [part.moved(matrix) for part in parts]
+    return [part.transform(matrix) for part in parts]

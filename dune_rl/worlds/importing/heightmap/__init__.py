@@ -1,0 +1,1 @@
+"""Worlds from height maps: GeoTIFF, PNG and .npy files."""

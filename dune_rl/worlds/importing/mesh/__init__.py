@@ -1,0 +1,1 @@
+"""Worlds from mesh files: .dae, .obj, .stl, .ply and .glb."""
