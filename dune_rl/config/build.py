@@ -3,9 +3,12 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 
+from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
+from dune_rl.config.agents import Controller
 from dune_rl.config.schema import EnvConf, SingleAgentConf
-from dune_rl.env.agent_group import GroupSetup
+from dune_rl.env.agent_group import AgentGroup, GroupSetup, MakeController
+from dune_rl.env.controllers import BehaviourController
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
@@ -54,6 +57,7 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             group.name,
             group.count,
             group.body if isinstance(group.body, PersonConf) else partial(build_robot, group.body),
+            controller=_controller(group.controller),
             paths=group.path,
             follows_paths=group.controller == "path",
             sensors=group.sensors,
@@ -62,6 +66,17 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
         )
         for group in conf.groups
     ]
+
+
+def _controller(conf: Controller) -> MakeController | None:
+    """What makes the controller of a group; None where its actions come from outside, or it follows paths."""
+    if isinstance(conf, BehaviourSettings):
+        return partial(_behaviour_controller, conf)
+    return None
+
+
+def _behaviour_controller(conf: BehaviourSettings, group: AgentGroup) -> BehaviourController:
+    return BehaviourController(BEHAVIOURS.build(conf, group.num_rows))
 
 
 def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
