@@ -24,7 +24,7 @@ _composed: dict[str, EnvConf] = {}
 
 
 def environment_conf(world: Any = "flat", **settings: Any) -> EnvConf:
-    """The settings of an environment, `settings` as for `dune_rl.make`; without actors unless they have some."""
+    """Settings of an environment; `settings` are as for `dune_rl.make`, but without actors by default."""
     asked = {"actors": "none"} | settings
     key = repr((world, asked))
     if key not in _composed:
