@@ -104,7 +104,7 @@ def metric(simulation: VectorSimulation, name: str, group: str | None = None) ->
 def metrics(simulation: VectorSimulation, group: str | None = None) -> NDArray[np.float32]:
     """The present values (N, n) of all metrics of a group."""
     values = simulation.metrics(group)
-    return values.reshape(-1, values.shape[-1])
+    return values.reshape(values.shape[0] * values.shape[1], values.shape[2])
 
 
 def goals_w(simulation: VectorSimulation, group: str | None = None) -> Array:
