@@ -143,7 +143,7 @@ def test_contact_earns_the_collision_reward_and_spoils_success() -> None:
     # The collision costs once, to be too close at every step.
     assert outcome(act(simulation)).reward[0] == -3.5
     assert outcome(act(simulation)).reward[0] == -0.5
-    assert state_of_group(simulation).measure_clearance()[0] > 1.0
+    assert state_of_group(simulation).proximity.clearance("rover")[0] > 1.0
     assert state_of_group(simulation).clearance[0] == 0.0
     assert metric(simulation, "min_clearance")[0] == 0.0
     robot.touching = []
