@@ -30,7 +30,9 @@ def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
 def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
     solid = world.solid_mesh()
     return Lidar(
-        conf or lidar_conf(), RayScene(solid.vertices, solid.faces), [each.rays for each in actor_moving_meshes(actors)]
+        conf or lidar_conf(),
+        RayScene(solid.vertices, solid.faces),
+        [each.rays for each in actor_moving_meshes(actors)],
     )
 
 

@@ -1,0 +1,107 @@
+"""Physics without an engine: robots that are where a test puts them, and touch what it says."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from simulations import environment_conf
+
+from dune_rl.config.build import build_world, group_setups
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.physics.interface import RobotBody, SceneSpec
+
+
+class ScriptedRobot:
+    """A `PhysicsRobot` that never moves by itself; a test sets its `state` (13,) and contacts `touching`.
+
+    It keeps the forces that are applied to it in `pushes`.
+    """
+
+    def __init__(self, body: RobotBody) -> None:
+        self._body = body
+        self._start = np.zeros(13)
+        self.state = np.zeros(13)
+        self.touching: list[int] = []
+        self.pushes: list[list[float]] = []
+
+    def put(self, x: float, y: float, yaw: float = 0.0, z: float = 0.125) -> None:
+        """Stand upright and still at (x, y, z) [m] with `yaw` [rad]."""
+        self.state = np.array([x, y, z, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2), *[0.0] * 6])
+
+    def reset(self) -> None:
+        self.state, self.touching = self._start.copy(), []
+
+    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+        self._start = np.array([*position_w, *quaternion, *[0.0] * 6])
+
+    def set_command(self, commands: Sequence[float]) -> None:
+        pass
+
+    def apply_force(self, force_w: Sequence[float]) -> None:
+        self.pushes.append(list(force_w))
+
+    def set_body(self, variation: Any) -> None:
+        pass
+
+    def set_wheel_contacts(self, *settings: Any) -> None:
+        pass
+
+    def body_state(self) -> tuple[float, ...]:
+        return tuple(self.state.tolist())
+
+    def drive_state(self) -> tuple[float, ...]:
+        return (0.0,) * (3 * len(self._body.drive_joints))
+
+    def work_j(self) -> float:
+        return 0.0
+
+    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
+        return (0.0,) * len(joints)
+
+    def contacts(self) -> Sequence[int]:
+        return self.touching
+
+
+class ScriptedScene:
+    """A `PhysicsScene` of scripted robots."""
+
+    def __init__(self, spec: SceneSpec) -> None:
+        self.robots = [ScriptedRobot(body) for body in spec.robots]
+
+    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+        for robot in self.robots:
+            robot.reset()
+
+    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+        pass
+
+    def step_passive(self, count: int) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def scripted_simulation(
+    world: Any = "flat", num_scenes: int = 1, seed: int = 0, **settings: Any
+) -> tuple[VectorSimulation, list[ScriptedRobot]]:
+    """A simulation of `environment_conf` that has been reset, and its robots, scene after scene."""
+    conf = environment_conf(world, **settings)
+    scenes: list[ScriptedScene] = []
+
+    def make_scene(spec: SceneSpec) -> ScriptedScene:
+        scenes.append(ScriptedScene(spec))
+        return scenes[-1]
+
+    simulation = VectorSimulation(
+        world=build_world(conf.world),
+        groups=group_setups(conf),
+        make_scene=make_scene,
+        physics=conf.physics,
+        weather=conf.weather,
+        num_scenes=num_scenes,
+        seed=seed,
+    )
+    simulation.reset()
+    return simulation, [robot for scene in scenes for robot in scene.robots]
