@@ -1,16 +1,15 @@
-"""Goal, nearest agent, planar velocity, and sensors that are functions of the state."""
+"""Goal, nearest agent, planar velocity, and a scanner on a walker."""
 
 import numpy as np
 import pytest
 from mounted import lidar_conf
 from people import meshes_of
 from scanning import flat_with
-from states import begin, episode_state, group_state, measure, resting, state_of
+from states import begin, group_state, measure, resting, state_of
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.context import SensorCarrier
-from dune_rl.sensors.function_sensor import FunctionSensor
 from dune_rl.sensors.goal import Goal
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
@@ -117,49 +116,3 @@ def test_a_kinematic_body_carries_a_lidar():
     measure(sensor, group_state(motion, np.array([[[-2.0, 0.0, 0.0, 0.0]]])))
     # The box is 1 m high, so that the beam to the right passes over it; behind it, in -y, there is nothing.
     np.testing.assert_allclose(sensor.read()["lidar"], [[12.0, 12.0, 12.0, 1.7]], atol=0.01)
-
-
-# -- functions of the state ----------------------------------------------------------------------------
-
-
-def slope(state, group, *, scale: float) -> np.ndarray:
-    return np.column_stack([group.motion.tilt, scale * group.motion.position_w[:, 0]])
-
-
-def test_a_function_is_a_sensor():
-    sensor = FunctionSensor(
-        "slope", slope, 2, size=2, low=(0.0, -5.0), high=(3.0, 5.0), params={"scale": 2.0}
-    )
-    now = episode_state([0, 1], 0)
-    now.motion.position_w[:, 0] = 1.0, 9.0
-    measure(sensor, now)
-    np.testing.assert_array_equal(sensor.read()["slope"], np.float32([[0, 2], [0, 5]]))
-    low, high = sensor.bounds()["slope"]
-    assert low.dtype == high.dtype == np.float32
-    np.testing.assert_array_equal([low, high], [[0, -5], [3, 5]])
-
-
-def test_a_function_of_one_number_may_leave_the_axis_out():
-    sensor = FunctionSensor(
-        "height", lambda state, group: group.motion.position_w[:, 2], 3, size=1, low=-1, high=1
-    )
-    measure(sensor, group_state(resting(3)))
-    assert sensor.read()["height"].shape == (3, 1)
-
-
-@pytest.mark.parametrize(
-    ("function", "message"),
-    [
-        (lambda state, group: np.zeros((3, 2)), r"'mine'.*shape \(3, 2\).*\(2, 2\) is needed"),
-        (lambda state, group: np.array([[0.0, np.nan]] * 2), r"'mine'.*NaN"),
-    ],
-)
-def test_what_no_reading_can_be_is_refused(function, message):
-    sensor = FunctionSensor("mine", function, 2, size=2, low=0.0, high=1.0)
-    with pytest.raises(ValueError, match=message):
-        measure(sensor, group_state(resting(2)))
-
-
-def test_bounds_the_wrong_way_round_are_refused():
-    with pytest.raises(ValueError, match=r"'mine': low 1.0 must be at most high 0.0"):
-        FunctionSensor("mine", slope, 1, size=2, low=1.0, high=0.0)

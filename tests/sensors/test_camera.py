@@ -227,11 +227,13 @@ def test_the_gymnasium_environment_with_a_camera_keeps_the_rules():
 
 @pytest.mark.parametrize("scenes", [1, 3])
 def test_the_torchrl_environment_with_a_camera_keeps_the_rules(scenes):
-    env = dune_rl.make("flat", scenes, sensors=SEEING, task={"terminations": {"time_limit": {"max_steps": 2}}})
+    env = dune_rl.make(
+        "flat", scenes, sensors=SEEING, task={"terminations": {"time_limit": {"max_steps": 2}}}
+    )
     check_torchrl(env)
-    spec = env.observation_spec["camera_rgb"]
+    spec = env.observation_spec["rover", "observation", "camera_rgb"]
     assert str(spec.dtype) == "torch.uint8"
-    assert spec.shape == (scenes, 12, 16, 3)
+    assert spec.shape == (scenes, 1, 12, 16, 3)
     assert (int(spec.low.min()), int(spec.high.max())) == (0, 255)
     env.close()
 
