@@ -81,7 +81,7 @@ class EnvConf(Settings):
     def _rates_fit(self) -> Self:
         for path, group in self._sensing_groups():
             try:
-                group.realism.check(self.physics.control_step_s)
+                group.check_timing(self.physics.control_step_s)
             except ValueError as error:
                 raise ValueError(str(error).replace("sensors", path, 1)) from None
         return self

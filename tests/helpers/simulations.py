@@ -126,3 +126,11 @@ def put_walkers(simulation: VectorSimulation, poses: ArrayLike, group: str = "wa
         found.body.place(scene, of_scene)
     found.body.read_start(every)
     found.goals.begin(every, found.body.motion)
+
+
+def rest(simulation: VectorSimulation) -> dict[str, NDArray[np.float32]]:
+    """Actions of zeros for all agents."""
+    return {
+        group.name: np.zeros((simulation.num_scenes, group.count, group.action_size), np.float32)
+        for group in simulation.external
+    }
