@@ -175,6 +175,34 @@ class Spawner:
             float(points[0, 0]), float(points[0, 1]), float(yaw), float(points[1, 0]), float(points[1, 1])
         )
 
+    def sample_goal(
+        self, rng: np.random.Generator, start: Array, taken: Array, apart_m: Array
+    ) -> tuple[float, float]:
+        """A goal at least `min_goal_distance_m` from `start` (2,) and `apart_m` (K,) from `taken` (K, 2).
+
+        It is drawn from `rng` alone. Where the region has no such place, it is the one that comes closest to
+        it: an episode under way cannot be refused.
+        """
+        centres = self._cells[rng.integers(len(self._cells), size=_GOAL_TRIES)]
+        moved = centres + rng.uniform(-0.5, 0.5, centres.shape) * self.free_space.cell_m
+        choice = rng.uniform()
+        for goals in (np.where(self._fits(moved)[:, None], moved, centres), self._cells):
+            excess = self._excess(goals, start, taken, apart_m)
+            enough = goals[excess >= 0.0]
+            if len(enough):
+                x, y = enough[int(choice * len(enough))].tolist()
+                return x, y
+        x, y = self._cells[excess.argmax()].tolist()
+        return x, y
+
+    def _excess(self, goals: Array, start: Array, taken: Array, apart_m: Array) -> Array:
+        """By how much each of `goals` (P, 2) exceeds the least of its distances that must be [m], (P,)."""
+        points = np.concatenate([start[None], taken])
+        needed = np.concatenate([[self._conf.min_goal_distance_m], apart_m])
+        offset = goals[:, None] - points
+        excess: Array = (np.hypot(offset[..., 0], offset[..., 1]) - needed).min(axis=1)
+        return excess
+
     def _away(self, cells: Array, points: Sequence[tuple[float, float]], apart_m: Sequence[float]) -> Array:
         free = np.ones(len(cells), bool)
         # From anywhere in a cell.
