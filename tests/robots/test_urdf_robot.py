@@ -109,7 +109,7 @@ def test_its_looks_come_from_its_package(tmp_path, material, redder):
     shell.export(path.parent.parent / "meshes" / "shell.glb")
     path.write_text(path.read_text().replace('shell.obj" scale', 'shell.glb" scale'))
     robot = UrdfRobot(UrdfConf(path=str(path)), 1)
-    (body,) = RobotVisual(robot.body.look).bodies(np.zeros(3), np.eye(3))
+    (body,) = RobotVisual(robot.body.look).posed_meshes(np.zeros(3), np.eye(3))
     shape = body.solid.shape
     np.testing.assert_allclose(np.ptp(shape.vertices, axis=0), [0.4, 0.3, 0.12], atol=1e-6)
     assert (shape.albedo[:, 0] > 5 * shape.albedo[:, 2]).all() == redder

@@ -1,11 +1,12 @@
 """The DART backend."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.dart.bodies import (
     KinematicBodies,
     StaticGeometry,
@@ -18,9 +19,10 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.interface import SceneSpec
 
-# A kinematic body farther than this from all robots is moved once per control
-# step: it cannot touch a robot before the next one.
+# A body that ends a control step farther than this from all robots, and than they reach, is not near: it
+# cannot touch a robot before the next control step, and moves at once.
 _NEAR_M = 2.0
+_MARGIN_M = 0.5
 
 # A smaller tolerance needs more sweeps and changes no yaw rate by 1 %.
 _CONE_TOLERANCE = 1e-3
@@ -35,6 +37,8 @@ class DartScene:
         self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
+        self._radii = np.array([body.radius_m for body in spec.kinematics])
+        self._gate = ContactGate(spec.statics)
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
 
@@ -62,7 +66,7 @@ class DartScene:
             self.robots, self._static_geometry, self._kinematics, spec.robot_number(0), self._engine_filter
         )
         for robot in self.robots:
-            robot.bind(world, self._static_geometry, self._collision_filter)
+            robot.bind(self._static_geometry, self._collision_filter)
         self._checks_corners_each_step = False
         self._corners = CornerContacts(self.robots, self._static_geometry.hull_ground)
         for skeleton in (self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons):
@@ -87,29 +91,39 @@ class DartScene:
         self._checks_corners_each_step = self._corners.has_boxes_left and any(
             robot.is_falling() for robot in self.robots
         )
-        forces: list[tuple[_SceneRobot, Sequence[float]]] = []
-        for robot in self.robots:
+        forces: dict[int, Sequence[float]] = {}
+        for index, robot in enumerate(self.robots):
             force = robot.take_force()
             if force is not None:
-                forces.append((robot, force))
+                forces[index] = force
             robot.begin_step(count)
+        near = self._begin_kinematics(count, kinematic_poses)
+        exposed = [True] * len(self.robots)
+        if not near:
+            exposed = self._gate.find_exposed(self.robots, count * self._spec.timestep_s, forces)
+        self._advance(count, forces, exposed)
+        if near:
+            self._place_kinematics(self._centres(kinematic_poses))
+
+    def _begin_kinematics(self, count: int, kinematic_poses: NDArray[np.float64]) -> bool:
+        """Start the motion of kinematic bodies to `kinematic_poses` (K, 4); whether any is near a robot."""
         if not len(kinematic_poses):
-            self._advance(count, forces)
-            return
+            return False
         centres = self._centres(kinematic_poses)
-        positions = np.array([robot.position_xy() for robot in self.robots]).reshape(-1, 2)
-        near = (np.abs(centres[:, None, :2] - positions) < _NEAR_M).all(axis=2).any(axis=1)
+        positions = np.array([robot.planar_motion()[:2] for robot in self.robots]).reshape(-1, 2)
+        reaches = np.array([robot.reach_m for robot in self.robots])
+        steps = np.abs(centres - self._kinematic_centres)[:, :2].sum(axis=1)
+        limits = np.maximum(_NEAR_M, (self._radii + _MARGIN_M + steps)[:, None] + reaches)
+        near = (np.abs(centres[:, None, :2] - positions) < limits[..., None]).all(axis=2).any(axis=1)
         if not near.any():
             self._place_kinematics(centres)
-            self._advance(count, forces)
-            return
+            return False
         start = np.where(near[:, None], self._kinematic_centres, centres)
         self._kinematics.skeleton.setPositions(start.ravel())
         # The engine moves them at these speeds, and contacts take the speeds into account.
         speeds = (centres - start).ravel() / (count * self._spec.timestep_s)
         self._kinematics.skeleton.setCommands(speeds)
-        self._advance(count, forces)
-        self._place_kinematics(centres)
+        return True
 
     def _clear_contact_cache(self) -> None:
         """Make the collision detector recompute all contacts in the next physics step.
@@ -124,26 +138,34 @@ class DartScene:
         self._engine_filter.addBodyNodePairToBlackList(base, base)
 
     def step_passive(self, count: int) -> None:
-        self._advance(count, ())
+        self._advance(count, {}, ())
 
-    def _advance(self, count: int, forces: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
+    def _advance(self, count: int, forces: Mapping[int, Sequence[float]], exposed: Sequence[bool]) -> None:
         self._clear_contact_cache()
-        advance = self._world.step
-        before_each = [robot.before_physics_step for robot in self.robots if robot.acts_before_steps]
-        after_each = [robot.after_physics_step for robot in self.robots if robot.acts_after_steps]
+        robots, world = self.robots, self._world
+        advance = world.step
+        before_each = [robot.before_physics_step for robot in robots if robot.acts_before_steps]
+        after_each = [robot.after_physics_step for robot in robots if robot.acts_after_steps]
+        watched = [robot for robot, is_exposed in zip(robots, exposed, strict=False) if is_exposed]
+        for robot in robots:
+            robot.mark_moved()
         for _ in range(count):
-            for robot, force in forces:
-                robot.act_force(force)
+            for index, force in forces.items():
+                robots[index].act_force(force)
             for before in before_each:
                 before()
             # False: joints keep their commands.
             advance(False)
             for after in after_each:
                 after()
+            if watched:
+                result = world.getLastCollisionResult()
+                for robot in watched:
+                    robot.record_contacts(result)
             if self._checks_corners_each_step:
                 self._add_corners()
-        for robot, _ in forces:
-            robot.clear_force()
+        for index in forces:
+            robots[index].clear_force()
 
     def _add_corners(self) -> None:
         corners = self._corners
@@ -168,17 +190,21 @@ class _SceneRobot(DartRobot):
             terrain_friction=terrain_friction(spec.statics),
         )
         self._index = index
-        self._world: Any = None
+        self._touched: set[int] = set()
         self._collision_filter: Any = None
 
-    def bind(self, world: Any, static_geometry: StaticGeometry, collision_filter: CollisionFilter) -> None:
+    def bind(self, static_geometry: StaticGeometry, collision_filter: CollisionFilter) -> None:
         """Set the objects of the scene that contacts depend on."""
-        self._world, self._static_geometry = world, static_geometry
-        self._collision_filter = collision_filter
+        self._static_geometry, self._collision_filter = static_geometry, collision_filter
+        self._touched.clear()
 
     def release(self) -> None:
         super().release()
-        self._world = self._collision_filter = None
+        self._collision_filter = None
+
+    def begin_step(self, count: int) -> None:
+        self._touched.clear()
+        super().begin_step(count)
 
     def set_wheel_contacts(
         self,
@@ -191,8 +217,12 @@ class _SceneRobot(DartRobot):
         coefficients = [coefficient * ground for coefficient in friction]
         self.set_foot_contacts(coefficients, restitution, stiffness, damping)
 
+    def record_contacts(self, result: Any) -> None:
+        """Add what the robot touches in a collision result to `contacts`."""
+        self._touched.update(self._collision_filter.contacts(self._index, result))
+
     def contacts(self) -> list[int]:
-        return self._collision_filter.contacts(self._index, self._world.getLastCollisionResult())
+        return sorted(self._touched)
 
 
 def _cone_solver(sweeps: int) -> Any:
