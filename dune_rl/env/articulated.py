@@ -142,7 +142,7 @@ class ArticulatedBody:
     def _take(self, states: Array, drives: Array | None) -> Flags:
         """Keep what is possible of new `states` (N, 13) and `drives`; gives which rows have diverged."""
         # Written so that NaN, which compares false, counts as bad.
-        good = (np.abs(states) < _STATE_LIMITS).all(axis=1)
+        good: Flags = np.logical_and.reduce(np.abs(states) < _STATE_LIMITS, axis=1)
         self._states = states if good.all() else np.where(good[:, None], states, self._states)
         if drives is not None:
             sound = good & np.isfinite(drives).all(axis=1)

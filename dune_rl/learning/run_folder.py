@@ -75,7 +75,9 @@ class RunFolder:
 def restore_learners(
     learners: Mapping[str, Algorithm], saved: Mapping[str, Mapping[str, Any]], source: Path
 ) -> None:
-    """Continue learners from the groups `saved` in the checkpoint `source`; CheckpointError if they differ."""
+    """Continue learners from the groups `saved` in the checkpoint `source`; CheckpointError if they
+    differ.
+    """
     if saved.keys() != learners.keys():
         raise CheckpointError(
             f"{source} trains the groups {', '.join(sorted(saved))}; here are {', '.join(sorted(learners))}.\n"

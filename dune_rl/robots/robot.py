@@ -24,9 +24,14 @@ class BodyMotion(Protocol):
     channel that a real one lacks.
     """
 
-    velocity_b: Array
-    angular_b: Array
-    roll_pitch_yaw: Array
+    @property
+    def velocity_b(self) -> Array: ...
+
+    @property
+    def angular_b(self) -> Array: ...
+
+    @property
+    def roll_pitch_yaw(self) -> Array: ...
 
 
 @dataclass(frozen=True)

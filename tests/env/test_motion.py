@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from dune_rl.env.motion import Motion
 from scanning import sensed_speed
 from scenes import about
 
-from dune_rl.env.motion import Motion
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS
 

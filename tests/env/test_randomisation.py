@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from dune_rl.env.batch import Batch
+from dune_rl.env.bounds import rover_observation_bounds
+from dune_rl.env.variety import Variety
+from dune_rl.learning.layout import Layout
 from planted.puppets import puppet_batch
 from scenes import slope_stage
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -20,15 +24,11 @@ from tensordict import TensorDict
 import dune_rl
 from dune_rl.config.build import build_world, make_batch, make_torchrl_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.env.batch import Batch
-from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.env.distributions import Choice, Integers, LogUniform, Normal, Uniform
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
-from dune_rl.env.variety import Variety
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal
 from dune_rl.learning.run_log import RunLog
 from dune_rl.metrics.episode import METRICS

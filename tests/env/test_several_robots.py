@@ -20,6 +20,8 @@ from conformance import (
     check_time_limit,
     check_values,
 )
+from dune_rl.env.batch import Batch
+from dune_rl.env.scene import scene_spec, standing_pose
 from pettingzoo import ParallelEnv
 from scenes import Backend, every_backend
 from test_determinism import golden
@@ -27,8 +29,6 @@ from test_determinism import golden
 import dune_rl
 from dune_rl.config.build import build_robot
 from dune_rl.config.compose import compose, compose_environment
-from dune_rl.env.batch import Batch
-from dune_rl.env.scene import scene_spec, standing_pose
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf
 from dune_rl.rendering.scenery import Segment

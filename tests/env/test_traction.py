@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batches import real_batch
+from dune_rl.env.scene import scene_spec
 from rigs import MIDDLE, Rig, named, slope_world
 from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, allowed, box, every_backend
 from test_determinism import golden
 
-from dune_rl.env.scene import scene_spec
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf

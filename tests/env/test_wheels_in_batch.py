@@ -2,11 +2,11 @@
 
 import numpy as np
 from batches import every_engine, idle, real_batch
+from dune_rl.env.batch import Batch
+from dune_rl.env.motion import Motion
 from planted.puppets import PuppetScene, puppet_batch
 from wheels import WHEELS, within_bounds
 
-from dune_rl.env.batch import Batch
-from dune_rl.env.motion import Motion
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.sensor import Sensor
 

@@ -1,10 +1,10 @@
 """A rover on ground of given surfaces, in true physics, without an environment round it."""
 
 import numpy as np
-from scenes import Backend, plane_field
-
 from dune_rl.env.motion import Motion
 from dune_rl.env.scene import scene_spec, standing_pose
+from scenes import Backend, plane_field
+
 from dune_rl.env.traction import Traction
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf

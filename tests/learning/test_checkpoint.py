@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from dune_rl.learning.layout import Layout
 from point_mass import PointMass, make_point_mass
 
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import find, read, write
-from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import load_policy, policy_content
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from batches import every_engine, metric
 from defusedxml.ElementTree import parse
+from dune_rl.engine_comparison.watched import watched_batch
+from dune_rl.env.bounds import rover_observation_bounds
+from dune_rl.learning.layout import Layout
 from scenes import STEP_S, every_backend, plane, quaternion_of
 from walking_robots import Walk
 
 from dune_rl.config.build import build_robot, make_batch, make_torchrl_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.engine_comparison.watched import watched_batch
-from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.errors import ConfigError
-from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import GoToGoal
 from dune_rl.paths import assets_folder
 from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf

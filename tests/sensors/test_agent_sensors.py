@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dune_rl.tasks.walking import walker_observation
 from mounted import lidar_conf
 from people import meshes_of
 from scanning import flat_with
@@ -16,7 +17,6 @@ from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.velocity import PlanarVelocity
 from dune_rl.state import GoalState, GroupState, Motion
-from dune_rl.tasks.walking import walker_observation
 
 SCENES, WALKERS, ROBOTS = 4, 3, 2
 

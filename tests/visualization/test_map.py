@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dune_rl.actors.actor import ActorConf
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
@@ -14,7 +15,6 @@ from rich.console import Console
 from world_files import CRATE, write_yard
 
 from dune_rl import view
-from dune_rl.actors.actor import ActorConf
 from dune_rl.config.compose import compose_view
 from dune_rl.config.schema import ViewConf
 from dune_rl.errors import ConfigError

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from batches import idle, real_batch
+from dune_rl.learning.layout import Layout
 from PIL import Image
 
 import dune_rl
@@ -17,7 +18,6 @@ from dune_rl.config.compose import compose, compose_view
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import write
-from dune_rl.learning.layout import Layout
 from dune_rl.learning.networks import Architecture, make_policy
 from dune_rl.learning.policies import policy_content
 from dune_rl.sensors.conf import SensorsConf

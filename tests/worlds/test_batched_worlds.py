@@ -5,9 +5,9 @@ import weakref
 
 import numpy as np
 import pytest
+from dune_rl.env.encounters import Encounters
 
 from dune_rl.config.build import build_world
-from dune_rl.env.encounters import Encounters
 from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.rendering.beam_surface import BatchedBeamSurfaces

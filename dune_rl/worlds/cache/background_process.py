@@ -1,4 +1,5 @@
-"""`python -m dune_rl.worlds.cache.background_process PARENT`: builds the worlds whose settings come in into the cache.
+"""`python -m dune_rl.worlds.cache.background_process PARENT`: builds the worlds whose settings come in into
+the cache.
 
 A line of JSON each. It ends with its input, with the process PARENT, or after a minute without work.
 """

@@ -38,7 +38,8 @@ class WorldWarning(DuneWarning):
 class ImportReport:
     """What is to be warned of about one import: each text is given once, however often it is met.
 
-    It is kept until `emit_warnings`, since the libraries that read files have their own warnings silenced meanwhile.
+    It is kept until `emit_warnings`, since the libraries that read files have their own warnings silenced
+    meanwhile.
     """
 
     def __init__(self, source: str) -> None:

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from dune_rl.env.batch import Batch
 from numpy.typing import NDArray
 
 from dune_rl.config.build import build_world
 from dune_rl.config.compose import compose_environment
-from dune_rl.env.batch import Batch
 from dune_rl.physics.interface import SceneSpec
 from dune_rl.robots.rover_zero.robot import RoverZero
 
