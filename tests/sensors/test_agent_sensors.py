@@ -9,6 +9,7 @@ from scanning import flat_with
 from states import begin, group_state, measure, resting, state_of
 
 from dune_rl.bodies.person import PersonConf
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.context import SensorCarrier
 from dune_rl.sensors.goal import Goal
@@ -31,6 +32,28 @@ def walking(rng: np.random.Generator, count: int, name: str, **settings) -> Grou
     position = rng.uniform(-9.0, 9.0, (rows, 3))
     motion = Motion(position, angles, velocity, np.zeros((rows, 3)), np.zeros(rows, bool))
     return group_state(motion, count=count, name=name, **settings)
+
+
+def walker_observation(poses, velocity_w, goals_w, robot_position_w, robot_velocity_w, far_m, fast_mps):
+    """Readings of walkers (M, E, n) as their task once computed them; robots are the nearest."""
+    yaw = poses[..., 3]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+
+    def polar(offset):
+        distance = np.minimum(np.hypot(offset[..., 0], offset[..., 1]), far_m)
+        return np.stack([distance, wrap_angle(np.arctan2(offset[..., 1], offset[..., 0]) - yaw)], axis=-1)
+
+    def to_own_frame(vector):
+        x, y = vector[..., 0], vector[..., 1]
+        return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+
+    robot = polar(robot_position_w[..., :2] - poses[..., :2])
+    closing = np.clip(to_own_frame(robot_velocity_w[..., :2] - velocity_w), -fast_mps, fast_mps)
+    return {
+        "goal": polar(goals_w - poses[..., :2]).astype(np.float32),
+        "rover": np.concatenate([robot, closing], axis=-1).astype(np.float32),
+        "velocity": to_own_frame(velocity_w).astype(np.float32),
+    }
 
 
 @pytest.mark.parametrize("robots", [1, ROBOTS])
