@@ -53,14 +53,14 @@ def _main(parsed: Namespace) -> None:
 
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
-    from dune_rl.config.build import make_torchrl_env
+    from dune_rl.config.build import make_learning_env
     from dune_rl.learning.evaluation import evaluate
     from dune_rl.learning.measures import write_csv
 
     out = Path(conf.out) if conf.out else _default_out(conf)
     _check_writable(out)
     console = command.console()
-    env = make_torchrl_env(conf, min(conf.scenes, conf.episodes), conf.seed)
+    env = make_learning_env(conf, min(conf.scenes, conf.episodes), conf.seed)
     agents: dict[str, list[str]] = env.group_map
     results: dict[str, dict[str, list[Row]]] = {}
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:

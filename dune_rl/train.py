@@ -121,7 +121,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
     # Only now: these load PyTorch, the physics engine and more, which other commands and collector
     # processes, which import this module too, do without.
-    from dune_rl.config.build import make_torchrl_env
+    from dune_rl.config.build import make_learning_env
     from dune_rl.learning.progress import Bar, Lines
     from dune_rl.learning.trainer import Trainer
 
@@ -131,7 +131,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
     trainer = Trainer(
-        partial(make_torchrl_env, conf),
+        partial(make_learning_env, conf),
         run_dir,
         conf.learning,
         seed=conf.seed,

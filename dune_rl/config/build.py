@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 
+from torchrl.envs import TransformedEnv
+
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import Controller
@@ -13,7 +15,7 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.torchrl import DuneEnv
+from dune_rl.env.torchrl import DuneEnv, EpisodeMetrics
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
@@ -112,6 +114,11 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, seen: bool = False) -> Non
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
     return DuneEnv(make_simulation(conf, num_scenes, seed))
+
+
+def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedEnv:
+    """A TorchRL environment with the metrics of its episodes, for training and evaluation."""
+    return TransformedEnv(make_torchrl_env(conf, num_scenes, seed), EpisodeMetrics())
 
 
 def make_parallel_env(conf: EnvConf, seed: int, render_mode: RenderMode = None) -> ParallelDuneEnv:

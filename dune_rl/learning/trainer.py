@@ -23,7 +23,7 @@ from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.progress import Reporter, Silent, Status
 from dune_rl.learning.random_state import random_state, set_random_state
-from dune_rl.learning.registry import ALGORITHMS
+from dune_rl.learning.registry import build_learner
 from dune_rl.learning.run_folder import RunFolder, restore_learners
 from dune_rl.learning.run_log import RunLog
 from dune_rl.learning.settings import LearningConf
@@ -108,7 +108,7 @@ class Trainer:
 
     def _make_learners(self, env: EnvBase, device: torch.device) -> dict[str, Algorithm]:
         return {
-            group: ALGORITHMS.build(
+            group: build_learner(
                 self._conf,
                 LearnerContext(
                     group=group,
