@@ -10,6 +10,8 @@ from pydantic_core import ErrorDetails
 
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.errors import ConfigError, DuneError
+from dune_rl.learning.registry import ALGORITHMS
+from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.registry import METRICS, MetricTermConf
 from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
@@ -26,6 +28,7 @@ _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     WorldSettings: WORLDS,
     RobotSettings: ROBOTS,
     BehaviourSettings: BEHAVIOURS,
+    LearningConf: ALGORITHMS,
     RewardTermConf: REWARDS,
     TerminationTermConf: TERMINATIONS,
     MetricTermConf: METRICS,
