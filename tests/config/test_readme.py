@@ -8,7 +8,7 @@ import pytest
 from user_packages import packages_on_path, write_package
 
 from dune_rl import paths
-from dune_rl.command import arguments, config_dirs
+from dune_rl.command import config_folders, parse_arguments
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -36,8 +36,8 @@ PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 def compose_command(words: list[str]) -> None:
     program, *rest = words
-    parsed = arguments(rest)
-    overrides, folders = parsed.overrides, config_dirs(parsed)
+    parsed = parse_arguments(rest)
+    overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
     if program == "dune_rl.train" and given(overrides, "resume"):
         compose_resumed(overrides, folders, saved)
