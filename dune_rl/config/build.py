@@ -5,12 +5,11 @@ from functools import lru_cache, partial
 
 from torchrl.envs import TransformedEnv
 
-from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.agents import Controller
+from dune_rl.config.agents import PATH
+from dune_rl.config.controllers import controller_factory
 from dune_rl.config.schema import EnvConf, SingleAgentConf
-from dune_rl.env.agent_group import AgentGroup, GroupSetup, MakeController
-from dune_rl.env.controllers import BehaviourController
+from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
@@ -59,26 +58,15 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             group.name,
             group.count,
             group.body if isinstance(group.body, PersonConf) else partial(build_robot, group.body),
-            controller=_controller(group.controller),
+            controller=controller_factory(group.controller),
             paths=group.path,
-            follows_paths=group.controller == "path",
+            follows_paths=group.controller == PATH,
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
         )
         for group in conf.groups
     ]
-
-
-def _controller(conf: Controller) -> MakeController | None:
-    """What makes the controller of a group; None where its actions come from outside, or it follows paths."""
-    if isinstance(conf, BehaviourSettings):
-        return partial(_behaviour_controller, conf)
-    return None
-
-
-def _behaviour_controller(conf: BehaviourSettings, group: AgentGroup) -> BehaviourController:
-    return BehaviourController(BEHAVIOURS.build(conf, group.num_rows))
 
 
 def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:

@@ -8,8 +8,8 @@ from typing import Any, get_args
 from rich.console import Console
 
 from dune_rl import command
-from dune_rl.command import Page
-from dune_rl.config.compose import compose_view, given
+from dune_rl.command import HelpPage
+from dune_rl.config.compose import compose_view, override_value
 from dune_rl.config.schema import ViewConf
 from dune_rl.sensors.camera import Output
 from dune_rl.sensors.conf import ROBOT_SENSORS
@@ -37,18 +37,18 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(Page("Look at a world, its rover and its sensors.", USAGE, SETTINGS, CLOSING), _main)
+    command.run_command(HelpPage("Look at a world, its rover and its sensors.", USAGE, SETTINGS, CLOSING), _main)
 
 
 def _main(parsed: Namespace) -> None:
     # Nothing is shown on a map of what the other sensors would sense.
-    on_map = given(parsed.overrides, "view") == "map"
-    conf = command.settings_around_checkpoint(
+    on_map = override_value(parsed.overrides, "view") == "map"
+    conf = command.compose_with_checkpoint(
         parsed, compose_view, (lambda saved: saved) if on_map else _with_all_sensors
     )
     if conf is None:
         return
-    if given(parsed.overrides, "sensors") is None:
+    if override_value(parsed.overrides, "sensors") is None:
         conf = _without_odometry_on_legs(conf)
     _view(conf)
 
@@ -79,7 +79,7 @@ def _without_odometry_on_legs(conf: ViewConf) -> ViewConf:
 def _view(conf: ViewConf) -> None:
     folder = Path(conf.out)
     folder.mkdir(parents=True, exist_ok=True)
-    console = command.console()
+    console = command.make_console()
     if conf.view == "map":
         from dune_rl.view.maps import write_map
 

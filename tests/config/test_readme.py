@@ -5,10 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
-from own_worlds import known, write
+from user_packages import packages_on_path, write_package
 
 from dune_rl import paths
-from dune_rl.command import arguments, config_dirs
+from dune_rl.command import config_folders, parse_arguments
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -36,8 +36,8 @@ PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 def compose_command(words: list[str]) -> None:
     program, *rest = words
-    parsed = arguments(rest)
-    overrides, folders = parsed.overrides, config_dirs(parsed)
+    parsed = parse_arguments(rest)
+    overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
     if program == "dune_rl.train" and given(overrides, "resume"):
         compose_resumed(overrides, folders, saved)
@@ -66,8 +66,8 @@ def test_readme_opens_with_two_commands_that_set_themselves_up() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_compose(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(write(README, tmp_path))
-    with known(tmp_path):
+    monkeypatch.chdir(write_package(README, tmp_path))
+    with packages_on_path(tmp_path):
         compose_command(shlex.split(command))
 
 
