@@ -65,7 +65,6 @@ def test_a_reset_forgets_the_contacts_of_its_agents_alone() -> None:
     assert (state.new.tolist(), state.total.tolist()) == ([1, 0], [1, 1])
 
 
-
 def counts_of(simulation: VectorSimulation, robot: ScriptedRobot, touches: list[list[int]]) -> list[float]:
     """Running count of collisions after each step, in which the robot touches the bodies in `touches`."""
     counts = []
