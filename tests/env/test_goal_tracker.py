@@ -17,7 +17,7 @@ class FixedGoals:
     def __init__(self, *goals: tuple[float, float]) -> None:
         self.goals_w = np.array(goals)
 
-    def renew(self, mask: np.ndarray, position_w: np.ndarray) -> None:
+    def renew(self, mask: np.ndarray) -> None:
         self.goals_w = self.goals_w + np.where(mask[:, None], [10.0, 0.0], 0.0)
 
 
