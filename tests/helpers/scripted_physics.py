@@ -15,15 +15,17 @@ from dune_rl.physics.interface import RobotBody, SceneSpec
 class ScriptedRobot:
     """A `PhysicsRobot` that never moves by itself; a test sets its `state` (13,) and contacts `touching`.
 
-    It keeps the forces that are applied to it in `pushes`.
+    `drive` are the angles, speeds and torques of its J joints, (3 * J). It keeps the forces that are applied
+    to it in `pushes` and its commands in `commands`.
     """
 
     def __init__(self, body: RobotBody) -> None:
-        self._body = body
-        self._start = np.zeros(13)
-        self.state = np.zeros(13)
+        self._start = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
+        self.state = self._start.copy()
+        self.drive = np.zeros(3 * len(body.drive_joints))
         self.touching: list[int] = []
         self.pushes: list[list[float]] = []
+        self.commands: list[list[float]] = []
 
     def put(self, x: float, y: float, yaw: float = 0.0, z: float = 0.125) -> None:
         """Stand upright and still at (x, y, z) [m] with `yaw` [rad]."""
@@ -36,7 +38,7 @@ class ScriptedRobot:
         self._start = np.array([*position_w, *quaternion, *[0.0] * 6])
 
     def set_command(self, commands: Sequence[float]) -> None:
-        pass
+        self.commands.append(list(commands))
 
     def apply_force(self, force_w: Sequence[float]) -> None:
         self.pushes.append(list(force_w))
@@ -51,7 +53,7 @@ class ScriptedRobot:
         return tuple(self.state.tolist())
 
     def drive_state(self) -> tuple[float, ...]:
-        return (0.0,) * (3 * len(self._body.drive_joints))
+        return tuple(self.drive.tolist())
 
     def work_j(self) -> float:
         return 0.0
