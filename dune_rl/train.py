@@ -54,7 +54,9 @@ SETTINGS = (
 def main() -> None:
     """Run the command line; ends the process."""
     command.run_command(
-        HelpPage("Train a rover to drive to goals off the road.", USAGE, SETTINGS, CLOSING), _main, sweeps=True
+        HelpPage("Train a rover to drive to goals off the road.", USAGE, SETTINGS, CLOSING),
+        _main,
+        sweeps=True,
     )
 
 

@@ -37,7 +37,9 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run_command(HelpPage("Look at a world, its rover and its sensors.", USAGE, SETTINGS, CLOSING), _main)
+    command.run_command(
+        HelpPage("Look at a world, its rover and its sensors.", USAGE, SETTINGS, CLOSING), _main
+    )
 
 
 def _main(parsed: Namespace) -> None:

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from dune_rl.learning.layout import Layout
 
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.learning.checkpoint import read
 from dune_rl.learning.evaluation import averages, evaluate
-from dune_rl.learning.layout import Layout
 from dune_rl.learning.policies import load_policy
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"

@@ -1,7 +1,6 @@
 """The training loop on the point mass: that it continues, counts, saves, and learns."""
 
 import signal
-import statistics
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from point_mass import PointMass, make_point_mass
-from training import SMALL, assert_halves_make_a_whole, small, trainer, weights
+from training import assert_halves_make_a_whole, small, trainer, weights
 
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
