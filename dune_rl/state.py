@@ -23,7 +23,10 @@ Counts = NDArray[np.int64]
 class BatteryModel(Protocol):
     """The battery of a robot: what terms read of its settings."""
 
-    capacity_wh: float
+    @property
+    def capacity_wh(self) -> float:
+        """What a full battery holds [W h]."""
+        ...
 
     def drawn_wh(self, work_j: Array, time_s: float) -> Array:
         """Energy drawn [W h], (N,), while motors have done `work_j` (N,) [J] in `time_s`."""

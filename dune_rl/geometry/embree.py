@@ -12,8 +12,10 @@ from typing import Any
 import embreex.rtcore_scene
 import llvmlite.binding
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
+
+from dune_rl.compiled import compile_function
 
 _WIDTH = 16
 # Rows of 16 words in a packet: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask, id and flags 9-11;
@@ -141,15 +143,7 @@ def _plain(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return values if values.flags.writeable else values.copy()
 
 
-def _compiled(function: Any) -> Any:
-    """`function`, compiled when first called, and kept for later processes where a folder can be written."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:
-        return njit(nogil=True)(function)
-
-
-@_compiled
+@compile_function
 def _packet() -> Any:
     # Embree wants packets, and the mask of rays in use, at multiples of 64 bytes.
     room = np.empty((_ROWS + 2) * _WIDTH, np.uint32)
@@ -167,7 +161,7 @@ def _packet() -> Any:
     return words, numbers
 
 
-@_compiled
+@compile_function
 def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: int, first: int) -> int:
     # Rays from `first` on into a packet; how many there are.
     count = min(_WIDTH, len(directions) - first)
@@ -182,7 +176,7 @@ def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: i
     return count
 
 
-@_compiled
+@compile_function
 def _intersect(
     scene: int, arguments: int, origins: Any, directions: Any, ranges: Any, faces: Any, normals: Any
 ) -> None:
@@ -205,7 +199,7 @@ def _intersect(
                     normals[first + k, axis] = numbers[_NORMAL + axis, k] if hit else np.float32(0.0)
 
 
-@_compiled
+@compile_function
 def _occluded(scene: int, arguments: int, origins: Any, directions: Any, blocked: Any) -> None:
     words, numbers = _packet()
     per_origin = len(directions) // max(1, len(origins))
