@@ -1,4 +1,4 @@
-"""Where an episode starts, and where it shall end."""
+"""Start poses and goals of robots, sampled from the free space of a world."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,11 +52,11 @@ class Placement:
 
 
 class Spawner:
-    """Draws spawn poses and goals that a round robot of `footprint_radius_m` can go between.
+    """Samples start poses and goals that a disc of `footprint_radius_m` can move between.
 
-    All lie in one connected part of the free space, the one that has most of
-    the region. Raises WorldError when the world cannot give that, naming the
-    setting to change.
+    All are in one connected part of the free space: the part that covers most of
+    the region. Raises WorldError, which names the setting to change, where the
+    world has none.
     """
 
     def __init__(self, world: World, conf: SpawnConf, footprint_radius_m: float) -> None:
@@ -147,9 +147,8 @@ class Spawner:
     ) -> Placement:
         """A start and a goal at least `min_goal_distance_m` from it, drawn from `rng` alone.
 
-        Its start lies `apart_m` or more from that of each `taken` placement,
-        and its goal so far from their goals. Raises WorldError where that
-        leaves none.
+        The start is at least `apart_m` from the start of each `taken` placement,
+        and the goal from its goal. Raises WorldError where no place is left.
         """
         starts, cells = self._starts, self._cells
         if taken:
@@ -180,8 +179,8 @@ class Spawner:
     ) -> tuple[float, float]:
         """A goal at least `min_goal_distance_m` from `start` (2,) and `apart_m` (K,) from `taken` (K, 2).
 
-        It is drawn from `rng` alone. Where the region has no such place, it is the one that comes closest to
-        it: an episode under way cannot be refused.
+        It is drawn from `rng` alone. Where the region has no such place, it is the place with the smallest
+        shortfall: a running episode must go on.
         """
         centres = self._cells[rng.integers(len(self._cells), size=_GOAL_TRIES)]
         moved = centres + rng.uniform(-0.5, 0.5, centres.shape) * self.free_space.cell_m
@@ -230,9 +229,9 @@ class Spawner:
         return gentle & clear
 
     def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:
-        """Points (n, 2) [m] of the same part, with `radius_m` of clearance and joined at that clearance.
+        """Points (n, 2) [m] of the same part with `radius_m` of clearance, connected at that clearance.
 
-        Raises WorldError when the region has none.
+        Raises WorldError where the region has none.
         """
         cells = self._points_by_radius.get(radius_m)
         if cells is None:
