@@ -1,8 +1,7 @@
 """Where the agents of a group start and where they are to go."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +32,12 @@ class GoalSource(Protocol):
 
 
 class Spawners:
-    """The `Spawner` of a footprint of `radius_m` in each world, kept for as long as the world is used."""
+    """The `Spawner` of a footprint of `radius_m` in each world."""
 
     def __init__(self, conf: SpawnConf, radius_m: float, worlds: SharedPerScene[World]) -> None:
         self._conf, self._radius_m, self._worlds = conf, radius_m, worlds
-        self._known: WeakKeyDictionary[World, Spawner] = WeakKeyDictionary()
+        # Not by weak references: a spawner keeps its world.
+        self._known: dict[World, Spawner] = {}
 
     def of(self, world: World) -> Spawner:
         """The spawner of a world; raises `WorldError` where it has no room."""
@@ -48,6 +48,10 @@ class Spawners:
     def of_scene(self, scene: int) -> Spawner:
         """The spawner of the world that a scene is in."""
         return self.of(self._worlds[scene])
+
+    def keep(self, worlds: Collection[World]) -> None:
+        """Forget the spawners of all worlds but these."""
+        self._known = {world: spawner for world, spawner in self._known.items() if world in worlds}
 
 
 class RegionGoals:

@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 from simulations import environment_conf
 
 from dune_rl.config.build import build_world, group_setups
+from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import RobotBody, SceneSpec
+from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
 
 
 class ScriptedRobot:
     """A `PhysicsRobot` that never moves by itself; a test sets its `state` (13,) and contacts `touching`.
 
     `drive` are the angles, speeds and torques of its J joints, (3 * J). It keeps the forces that are applied
-    to it in `pushes` and its commands in `commands`.
+    to it in `pushes`, its commands in `commands` and what varies of its body in `variation`.
     """
 
     def __init__(self, body: RobotBody) -> None:
@@ -26,6 +28,7 @@ class ScriptedRobot:
         self.touching: list[int] = []
         self.pushes: list[list[float]] = []
         self.commands: list[list[float]] = []
+        self.variation = AS_DESCRIBED
 
     def put(self, x: float, y: float, yaw: float = 0.0, z: float = 0.125) -> None:
         """Stand upright and still at (x, y, z) [m] with `yaw` [rad]."""
@@ -43,8 +46,8 @@ class ScriptedRobot:
     def apply_force(self, force_w: Sequence[float]) -> None:
         self.pushes.append(list(force_w))
 
-    def set_body(self, variation: Any) -> None:
-        pass
+    def set_body(self, variation: BodyVariation) -> None:
+        self.variation = variation
 
     def set_wheel_contacts(self, *settings: Any) -> None:
         pass
@@ -102,6 +105,7 @@ def scripted_simulation(
         make_scene=make_scene,
         physics=conf.physics,
         weather=conf.weather,
+        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, build_world),
         num_scenes=num_scenes,
         seed=seed,
     )
