@@ -4,7 +4,9 @@ import os
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from dune_rl import command
@@ -12,10 +14,11 @@ from dune_rl.command import Page
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
-from dune_rl.learning.evaluation import Row, evaluate, summary, write_csv
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.policies import GoToGoal, Policy, UniformRandom, load_policy
-from dune_rl.learning.table import paired_line, results_table
+
+if TYPE_CHECKING:
+    from dune_rl.env.torchrl import DuneEnv
+    from dune_rl.learning.group_policy import Policy
+    from dune_rl.learning.measures import Row
 
 USAGE = (
     ("python -m dune_rl.evaluate checkpoint=runs/NAME", "a trained policy"),
@@ -49,30 +52,34 @@ def _main(parsed: Namespace) -> None:
 
 
 def _evaluate(conf: EvaluateConf) -> None:
-    # Only now, since loading the physics engine takes a second and prints a line.
+    # Only now, since loading PyTorch and the physics engine takes seconds.
     from dune_rl.config.build import make_torchrl_env
+    from dune_rl.learning.evaluation import evaluate
+    from dune_rl.learning.measures import write_csv
 
     out = Path(conf.out) if conf.out else _default_out(conf)
     _check_writable(out)
     console = command.console()
     env = make_torchrl_env(conf, min(conf.scenes, conf.episodes), conf.seed)
-    layout = Layout.of(env)
-    policies = dict([_policy(conf, layout)])
-    if conf.against is not None:
-        policies[conf.against] = _built_in(conf.against, layout, conf.seed)
-    results: dict[str, list[Row]] = {}
+    agents: dict[str, list[str]] = env.group_map
+    results: dict[str, dict[str, list[Row]]] = {}
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
-        for name, policy in policies.items():
+        for name, policy in _policies(conf, env).items():
             task = bar.add_task(name, total=conf.episodes)
             # The task is bound now: the next round has another.
             advance = partial(_advance, bar, task)
             results[name] = evaluate(policy, env, conf.episodes, conf.seed, progress=advance)
     env.close()
-    title = f"{conf.world.name}: {conf.episodes} episodes of seed {conf.seed}"
-    console.print(results_table({name: summary(rows) for name, rows in results.items()}, title))
-    if len(results) == 2:
-        console.print(paired_line(*results.items()))
-    write_csv(out, [_record(name, conf, row) for name, rows in results.items() for row in rows])
+    for group in agents:
+        title = f"{conf.world.name}, {group}" if len(agents) > 1 else conf.world.name
+        _show(console, {name: rows[group] for name, rows in results.items()}, title, conf)
+    records = [
+        _record(name, conf, agents[group], row)
+        for name, by_group in results.items()
+        for group, rows in by_group.items()
+        for row in rows
+    ]
+    write_csv(out, [dict.fromkeys(key for each in records for key in each) | record for record in records])
     console.print(f"Episodes: {out}", highlight=False, soft_wrap=True)
 
 
@@ -80,26 +87,36 @@ def _advance(bar: Progress, task: TaskID, done: int) -> None:
     bar.update(task, completed=done)
 
 
-def _policy(conf: EvaluateConf, layout: Layout) -> tuple[str, Policy]:
+def _show(console: Console, results: dict[str, list["Row"]], title: str, conf: EvaluateConf) -> None:
+    """Print the table of one group, and the paired test where two policies are compared."""
+    from dune_rl.learning.measures import summary
+    from dune_rl.learning.table import paired_line, results_table
+
+    title = f"{title}: {conf.episodes} episodes of seed {conf.seed}"
+    console.print(results_table({name: summary(rows) for name, rows in results.items()}, title))
+    if len(results) == 2 and all("success" in rows[0] for rows in results.values()):
+        console.print(paired_line(*results.items()))
+
+
+def _policies(conf: EvaluateConf, env: "DuneEnv") -> dict[str, "Policy"]:
+    from dune_rl.learning.policies import built_in_policy
+    from dune_rl.learning.saved_policies import load_policy
+
+    policies: dict[str, Policy] = {}
     if conf.checkpoint is not None:
         path = Path(conf.checkpoint)
         name = path.name if path.is_dir() else path.parent.name or path.stem
-        return name, load_policy(path, layout)[0]
-    assert conf.policy is not None
-    return conf.policy, _built_in(conf.policy, layout, conf.seed)
+        policies[name] = load_policy(path, env)[0]
+    for built_in in (conf.policy, conf.against):
+        if built_in is not None:
+            policies[built_in] = built_in_policy(built_in, env, conf.seed)
+    return policies
 
 
-def _built_in(name: str, layout: Layout, seed: int) -> Policy:
-    return UniformRandom(layout, seed) if name == "random" else GoToGoal(layout)
-
-
-def _record(name: str, conf: EvaluateConf, row: Row) -> dict[str, object]:
-    return {
-        "policy": name,
-        "world": conf.world.name,
-        "seed": conf.seed,
-        **{key: int(value) if float(value).is_integer() else value for key, value in row.items()},
-    }
+def _record(policy: str, conf: EvaluateConf, agents: list[str], row: "Row") -> dict[str, object]:
+    metrics = {key: int(value) if float(value).is_integer() else value for key, value in row.items()}
+    agent = agents[int(metrics.pop("agent"))]
+    return {"policy": policy, "world": conf.world.name, "seed": conf.seed, "agent": agent, **metrics}
 
 
 def _default_out(conf: EvaluateConf) -> Path:

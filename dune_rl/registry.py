@@ -130,7 +130,7 @@ class Registry(Generic[ProductT]):
 
     def settings_class(self, name: str) -> Any | None:
         """The settings class of the part `name`, None where there is none; an error for a broken package."""
-        part = self._find(name)
+        part = self.find(name)
         return None if part is None else part.settings
 
     # -- settings ---------------------------------------------------------------------------------
@@ -226,13 +226,14 @@ class Registry(Generic[ProductT]):
         """The part that settings are of."""
         if isinstance(conf, DerivedSettings):
             return type(conf)._part
-        part = self._find(getattr(conf, self.tag))
+        part = self.find(getattr(conf, self.tag))
         assert part is not None and type(conf) is part.settings, conf
         return part
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _find(self, name: str) -> RegisteredPart | None:
+    def find(self, name: str) -> RegisteredPart | None:
+        """The part `name`, None where there is none; an error for a broken package."""
         if name in self.own:
             if name not in self._loaded:
                 self._loaded[name] = self._read_own(name)

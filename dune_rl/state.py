@@ -5,7 +5,7 @@ axis N = M * G, of M scenes with G agents each, scene after scene: row m * G + g
 Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
@@ -18,16 +18,6 @@ from dune_rl.geometry.frames import rotation_from_yaw, to_body
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
-
-
-class BatteryModel(Protocol):
-    """The battery of a robot: what terms read of its settings."""
-
-    capacity_wh: float
-
-    def drawn_wh(self, work_j: Array, time_s: float) -> Array:
-        """Energy drawn [W h], (N,), while motors have done `work_j` (N,) [J] in `time_s`."""
-        ...
 
 
 class GroundQueries(Protocol):
@@ -45,6 +35,38 @@ class GroundQueries(Protocol):
     def clearance(self, xy: Array) -> Array:
         """Distance [m], (M, ...), from points (M, ..., 2) to the nearest static obstacle."""
         ...
+
+
+class ProximityQueries(Protocol):
+    """What is near the agents of each group at one control step, computed when it is first read."""
+
+    def clearance(self, group: str) -> Array:
+        """Distance [m], (N,), of each agent's outline from the nearest obstacle or other agent; a new
+        array.
+        """
+        ...
+
+    def neighbours(self, group: str) -> Array:
+        """Poses (N, K, 4) of the other moving bodies of each agent's scene."""
+        ...
+
+
+class BatteryModel(Protocol):
+    """The battery of a robot: what terms read of its settings."""
+
+    capacity_wh: float
+
+    def drawn_wh(self, work_j: Array, time_s: float) -> Array:
+        """Energy drawn [W h], (N,), while motors have done `work_j` (N,) [J] in `time_s`."""
+        ...
+
+
+@dataclass(frozen=True)
+class EnergyState:
+    """The motors' work in this control step [J], (N,), and the battery that feeds them."""
+
+    work_j: Array
+    battery: BatteryModel
 
 
 @dataclass(frozen=True)
@@ -160,12 +182,10 @@ class EpisodeState:
 class GroupState:
     """One agent group after a control step; every array has the leading axis N = M * G.
 
-    `neighbours` (N, K, 4) are the poses (x, y, z, yaw) [m, rad] of the other moving bodies of the scene.
-    `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `work_j`
-    (N,) is the motors' work in this step [J] where it is measured, and `battery` what feeds the motors.
-    `radius_m` is the radius of the circle that stands for an agent where distances between agents are
-    rewarded: half the width of a robot, the radius of a walker. `endings` has the flags (N,) of each
-    termination term by name once these are evaluated, for rewards and metrics.
+    `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `radius_m` is
+    the radius of the circle that stands for an agent where distances between agents are rewarded: half the
+    width of a robot, the radius of a person. `energy` is there where it is measured. `endings` has the flags
+    (N,) of each termination term by name once these are evaluated, for rewards and metrics.
     """
 
     name: str
@@ -173,13 +193,11 @@ class GroupState:
     episode: EpisodeState
     motion: Motion
     contacts: ContactState
-    neighbours: Array
-    done: Flags
-    measure_clearance: Callable[[], Array]
     goal: GoalState
-    work_j: Array | None = None
-    battery: BatteryModel | None = None
+    done: Flags
+    proximity: ProximityQueries
     radius_m: float = 0.0
+    energy: EnergyState | None = None
     endings: dict[str, Flags] = field(default_factory=dict)
 
     @cached_property
@@ -187,9 +205,14 @@ class GroupState:
         """Distance [m], (N,), from each outline to the nearest obstacle or other agent; 0 on contact, inf
         without any.
         """
-        apart = np.maximum(self.measure_clearance(), 0.0)
+        apart = np.maximum(self.proximity.clearance(self.name), 0.0)
         apart[self.contacts.touching] = 0.0
         return apart
+
+    @cached_property
+    def neighbours(self) -> Array:
+        """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
+        return self.proximity.neighbours(self.name)
 
     def ended_by(self, termination: str) -> Flags:
         """Flags (N,) of the termination term of this name; all false where the task has none so called."""

@@ -6,9 +6,9 @@ from argparse import Namespace
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hydra
-import torch
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
@@ -23,11 +23,9 @@ from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_h
 from dune_rl.config.schema import Conf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find, read
-from dune_rl.learning.evaluation import summary
-from dune_rl.learning.progress import Bar, Lines
-from dune_rl.learning.table import results_table
-from dune_rl.learning.trainer import Trainer, TrainingResult
-from dune_rl.robots.hyperdog.robot import HyperDogConf
+
+if TYPE_CHECKING:
+    from dune_rl.learning.trainer import TrainingResult
 
 USAGE = (
     ("python -m dune_rl.train +world=inspection", "train; settings follow"),
@@ -119,25 +117,23 @@ def _refuse_used_folder(run_dir: Path) -> None:
         )
 
 
-def train(conf: Conf, resume: Path | None = None) -> None:
+def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
-    # Only now, since loading the physics engine takes a second and prints a line.
+    # Only now: these load PyTorch, the physics engine and more, which other commands and collector
+    # processes, which import this module too, do without.
     from dune_rl.config.build import make_torchrl_env
+    from dune_rl.learning.progress import Bar, Lines
+    from dune_rl.learning.trainer import Trainer
 
     _check_machine(conf)
     console = command.console()
     reporter = Bar(console) if console.is_terminal else Lines(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
-    learning = conf.learning
     trainer = Trainer(
         partial(make_torchrl_env, conf),
         run_dir,
-        sac=learning,
-        replay=learning.replay,
-        collector=learning.collector,
-        evaluation=learning.evaluation,
-        checkpoint=learning.checkpoint,
+        conf.learning,
         seed=conf.seed,
         total_frames=conf.total_frames,
         device=conf.device,
@@ -153,9 +149,12 @@ def train(conf: Conf, resume: Path | None = None) -> None:
         command.say(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
         sys.exit(128 + result.signal)
     _show_end(console, conf, result)
+    return result
 
 
 def _check_machine(conf: Conf) -> None:
+    import torch
+
     if conf.device == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
     processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
@@ -166,19 +165,23 @@ def _check_machine(conf: Conf) -> None:
         )
 
 
-def _show_end(console: Console, conf: Conf, result: TrainingResult) -> None:
-    if result.evaluation:
-        title = f"{conf.world.name}: {len(result.evaluation)} unseen episodes after {result.frames:,} frames"
-        console.print(results_table({"trained": summary(result.evaluation)}, title))
+def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    from dune_rl.learning.measures import summary
+    from dune_rl.learning.policies import go_to_goal_fault
+    from dune_rl.learning.table import results_table
+
+    for group, rows in result.evaluation.items():
+        name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
+        title = f"{name}: {conf.learning.evaluation.episodes} unseen episodes after {result.frames:,} frames"
+        console.print(results_table({"trained": summary(rows)}, title))
     lines = [f"Kept in {result.run_dir}:"]
     lines += [
         f"  {path.name}"
         for path in sorted(result.run_dir.iterdir())
         if path.suffix in (".png", ".csv", ".pt")
     ]
-    # Who goes to goals tells a speed and a heading.
-    walks_by_joints = isinstance(conf.robot, HyperDogConf) and conf.robot.action == "joints"
-    reference = "random" if walks_by_joints else "go_to_goal"
+    can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
+    reference = "go_to_goal" if can_go else "random"
     lines += [
         "Try next:",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",

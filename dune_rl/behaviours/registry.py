@@ -31,7 +31,7 @@ class BehaviourSettings(Settings):
 BEHAVIOURS: Registry[Behaviour] = Registry(
     "behaviour",
     "dune_rl.behaviours.registry:BEHAVIOURS",
-    own={},
+    own={"go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal"},
     base=BehaviourSettings,
     product=Behaviour,
     form="a class with reset and act, made with (num_rows), or a function that returns such an object",

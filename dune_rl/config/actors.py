@@ -1,40 +1,52 @@
-"""The shorthand `actors=`: walkers, from which agent groups are made."""
+"""The older form of `actors`: a list of walkers, each with settings of body, path and controller."""
 
-import math
-from itertools import pairwise
-from typing import Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from pydantic import Field, model_validator
+from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.bodies.person import PersonConf
+from dune_rl.config.agents import EXTERNAL, PATH, PERSON, free_name
 
-from dune_rl.settings import Settings
+_DEFAULTS: dict[str, Any] = {
+    "kind": "walker",
+    "controller": "scripted",
+    **PersonConf().model_dump(mode="json", exclude={"name"}),
+    **PathConf().model_dump(mode="json"),
+}
 
 
-class ActorConf(Settings):
-    """A walker, who decides for it, and its path.
+def groups_of_list(actors: Sequence[Any]) -> dict[str, Any]:
+    """Agent groups, as plain data, of a list of walkers: equal ones are one group.
 
-    `scripted` walks a path there and back at `speed_mps`; `external` is an
-    agent of the environment, whose actions reach up to `speed_mps`. Without
-    `waypoints` a random path is drawn at every reset.
+    Those that are `external` are called `walker` first, then the others; a
+    further group is `walker_b`, and so on. Settings that a walker does not have
+    stay where they are, so that the check names them.
     """
+    counts: dict[str, Any] = {}
+    entries: dict[str, dict[str, Any]] = {}
+    for actor in actors:
+        given = dict(actor) if isinstance(actor, Mapping) else {"body": actor}
+        entry = {key: given.get(key, value) for key, value in (_DEFAULTS | given).items() if key != "count"}
+        key = repr(sorted(entry.items()))
+        count = given.get("count", 1)
+        counts[key] = counts.get(key, 0) + count if isinstance(count, int) else count
+        entries[key] = entry
+    named: dict[str, str] = {}
+    for key in sorted(entries, key=lambda key: entries[key]["controller"] != EXTERNAL):
+        named[key] = free_name("walker", named.values())
+    return {named[key]: _group(entry, counts[key]) for key, entry in entries.items()}
 
-    kind: Literal["walker"] = "walker"
-    controller: Literal["scripted", "external"] = "scripted"
-    speed_mps: float = Field(1.0, gt=0.0, le=5.0)
-    radius_m: float = Field(0.25, gt=0.0, le=2.0)
-    height_m: float = Field(1.75, gt=0.0, le=5.0)
-    waypoints: tuple[tuple[float, float], ...] = ()
-    length_range_m: tuple[float, float] = (6.0, 16.0)
-    # Distance to the rover at which an episode may start, where the path reaches that far.
-    start_distance_m: float = Field(2.0, ge=0.0)
 
-    @model_validator(mode="after")
-    def _sensible(self) -> Self:
-        if len(self.waypoints) == 1:
-            raise ValueError("waypoints needs at least two points, or none for a random path (got 1)")
-        if any(math.dist(a, b) < 0.1 for a, b in pairwise(self.waypoints)):
-            raise ValueError("waypoints must lie at least 0.1 m apart, each from the next")
-        if not 1.0 <= self.length_range_m[0] < self.length_range_m[1]:
-            raise ValueError(f"length_range_m must rise from at least 1.0 (got {list(self.length_range_m)})")
-        if self.height_m <= 2 * self.radius_m:
-            raise ValueError(f"height_m ({self.height_m}) must be more than twice radius_m ({self.radius_m})")
-        return self
+def _group(entry: Mapping[str, Any], count: Any) -> dict[str, Any]:
+    body = {"name": PERSON if entry["kind"] == "walker" else entry["kind"]}
+    path: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    for key, value in entry.items():
+        if key in PersonConf.model_fields:
+            body[key] = value
+        elif key in PathConf.model_fields:
+            path[key] = value
+        elif key not in ("kind", "controller"):
+            rest[key] = value
+    controller = PATH if entry["controller"] == "scripted" else entry["controller"]
+    return {"count": count, "controller": controller, "body": body, "path": path, **rest}

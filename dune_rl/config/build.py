@@ -3,10 +3,8 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 
-from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.actors import ActorConf
-from dune_rl.config.schema import EnvConf, RobotConf, SingleAgentConf
+from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
@@ -14,13 +12,9 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.torchrl import DuneEnv
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
-from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
-from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
+from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
-from dune_rl.sensors.suite import SensorsConf
-from dune_rl.tasks.task import walking_task
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
@@ -55,48 +49,19 @@ def make_simulation(
 
 def group_setups(conf: EnvConf) -> list[GroupSetup]:
     """The agent groups of a scene."""
-    groups: list[GroupSetup] = []
-    robots: dict[RobotConf, int] = {}
-    for robot in conf.all_robots:
-        robots[robot] = robots.get(robot, 0) + 1
-    for robot, count in robots.items():
-        name = "rover" if robot.name == "rover_zero" else robot.name
-        groups.append(
-            GroupSetup(
-                name,
-                count,
-                partial(build_robot, robot),
-                sensors=conf.sensors,
-                task=conf.task,
-                metrics=conf.metrics,
-            )
+    return [
+        GroupSetup(
+            group.name,
+            group.count,
+            group.body if isinstance(group.body, PersonConf) else partial(build_robot, group.body),
+            paths=group.path,
+            follows_paths=group.controller == "path",
+            sensors=group.sensors,
+            task=group.task,
+            metrics=group.metrics,
         )
-    walkers: dict[ActorConf, int] = {}
-    for actor in conf.actors:
-        walkers[actor] = walkers.get(actor, 0) + 1
-    for index, (actor, count) in enumerate(walkers.items()):
-        external = actor.controller == "external"
-        groups.append(
-            GroupSetup(
-                "walker" if not index else f"walker_{'abcdefg'[index]}",
-                count,
-                PersonConf(speed_mps=actor.speed_mps, radius_m=actor.radius_m, height_m=actor.height_m),
-                paths=PathConf(
-                    waypoints=actor.waypoints,
-                    length_range_m=actor.length_range_m,
-                    start_distance_m=actor.start_distance_m,
-                ),
-                follows_paths=not external,
-                sensors=WALKER_SENSORS if external else None,
-                task=walking_task() if external else None,
-            )
-        )
-    return groups
-
-
-WALKER_SENSORS = SensorsConf(
-    enabled=("goal", "nearest_agent", "velocity"), named={"velocity": {"sensor": "planar_velocity"}}
-)
+        for group in conf.groups
+    ]
 
 
 def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
@@ -113,17 +78,9 @@ def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
             return DartScene
 
 
-def build_robot(conf: RobotConf, num_scenes: int) -> Robot:
-    """`num_scenes` robots of the kind that `conf` is of."""
-    match conf:
-        case RoverZeroConf():
-            return RoverZero(conf, num_scenes)
-        case LeoRoverConf():
-            return LeoRover(conf, num_scenes)
-        case HyperDogConf():
-            return HyperDog(conf, num_scenes)
-        case UrdfConf():
-            return UrdfRobot(conf, num_scenes)
+def build_robot(conf: RobotSettings, num_robots: int) -> Robot:
+    """`num_robots` robots of the kind that `conf` is of."""
+    return ROBOTS.build(conf, num_robots)
 
 
 @lru_cache(maxsize=4)

@@ -8,13 +8,28 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from dune_rl.errors import ConfigError, WorldError
+from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
+from dune_rl.errors import ConfigError, DuneError
+from dune_rl.metrics.registry import METRICS, MetricTermConf
+from dune_rl.registry import Registry
+from dune_rl.robots.registry import ROBOTS
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.suggestions import closest
+from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTermConf, TerminationTermConf
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
 
 Model = TypeVar("Model", bound=BaseModel)
 
+# The settings classes that stand for those of a registry's parts.
+_REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
+    WorldSettings: WORLDS,
+    RobotSettings: ROBOTS,
+    BehaviourSettings: BEHAVIOURS,
+    RewardTermConf: REWARDS,
+    TerminationTermConf: TERMINATIONS,
+    MetricTermConf: METRICS,
+}
 _RANGES = {
     "greater_than_equal": ("ge", "at least"),
     "greater_than": ("gt", "above"),
@@ -31,6 +46,7 @@ _KINDS = {
     "tuple": "a list",
     "list": "a list",
     "model": "a section with settings of its own",
+    "dict": "a section with settings of its own",
     "none": "null",
 }
 
@@ -127,6 +143,8 @@ def _wanted(detail: ErrorDetails) -> str | None:
         choices = context.get("expected", context.get("expected_tags", ""))
         return "one of " + choices.replace("'", "").replace(" or ", ", ")
     if kind == "too_short":
+        if isinstance(detail["input"], Mapping):
+            return "a section with at least one entry"
         return f"a list of at least {context['min_length']}"
     if kind == "too_long":
         return f"a list of at most {context['max_length']}"
@@ -156,49 +174,79 @@ def _dotted(path: Iterable[str | int]) -> str:
     return ".".join(map(str, path))
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The settings classes inside a type such as `tuple[A, ...]` or `A | B | None`."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    elif get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
+def _unwrapped(annotation: Any) -> Iterator[Any]:
+    """The members of a type: of `Annotated[A | B | None, ...]` they are A and B."""
+    if get_origin(annotation) is Annotated:
+        yield from _unwrapped(get_args(annotation)[0])
+    elif get_origin(annotation) in (Union, types.UnionType):
         for inner in get_args(annotation):
-            yield from _models(inner)
+            yield from _unwrapped(inner)
+    else:
+        yield annotation
 
 
-def _member(annotation: Any, value: Any) -> type[BaseModel] | None:
-    """Which settings class of a type a value belongs to: by its `name` where there are several."""
-    candidates = list(_models(annotation))
-    tag = value.get("name") if isinstance(value, Mapping) else None
-    if WorldSettings in candidates and isinstance(tag, str):
-        with suppress(WorldError):
-            return WORLDS.settings_class(tag)
+def _element(annotation: Any) -> Any | None:
+    """The type of what a list or a dictionary of this type holds; None for another type."""
+    for member in _unwrapped(annotation):
+        arguments = get_args(member)
+        if get_origin(member) is dict:
+            return arguments[1]
+        if get_origin(member) in (tuple, list) and arguments:
+            return arguments[0]
+    return None
+
+
+def _settings_class(annotation: Any, value: Any, key: str | int) -> type[BaseModel] | None:
+    """The settings class of a type that a value belongs to: by the part that the value, or its key, names."""
+    members = list(_unwrapped(annotation))
+    candidates = [each for each in members if isinstance(each, type) and issubclass(each, BaseModel)]
+    data = value if isinstance(value, Mapping) else {}
+    for candidate in candidates:
+        registry = _REGISTRIES.get(candidate)
+        name = data.get(registry.tag, key) if registry is not None else None
+        if registry is not None and isinstance(name, str):
+            # A broken package is reported when its settings are checked.
+            with suppress(DuneError):
+                known = registry.settings_class(name)
+                if known is not None:
+                    return known
     for candidate in candidates:
         field = candidate.model_fields.get("name")
-        if field is not None and tag is not None and field.default == tag:
+        if field is not None and "name" in data and field.default == data["name"]:
             return candidate
     return candidates[0] if candidates else None
 
 
 def _section(path: Iterable[str | int], model: type[BaseModel], data: Any) -> type[BaseModel] | None:
-    section: type[BaseModel] | None = model
+    """The settings class of the section at a path."""
+    annotation: Any = model
+    key: str | int = ""
     for part in path:
-        data = data[part]
-        if isinstance(part, int):
-            continue
-        if section is None or part not in section.model_fields:
-            return None
-        section = _member(section.model_fields[part].annotation, data)
-    return section
-
-
-def _all_paths(model: type[BaseModel], data: Any, prefix: str = "") -> list[str]:
-    paths: list[str] = []
-    for name, field in model.model_fields.items():
-        value = data.get(name) if isinstance(data, Mapping) else None
-        inner = _member(field.annotation, value)
-        is_sequence = isinstance(value, Sequence) and not isinstance(value, str)
-        if inner is None or is_sequence:
-            paths.append(prefix + name)
+        element = _element(annotation)
+        if element is not None:
+            annotation = element
         else:
-            paths += _all_paths(inner, value, f"{prefix}{name}.")
+            section = _settings_class(annotation, data, key)
+            if section is None or part not in section.model_fields:
+                return None
+            annotation = section.model_fields[str(part)].annotation
+        data, key = data[part], part
+    return _settings_class(annotation, data, key)
+
+
+def _all_paths(annotation: Any, data: Any, path: str = "") -> list[str]:
+    """The dotted paths of all settings, with the entries of dictionaries that the data has."""
+    prefix = f"{path}." if path else ""
+    element = _element(annotation)
+    if element is not None:
+        entries = data.items() if isinstance(data, Mapping) else ()
+        inner = [_all_paths(element, value, f"{prefix}{key}") for key, value in entries]
+        return [each for paths in inner for each in paths] or [path]
+    section = _settings_class(annotation, data, path.rpartition(".")[2])
+    if section is None:
+        return [path]
+    given = data if isinstance(data, Mapping) else {}
+    paths: list[str] = []
+    for name, field in section.model_fields.items():
+        paths += _all_paths(field.annotation, given.get(name), prefix + name)
     return paths

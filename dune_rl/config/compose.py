@@ -23,13 +23,20 @@ from omegaconf.errors import OmegaConfBaseException
 
 from dune_rl import paths
 from dune_rl.config import overrides as command_line
-from dune_rl.config import worlds
 from dune_rl.config.checks import unique, validated
+from dune_rl.config.expand import expand_options, merged
+from dune_rl.config.migration import migrated, move_renamed
+from dune_rl.config.options import offer_user_parts
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
 from dune_rl.errors import ConfigError
 from dune_rl.suggestions import one_of
 
 Model = TypeVar("Model", bound=EnvConf)
+
+# Groups of agents are no options, whatever they are called.
+_GROUPS = ("agents", "actors")
+# What `agents` takes the place of.
+_SHORTHANDS = ("robot", "robots", "actors")
 
 
 def compose(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> Conf:
@@ -98,24 +105,23 @@ def compose_environment(
     words = list(overrides)
     changes: dict[str, Any] = {}
     for name, value in {"world": world, **(settings or {})}.items():
-        if isinstance(value, Mapping) and "name" in value:
+        if isinstance(value, Mapping) and "name" in value and name not in _GROUPS:
             words.append(f"{name}={value['name']}")
             # The option states its own name, which need not be its file's.
             changes[name] = {key: given for key, given in value.items() if key != "name"}
-        elif name == "robots" and isinstance(value, Sequence) and not isinstance(value, str):
-            changes[name] = list(value)
         elif name == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
             # As on the command line: a list is of sensors.
             changes[name] = {"enabled": list(value)}
         elif isinstance(value, str):
             words.append(f"{name}={value}")
+        elif isinstance(value, Sequence):
+            changes[name] = list(value)
         else:
             changes[name] = value
     with _hydra(config_dirs) as loader:
         request = command_line.read(words, loader)
-        data = _merged(_plain(_composed("environment", request, loader)), changes)
-        found = _with_robots(data, loader)
-        return validated(model, data, [*_earlier(request, data, loader), *found])
+        data = merged(_plain(_composed("environment", request, loader)), changes)
+        return _checked(model, data, request, loader, given=settings or {})
 
 
 def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> list[str]:
@@ -129,9 +135,8 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
         faults = list(request.faults)
         for variant in _variants(request):
             data = _plain(_composed("train", variant, loader))
-            found = _with_robots(data, loader)
             try:
-                validated(Conf, data, [*_earlier(request, data, loader), *found])
+                _checked(Conf, data, request, loader)
             except ConfigError as error:
                 faults += str(error).splitlines()
         if faults:
@@ -153,8 +158,11 @@ def given(overrides: Sequence[str], key: str) -> Any | None:
 
 
 def from_hydra(config: DictConfig) -> Conf:
-    """The settings that Hydra composed for a job."""
-    return validated(Conf, _plain(config))
+    """The settings that Hydra composed for a job; they have been checked before."""
+    data = _plain(config)
+    move_renamed(data, warn=False)
+    faults = expand_options(data, GlobalHydra.instance().config_loader())
+    return validated(Conf, data, faults)
 
 
 def _compose(
@@ -170,9 +178,29 @@ def _compose(
         if swept:
             raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
         config = _composed(name, request, loader)
-        data = _plain(config) if saved is None else _overlaid(saved, config, request, model)
-        found = _with_robots(data, loader)
-        return validated(model, data, [*_earlier(request, data, loader), *found])
+        data = _plain(config) if saved is None else _overlaid(migrated(saved), config, request, model)
+        return _checked(model, data, request, loader)
+
+
+def _checked(
+    model: type[Model],
+    data: dict[str, Any],
+    request: command_line.Request,
+    loader: ConfigLoader,
+    given: Iterable[str] = (),
+) -> Model:
+    """The settings in `data`, or a `ConfigError` that names all faults, those of the request too.
+
+    `given` are the sections that were set beside the request.
+    """
+    move_renamed(data)
+    faults = [*_earlier(request, data, loader), *expand_options(data, loader)]
+    if data.get("agents") is not None:
+        overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
+        for name in _SHORTHANDS:
+            if name in overridden or name in given:
+                faults.append(f"agents takes the place of {name}; leave one of them out")
+    return validated(model, data, faults)
 
 
 @contextmanager
@@ -187,7 +215,7 @@ def _hydra(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
         # Not `initialize_config_dir`, which knows no second folder to search.
         setbase("1.3")
         search_path = create_config_search_path(str(paths.conf_folder()))
-        worlds.offer(config_dirs)
+        offer_user_parts(config_dirs)
         OmegaConf.register_new_resolver("config_dir", partial(_in_folders, tuple(config_dirs)), replace=True)
         for folder in config_dirs:
             search_path.prepend("command-line", f"file://{Path(folder).resolve()}")
@@ -262,33 +290,6 @@ def _earlier(request: command_line.Request, data: dict[str, Any], loader: Config
     return found
 
 
-def _with_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
-    """Give each of `robots` in `data` the settings of the option that it names; the faults in their names.
-
-    A robot is a name, or a mapping with a name and the values that differ.
-    Robots without a known name are left out, so that the rest is checked.
-    """
-    robots = data.get("robots")
-    if not isinstance(robots, list):
-        return []
-    options = command_line.option_names(loader, "robot")
-    chosen: list[Any] = []
-    faults: list[str] = []
-    for robot in robots:
-        changes = robot if isinstance(robot, Mapping) else {"name": robot}
-        name = changes.get("name")
-        if name in options:
-            settings = _plain(hydra_compose("environment", [f"robot={name}"]))["robot"]
-            # The option states its own name, which need not be its file's.
-            chosen.append(_merged(settings, {key: value for key, value in changes.items() if key != "name"}))
-        elif name is None:
-            faults.append(f"robots: each is a name or has one: choose {one_of(options)} (got {robot!r})")
-        else:
-            faults.append(f"there is no robot {name!r}; choose {one_of(options)}")
-    data["robots"] = chosen or (None if faults else [])
-    return faults
-
-
 def _overlaid(
     saved: Mapping[str, Any], config: DictConfig, request: command_line.Request, model: type[EnvConf]
 ) -> dict[str, Any]:
@@ -305,18 +306,6 @@ def _overlaid(
             key = override.key_or_group
             OmegaConf.update(merged, key, OmegaConf.select(config, key), merge=False, force_add=True)
     return _plain(merged)
-
-
-def _merged(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`data` with nested `changes`; mappings merge, everything else replaces."""
-    out = dict(data)
-    for name, value in changes.items():
-        inner = out.get(name)
-        if isinstance(value, Mapping) and isinstance(inner, dict):
-            out[name] = _merged(inner, value)
-        else:
-            out[name] = value
-    return out
 
 
 def _variants(request: command_line.Request) -> Iterator[command_line.Request]:

@@ -10,7 +10,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 
-from dune_rl.config import worlds
+from dune_rl.config.options import load_user_part
 from dune_rl.suggestions import closest, one_of
 
 _SENSORS = "sensors"
@@ -119,8 +119,7 @@ def _unknown_options(override: Override, loader: ConfigLoader) -> list[str]:
         chosen += value if isinstance(value, list) else [value]
     found = []
     for option in chosen:
-        if group == worlds.GROUP:
-            worlds.state(str(option))
+        load_user_part(group, str(option))
         if option not in options:
             near = closest(str(option), options)
             hint = f"did you mean {near}?" if near and len(options) > 6 else f"choose {one_of(options)}"

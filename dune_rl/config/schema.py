@@ -2,46 +2,75 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
-from dune_rl.config.actors import ActorConf
-from dune_rl.config.worlds import WorldConf
+from dune_rl.config.actors import groups_of_list
+from dune_rl.config.agents import AgentGroups, GroupDefaults, ResolvedGroup, resolve_groups, robot_groups
 from dune_rl.env.randomisation import RandomisationConf
-from dune_rl.learning.checkpoint import CheckpointConf
-from dune_rl.learning.collect import CollectorConf
-from dune_rl.learning.evaluation import EvaluationConf
-from dune_rl.learning.replay import ReplayConf
-from dune_rl.learning.sac import SacConf
+from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.hyperdog.robot import HyperDogConf
-from dune_rl.robots.leo_rover.robot import LeoRoverConf
+from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
-from dune_rl.robots.urdf.robot import UrdfConf
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.task import TaskConf
+from dune_rl.worlds.registry import WORLDS
+from dune_rl.worlds.settings import WorldSettings
 
-RobotConf = Annotated[RoverZeroConf | LeoRoverConf | HyperDogConf | UrdfConf, Field(discriminator="name")]
+WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(WORLDS.parse_settings)]
+RobotConf = Annotated[SerializeAsAny[RobotSettings], BeforeValidator(ROBOTS.parse_settings)]
+
+
+def _groups(actors: object) -> object:
+    return groups_of_list(actors) if isinstance(actors, list | tuple) else actors
 
 
 class EnvConf(Settings):
     """What an environment is made of; the world has no default.
 
-    `robots`, where they are given, take the place of the one `robot`.
+    `agents` are the agent groups of a scene. Without them `robot`, or several
+    `robots`, and `actors`, which are groups beside the robots', stand for them:
+    equal robots are one group. `sensors`, `task` and `metrics` are those of the
+    groups that have none of their own.
     """
 
     world: WorldConf
     weather: WeatherConf = WeatherConf()
+    agents: Annotated[AgentGroups, Field(min_length=1)] | None = None
     robot: RobotConf = RoverZeroConf()
     robots: Annotated[tuple[RobotConf, ...], Field(min_length=1)] | None = None
-    actors: tuple[ActorConf, ...] = ()
+    actors: Annotated[AgentGroups, BeforeValidator(_groups)] = Field(default_factory=dict)
     sensors: SensorsConf = SensorsConf()
     physics: PhysicsConf = PhysicsConf()
     task: TaskConf = TaskConf()
     metrics: MetricsConf = MetricsConf()
     randomisation: RandomisationConf = RandomisationConf()
+
+    @property
+    def groups(self) -> tuple[ResolvedGroup, ...]:
+        """The agent groups of a scene, in order, with all that they are made of."""
+        groups = self.agents
+        if groups is None:
+            robots = (self.robot,) if self.robots is None else self.robots
+            groups = {**robot_groups(robots, self.actors), **self.actors}
+        return resolve_groups(groups, GroupDefaults(self.sensors, self.task, self.metrics))
+
+    @property
+    def external_groups(self) -> tuple[ResolvedGroup, ...]:
+        """The groups whose actions come from outside: from a user or a learner."""
+        return tuple(group for group in self.groups if group.is_external)
+
+    @model_validator(mode="after")
+    def _some_group_is_external(self) -> Self:
+        if not self.external_groups:
+            raise ValueError(
+                "no agent group is driven from outside; set the controller of one to external, such as "
+                f"agents.{self.groups[0].name}.controller=external"
+            )
+        return self
 
     @model_validator(mode="after")
     def _can_be_drawn(self) -> Self:
@@ -50,71 +79,61 @@ class EnvConf(Settings):
 
     @model_validator(mode="after")
     def _rates_fit(self) -> Self:
-        self.sensors.realism.check(self.physics.control_step_s)
+        for path, group in self._sensing_groups():
+            try:
+                group.realism.check(self.physics.control_step_s)
+            except ValueError as error:
+                raise ValueError(str(error).replace("sensors", path, 1)) from None
         return self
 
+    def _sensing_groups(self) -> list[tuple[str, SensorsConf]]:
+        """The different sensors of all groups, and where they are set."""
+        found: dict[str, SensorsConf] = {}
+        for group in self.groups:
+            if group.sensors is self.sensors:
+                found["sensors"] = group.sensors
+            elif group.sensors is not None:
+                section = "actors" if self.agents is None else "agents"
+                found[f"{section}.{group.name}.sensors"] = group.sensors
+        return list(found.items())
+
+
+class OneGroupConf(EnvConf):
+    """An environment in which one agent group is external: the one that is trained, evaluated or shown."""
+
     @model_validator(mode="after")
-    def _mounts_stand_over_the_ground(self) -> Self:
-        heights = [robot.standing_height_m for robot in self.all_robots]
-        height = min((known for known in heights if known is not None), default=None)
-        for name in ("lidar", "lidar_3d", "depth_strip", "camera"):
-            mount = getattr(self.sensors, name).mount_b
-            if mount is not None and height is not None and mount[2] <= -height:
-                raise ValueError(
-                    f"sensors.{name}.mount_b lies in the ground: its third value, up of the robot's origin, "
-                    f"must be above {-height:g} (got {mount[2]:g})"
-                )
+    def _one_group_is_external(self) -> Self:
+        names = [group.name for group in self.external_groups]
+        if len(names) > 1:
+            raise ValueError(
+                f"one agent group is driven here, and {' and '.join(names)} are external; give all but one "
+                "another controller (actors=walkers has walkers on paths), or take parallel_env or make"
+            )
         return self
 
     @property
-    def all_robots(self) -> tuple[RobotConf, ...]:
-        """The robots of a scene."""
-        return (self.robot,) if self.robots is None else self.robots
+    def driven_group(self) -> ResolvedGroup:
+        """The one external group."""
+        return self.external_groups[0]
 
 
-class SingleAgentConf(EnvConf):
-    """An environment whose only agent is the rover."""
-
-    @model_validator(mode="after")
-    def _one_robot(self) -> Self:
-        if self.robots is not None:
-            raise ValueError(
-                "robots are agents of parallel_env alone; choose one here: robot="
-                + (self.robots[0].name if len(self.robots) == 1 else "NAME")
-            )
-        return self
+class SingleAgentConf(OneGroupConf):
+    """An environment with one external agent, as Gymnasium has it."""
 
     @model_validator(mode="after")
-    def _all_actors_scripted(self) -> Self:
-        if any(actor.controller == "external" for actor in self.actors):
+    def _one_agent_is_external(self) -> Self:
+        group = self.driven_group
+        if group.count > 1:
             raise ValueError(
-                "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"
+                f"Gymnasium has one agent, and {group.name} has {group.count}; take parallel_env or make"
             )
         return self
 
 
-class LearningConf(SacConf):
-    """Soft actor-critic and the machinery around it."""
-
-    replay: ReplayConf = ReplayConf()
-    collector: CollectorConf = CollectorConf()
-    evaluation: EvaluationConf = EvaluationConf()
-    checkpoint: CheckpointConf = CheckpointConf()
-
-    @model_validator(mode="after")
-    def _replay_holds_a_batch(self) -> Self:
-        if self.replay.capacity < self.batch_size:
-            raise ValueError(
-                f"replay.capacity must be at least batch_size "
-                f"(got {self.replay.capacity} and {self.batch_size})"
-            )
-        return self
-
-
-class Conf(SingleAgentConf):
+class Conf(OneGroupConf):
     """A training run."""
 
-    learning: LearningConf = LearningConf()
+    learning: SacConf = SacConf()
     seed: int = Field(1, ge=0)
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
@@ -146,7 +165,7 @@ class BenchmarkConf(EnvConf):
     seed: int = Field(0, ge=0)
 
 
-class ViewConf(SingleAgentConf):
+class ViewConf(OneGroupConf):
     """A look at an environment: pictures and a video."""
 
     view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
@@ -180,7 +199,7 @@ class ViewConf(SingleAgentConf):
         return self
 
 
-class EvaluateConf(SingleAgentConf):
+class EvaluateConf(OneGroupConf):
     """An evaluation of a checkpoint or of a built-in policy."""
 
     checkpoint: str | None = None

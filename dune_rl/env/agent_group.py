@@ -4,7 +4,6 @@ metrics.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +12,16 @@ from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.collision_counter import CollisionCounter
+from dune_rl.env.controllers import Controller
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import Outline
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsRobot
-from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
-from dune_rl.state import GroupState, State
+from dune_rl.state import EnergyState, GoalState, GroupState, State
 from dune_rl.tasks.task import Task, TaskConf
 
 Array = NDArray[np.float64]
@@ -30,19 +29,9 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 RobotFactory = Callable[[int], Robot]
-Observe = Callable[[], dict[str, Reading]]
 
 
-class Controller(Protocol):
-    """What drives the agents of a group that no user drives: a behaviour, or a frozen policy."""
-
-    def reset(self, mask: Flags, state: State, group: GroupState) -> None:
-        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
-        ...
-
-    def act(self, state: State, group: GroupState, observe: Observe) -> Array:
-        """Actions (N, A) within the group's bounds; `observe` gives the group's observation."""
-        ...
+MakeController = Callable[["AgentGroup"], Controller]
 
 
 @dataclass(frozen=True)
@@ -58,12 +47,16 @@ class GroupSetup:
     name: str
     count: int
     body: RobotFactory | PersonConf
-    controller: Controller | None = None
+    controller: MakeController | None = None
     paths: PathConf | None = None
     follows_paths: bool = False
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
+
+    @property
+    def _reads_goals(self) -> bool:
+        return self.task is not None or self.suite is not None or self.setup.controller is not None
 
     @property
     def is_external(self) -> bool:
@@ -125,12 +118,16 @@ class AgentGroup:
         self.action_size = len(low)
         self._rest = self._rest_action()
         self.outline, self.radius_m = self._shape()
+        self.num_rows = num_rows
+        self._controller: Controller | None = None
 
-    def equip(self, suite: SensorSuite) -> None:
-        """Give the agents their sensors; called once, when all groups are known."""
+    def equip(self, suite: SensorSuite | None) -> None:
+        """Give the agents their sensors and their controller; called once, when all groups are known."""
         self.suite = suite
-        if isinstance(self.body, ArticulatedBody):
+        if suite is not None and isinstance(self.body, ArticulatedBody):
             self.body.reads_joints = suite.needs_joints
+        if self.setup.controller is not None:
+            self._controller = self.setup.controller(self)
 
     def _shape(self) -> tuple[Outline, float]:
         """The outline seen from above, and half its width [m]."""
@@ -153,6 +150,10 @@ class AgentGroup:
     def is_external(self) -> bool:
         """Whether its actions come from outside: then it is learned or driven by a user."""
         return self.setup.is_external
+
+    @property
+    def _reads_goals(self) -> bool:
+        return self.task is not None or self.suite is not None or self.setup.controller is not None
 
     @property
     def ends_episodes(self) -> bool:
@@ -191,8 +192,8 @@ class AgentGroup:
             self._metrics.reset(mask, now)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
-        if self.setup.controller is not None:
-            self.setup.controller.reset(mask, state, now)
+        if self._controller is not None:
+            self._controller.reset(mask, now)
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -206,8 +207,8 @@ class AgentGroup:
             assert isinstance(follower, PathGoals)
             self.body.move_to(follower.follower.advance(self.body.conf.speed_mps * now.episode.step_s))
             return
-        if self.setup.controller is not None:
-            actions = self.setup.controller.act(state, now, self.observe)
+        if self._controller is not None:
+            actions = self._controller.act(state, now, self.observe)
         assert actions is not None
         if self.done.any():
             actions = np.where(self.done[:, None], self._rest, actions)
@@ -222,14 +223,16 @@ class AgentGroup:
         return self.body.read(engines) if isinstance(self.body, ArticulatedBody) else []
 
     @property
-    def work_j(self) -> Array | None:
-        """The motors' work in the last control step [J], (N,), where it is measured."""
-        return self.body.work_j if isinstance(self.body, ArticulatedBody) else None
+    def energy(self) -> EnergyState | None:
+        """The motors' work in the last control step and their battery, where that is measured."""
+        body = self.body
+        if not isinstance(body, ArticulatedBody) or body.work_j is None:
+            return None
+        return EnergyState(body.work_j, body.robot.battery)
 
-    @property
-    def battery(self) -> BatteryConf | None:
-        """The battery of each of the group's robots."""
-        return self.body.robot.battery if isinstance(self.body, ArticulatedBody) else None
+    def measure_goals(self) -> GoalState:
+        """Distances and bearings of the goals after a step; those of nobody's interest stay as they were."""
+        return self.goals.measure(self.body.motion) if self._reads_goals else self.goals.latest
 
     def evaluate(self, state: State) -> Evaluation:
         """Evaluate the task's terms and the metrics of the step that `state` describes."""

@@ -68,9 +68,11 @@ def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: Sce
     """Give each group the sensors of its setup: one suite for all its agents."""
     meshes = {group.name: mesh_of(group) for group in groups}
     for group in groups:
+        suite = None
         if group.setup.sensors is not None:
             neighbours = [meshes[other.name] for other in builder.mesh_order(group)]
-            group.equip(_suite(group, neighbours, scenes))
+            suite = _suite(group, neighbours, scenes)
+        group.equip(suite)
 
 
 def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorSuite:

@@ -127,18 +127,21 @@ class GoalTracker:
     def __init__(self, source: GoalSource, num_rows: int) -> None:
         self.source = source
         self._distance = np.zeros(num_rows)
+        self.latest = GoalState(source.goals_w, self._distance, self._distance, self._distance)
 
     def begin(self, mask: Flags, motion: Motion) -> GoalState:
         """The goals at the start of the episodes in `mask` (N,)."""
         distance, bearing = self._polar(motion)
         self._distance = np.where(mask, distance, self._distance)
-        return GoalState(self.source.goals_w, distance, self._distance, bearing)
+        self.latest = GoalState(self.source.goals_w, distance, self._distance, bearing)
+        return self.latest
 
     def measure(self, motion: Motion) -> GoalState:
         """The goals after a control step; call it once a step."""
         previous = self._distance
         self._distance, bearing = self._polar(motion)
-        return GoalState(self.source.goals_w, self._distance, previous, bearing)
+        self.latest = GoalState(self.source.goals_w, self._distance, previous, bearing)
+        return self.latest
 
     def renew(self, mask: Flags, motion: Motion, now: GoalState) -> GoalState:
         """Draw new goals for the agents in `mask` (N,); the goals as they are then."""

@@ -1,7 +1,8 @@
 """Distances between agents, and from agents to obstacles, at one control step."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,39 +30,76 @@ class Outline:
         return cls(np.zeros((1, 2)), np.zeros(2), radius_m)
 
 
+@dataclass(frozen=True)
+class GroupLayout:
+    """What does not change of a group in a scene.
+
+    `index` counts the groups, `count` its agents; `neighbours` (G, K) are the columns, among the moving
+    bodies of a scene in the order of their numbers, of each agent's neighbours.
+    """
+
+    index: int
+    count: int
+    outline: Outline
+    neighbours: NDArray[np.int64]
+
+
 class Proximity:
     """How far agents of M scenes are from static obstacles and from each other, in one control step.
 
-    Each group gives its `outline`, its motion with N rows and the `count` of its agents in a scene.
+    `layouts` and `motions` are of the groups in their order; `movers` are the indices of the groups in the
+    order of their bodies' numbers.
     """
 
     def __init__(
         self,
         ground: GroundQueries,
-        outlines: Sequence[Outline],
-        counts: Sequence[int],
+        layouts: Mapping[str, GroupLayout],
+        movers: Sequence[int],
         motions: Sequence[Motion],
     ) -> None:
-        self._ground, self._outlines, self._counts, self._motions = ground, outlines, counts, motions
+        self._ground, self._layouts, self._movers, self._motions = ground, layouts, movers, motions
+        self._each = tuple(layouts.values())
 
-    def clearance(self, group: int) -> Array:
+    def neighbours(self, group: str) -> Array:
+        """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
+        layout = self._layouts[group]
+        columns = layout.neighbours
+        poses = self._poses
+        if layout.count == 1:
+            return _without(poses, layout)
+        return poses[:, columns].reshape(-1, columns.shape[1], 4)
+
+    @cached_property
+    def _poses(self) -> Array:
+        """Poses (M, T, 4) of all moving bodies of each scene."""
+        parts = []
+        for index in self._movers:
+            motion = self._motions[index]
+            poses = np.empty((len(motion.position_w), 4))
+            poses[:, :3], poses[:, 3] = motion.position_w, motion.yaw
+            parts.append(poses.reshape(-1, self._each[index].count, 4))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def clearance(self, group: str) -> Array:
         """Distance [m], (N,), of each agent's outline from the nearest obstacle or other agent.
 
         inf where there is neither; negative where discs overlap.
         """
-        outline, count = self._outlines[group], self._counts[group]
-        points = self._points(group)
+        layout = self._layouts[group]
+        index, outline, count = layout.index, layout.outline, layout.count
+        points = self._points(index)
         by_scene = points.reshape(-1, count * points.shape[1], 2)
         nearest = self._ground.clearance(by_scene).reshape(len(points), -1).min(axis=1) - outline.radius_m
-        for other, number in enumerate(self._counts):
-            if other != group or number > 1:
-                nearest = np.minimum(nearest, self._from_group(group, other, points))
+        for other in self._each:
+            if other is not layout or count > 1:
+                nearest = np.minimum(nearest, self._from_group(index, other.index, points))
         return nearest
 
     def _from_group(self, group: int, other: int, points: Array) -> Array:
         """Distance [m], (N,), of each agent of `group` from the nearest of `other` that is not itself."""
-        count = self._counts[group]
-        disc, round_other = self._outlines[group].radius_m, self._outlines[other].radius_m
+        count = self._each[group].count
+        disc, round_other = self._each[group].outline.radius_m, self._each[other].outline.radius_m
         if round_other:
             centres = self._by_agent(self._motions[other].position_w[:, :2], group, other)
             apart = self._from_outline(group, centres) - round_other - disc
@@ -81,7 +119,7 @@ class Proximity:
         """Distance [m], (N, H), of the points of `group`'s outlines from each of the H outlines of
         `other`.
         """
-        count, number = self._counts[group], self._counts[other]
+        count, number = self._each[group].count, self._each[other].count
         scenes = len(points) // count
         mine = points.reshape(scenes, 1, count * points.shape[1], 2)
         mine = np.broadcast_to(mine, (scenes, number, *mine.shape[2:])).reshape(scenes * number, -1, 2)
@@ -90,13 +128,13 @@ class Proximity:
 
     def _by_agent(self, values: Array, group: int, other: int) -> Array:
         """`values` (M * H, ...) of another group's agents for each agent of `group`: (N, H, ...)."""
-        by_scene = values.reshape(-1, self._counts[other], *values.shape[1:])
-        count = self._counts[group]
+        by_scene = values.reshape(-1, self._each[other].count, *values.shape[1:])
+        count = self._each[group].count
         return by_scene if count == 1 else np.repeat(by_scene, count, axis=0)
 
     def _points(self, group: int) -> Array:
         """Points (N, P, 2) round each outline [m] in the world."""
-        motion, outline = self._motions[group], self._outlines[group]
+        motion, outline = self._motions[group], self._each[group].outline
         position = motion.position_w[:, None, :2]
         if outline.radius_m:
             return position
@@ -108,10 +146,18 @@ class Proximity:
         """
         motion = self._motions[group]
         offset = points_w - motion.position_w[:, None, :2]
-        if self._outlines[group].radius_m:
+        if self._each[group].outline.radius_m:
             return np.hypot(offset[..., 0], offset[..., 1])
         cos, sin = np.cos(motion.yaw)[:, None], np.sin(motion.yaw)[:, None]
-        half = self._outlines[group].half_size
+        half = self._each[group].outline.half_size
         ahead = np.abs(cos * offset[..., 0] + sin * offset[..., 1]) - half[0]
         aside = np.abs(cos * offset[..., 1] - sin * offset[..., 0]) - half[1]
         return np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
+
+
+def _without(poses: Array, layout: GroupLayout) -> Array:
+    """The poses (M, T, 4) without those of the one agent of a group, who is the first or the last mover."""
+    columns = layout.neighbours[0]
+    if not len(columns) or columns[0] == 1:
+        return poses[:, 1:]
+    return poses[:, :-1] if columns[-1] == len(columns) - 1 else poses[:, columns]

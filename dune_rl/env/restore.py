@@ -22,7 +22,7 @@ def state_digest(state: State | None) -> str:
 
 
 def check_arrival(saved: str | None, state: State | None) -> None:
-    """Raise `RestoreError` unless the digest of `state` is the `saved` one; None, of older files, is
+    """Raise RestoreError unless the digest of `state` is the `saved` one; None, of older files, is
     not checked.
     """
     if saved is not None and saved != state_digest(state):

@@ -81,6 +81,8 @@ class VectorSimulation:
         self._starter.check_room(seed, world)
         self._first_world = world
         self._engines: dict[str, list[PhysicsRobot]] = {}
+        self._ending = [group for group in self.groups if group.ends_episodes]
+        self._nobody = np.zeros(num_scenes, bool)
         self.steps = np.zeros(num_scenes, np.int64)
         self._ends = np.cumsum([group.count * group.action_size for group in self.external]).tolist()
         self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
@@ -182,24 +184,25 @@ class VectorSimulation:
 
     def _scene_ends(self, state: State) -> tuple[Flags, Flags]:
         """Which scenes' episodes end by all agents' own ends, and which otherwise, (M,)."""
-        over, terminated = np.ones((2, self.num_scenes), bool)
-        diverged, has_ends = np.zeros(self.num_scenes, bool), False
+        over, terminated = self._nobody, self._nobody
+        for index, group in enumerate(self._ending):
+            done, own = self._all(group, group.done), self._all(group, group.terminated)
+            over, terminated = (over & done, terminated & own) if index else (done, own)
         for group in self.groups:
-            # Where one body has diverged nothing in its scene can be believed.
-            diverged |= self._by_scene(group, state.groups[group.name].motion.diverged).any(axis=1)
-            if group.ends_episodes:
-                has_ends = True
-                over &= self._by_scene(group, group.done).all(axis=1)
-                terminated &= self._by_scene(group, group.terminated).all(axis=1)
-        over = (over & has_ends) | diverged
-        if over.any():
-            for group in self.groups:
-                group.truncate(scene_rows(over, group.count))
-        terminated &= over
+            diverged = state.groups[group.name].motion.diverged
+            if diverged.any():
+                # Where one body has diverged nothing in its scene can be believed.
+                over = over | diverged.reshape(self.num_scenes, -1).any(axis=1)
+        if not over.any():
+            return self._nobody.copy(), self._nobody.copy()
+        for group in self.groups:
+            group.truncate(scene_rows(over, group.count))
+        terminated = terminated & over
         return terminated, over & ~terminated
 
-    def _by_scene(self, group: AgentGroup, flags: Flags) -> Flags:
-        return flags.reshape(self.num_scenes, group.count)
+    def _all(self, group: AgentGroup, flags: Flags) -> Flags:
+        """Which scenes have the flag (N,) set for all of a group's agents, (M,)."""
+        return flags if group.count == 1 else flags.reshape(self.num_scenes, -1).all(axis=1)
 
     def step_passive(self) -> None:
         """Advance physics alone by a control step, with the last commands and nothing moved; for

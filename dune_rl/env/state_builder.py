@@ -1,7 +1,6 @@
 """Builds the state of a control step from what the groups' bodies are and where."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.proximity import Proximity
+from dune_rl.env.proximity import GroupLayout, Proximity
 from dune_rl.env.scene_manager import scene_rows
 from dune_rl.state import ContactState, EpisodeState, GoalState, GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
@@ -32,23 +31,21 @@ class StateBuilder:
 
     def __init__(self, groups: Sequence[AgentGroup], worlds: BatchedWorlds, step_s: float) -> None:
         self._groups, self._worlds, self._step_s = groups, worlds, step_s
-        self._outlines = [group.outline for group in groups]
-        self._counts = [group.count for group in groups]
         kinematic = [group for group in groups if isinstance(group.body, KinematicBody)]
         robots = [group for group in groups if isinstance(group.body, ArticulatedBody)]
         # Groups in the order of their bodies' numbers, and the first number of each behind the statics.
         self._movers = [*kinematic, *robots]
         firsts = np.cumsum([0, *(group.count for group in self._movers)]).tolist()
         self._first = {group.name: first for group, first in zip(self._movers, firsts[:-1], strict=True)}
-        self._columns = {group.name: self._neighbour_columns(group, firsts[-1]) for group in groups}
-        self._streams_of = {}
-        agents = 0
-        for group in groups:
-            self._streams_of[group.name] = agents
-            agents += group.count
+        self._layouts = {
+            group.name: GroupLayout(index, group.count, group.outline, self._columns(group, firsts[-1]))
+            for index, group in enumerate(groups)
+        }
+        self._order = [self._layouts[group.name].index for group in self._movers]
+        self._first_agent = dict(zip([group.name for group in groups], _starts(groups), strict=True))
         self._identity: dict[str, tuple[Counts, Counts]] = {}
 
-    def _neighbour_columns(self, group: AgentGroup, total: int) -> NDArray[np.int64]:
+    def _columns(self, group: AgentGroup, total: int) -> NDArray[np.int64]:
         """Columns (G, K) of all movers that are neighbours of each agent of a group."""
         first = self._first[group.name]
         others = [np.delete(np.arange(total), first + agent) for agent in range(group.count)]
@@ -57,7 +54,7 @@ class StateBuilder:
     def mesh_order(self, group: AgentGroup) -> list[AgentGroup]:
         """The group that each neighbour of an agent of `group` is of, in the order of `neighbours`."""
         owners = [mover for mover in self._movers for _ in range(mover.count)]
-        return [owners[column] for column in self._columns[group.name][0].tolist()]
+        return [owners[column] for column in self._layouts[group.name].neighbours[0].tolist()]
 
     # -- states -----------------------------------------------------------------------------------
 
@@ -65,7 +62,7 @@ class StateBuilder:
         """Take the ids (M,) of the episodes that the scenes are in."""
         for group in self._groups:
             ids = episodes if group.count == 1 else np.repeat(episodes, group.count)
-            agents = np.tile(np.arange(group.count), len(episodes)) + self._streams_of[group.name]
+            agents = np.tile(np.arange(group.count), len(episodes)) + self._first_agent[group.name]
             streams = ids + agents * _STREAM_STRIDE if agents.any() else ids
             self._identity[group.name] = ids, streams
 
@@ -85,7 +82,7 @@ class StateBuilder:
         `contacts` are pairs of row and body number of each group of robots, `count_statics` tells how many
         static bodies a scene has.
         """
-        goals = [group.goals.measure(group.body.motion) for group in self._groups]
+        goals = [group.measure_goals() for group in self._groups]
         rows = [self._rows(steps, group) for group in self._groups]
         touched = any(contacts.values())
         found = []
@@ -118,35 +115,25 @@ class StateBuilder:
         self, seed: int, steps: Counts, goals: Sequence[GoalState], contacts: Sequence[ContactState]
     ) -> State:
         motions = [group.body.motion for group in self._groups]
-        proximity = Proximity(self._worlds, self._outlines, self._counts, motions)
-        neighbours = self._neighbours(len(steps))
+        proximity = Proximity(self._worlds, self._layouts, self._order, motions)
         states = {}
         for index, group in enumerate(self._groups):
             ids, streams = self._identity[group.name]
-            episode = EpisodeState(seed, ids, self._rows(steps, group), streams, self._step_s)
             states[group.name] = GroupState(
                 name=group.name,
                 count=group.count,
-                episode=episode,
+                episode=EpisodeState(seed, ids, self._rows(steps, group), streams, self._step_s),
                 motion=motions[index],
                 contacts=contacts[index],
-                neighbours=neighbours[group.name],
-                done=group.done.copy(),
-                measure_clearance=partial(proximity.clearance, index),
                 goal=goals[index],
+                done=group.done.copy(),
+                proximity=proximity,
                 radius_m=group.radius_m,
-                work_j=group.work_j,
-                battery=group.battery,
+                energy=group.energy,
             )
         return State(states, self._worlds, len(steps))
 
-    def _neighbours(self, scenes: int) -> dict[str, Array]:
-        """The poses (N, K, 4) of the neighbours of each group's agents."""
-        poses = [group.body.poses.reshape(scenes, group.count, 4) for group in self._movers]
-        every = poses[0] if len(poses) == 1 else np.concatenate(poses, axis=1)
-        found = {}
-        for group in self._groups:
-            columns = self._columns[group.name]
-            seen = every[:, columns] if group.count > 1 else every[:, columns[0]]
-            found[group.name] = seen.reshape(scenes * group.count, columns.shape[1], 4)
-        return found
+
+def _starts(groups: Sequence[AgentGroup]) -> list[int]:
+    """The number of the first agent of each group among all agents of a scene."""
+    return [sum(group.count for group in groups[:index]) for index in range(len(groups))]

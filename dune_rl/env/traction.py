@@ -38,6 +38,7 @@ class Traction:
     def __init__(self, robot: Robot, physics: PhysicsConf, num_scenes: int) -> None:
         self._robot = robot
         self._wheels_b = robot.contact_centres_b
+        self._rolls = robot.wheels is not None
         wheels = len(self._wheels_b)
         self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
         self._slowest = _GRAVITY_MPS2 * physics.control_step_s
@@ -71,7 +72,7 @@ class Traction:
     @property
     def needs_wheels(self) -> bool:
         """Whether `update` is to know the wheels' speeds."""
-        return self._robot.wheels is not None and bool(self._mapped())
+        return bool(self._mapped()) and self._rolls
 
     def update(self, engines: Sequence[PhysicsRobot], motion: Motion) -> Array | None:
         """Let the contacts follow the rovers, and give the rolling resistance (M, 3) [N], world frame.

@@ -1,8 +1,4 @@
-"""Learning: soft actor-critic, collectors, checkpoints and evaluation."""
+"""Learning: one learner for each agent group that trains, and evaluation of policies.
 
-import logging
-
-from torchrl import logger
-
-# TorchRL announces every buffer that it makes, on the console.
-logger.setLevel(logging.WARNING)
+Importing this package, or its `settings`, loads neither PyTorch nor TorchRL.
+"""

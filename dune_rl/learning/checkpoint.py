@@ -6,29 +6,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-from pydantic import Field
-
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
-from dune_rl.settings import Settings
+from dune_rl.learning.checkpoint_migration import MIGRATED_VERSION, migrate
 
 FORMAT = "dune_rl"
-VERSION = 2
+VERSION = 3
 CHECKPOINT_FILE = "checkpoint.pt"
 BEST_POLICY_FILE = "policy.pt"
 LAST_POLICY_FILE = "policy_last.pt"
 
 
-class CheckpointConf(Settings):
-    """How often a run is saved; it is always saved at its end and when interrupted."""
-
-    every_frames: int = Field(200_000, ge=1)
-    replay: bool = Field(True, description="keep the replay buffer too; an interrupted run always does")
-
-
 def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
     """Write `content` (plain containers and tensors) as a file of this `kind`; raises CheckpointError."""
+    # Only now: the command lines import this module, and most of them end without PyTorch.
+    import torch
+
     try:
         with write_atomically(path) as temporary:
             torch.save({"format": FORMAT, "version": VERSION, "kind": kind, **content}, temporary)
@@ -40,7 +33,12 @@ def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
 
 
 def read(path: Path, *kinds: str) -> dict[str, Any]:
-    """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy."""
+    """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy.
+
+    Files of format 2 are migrated to the present one.
+    """
+    import torch
+
     if path.is_file() and not zipfile.is_zipfile(path):
         raise CheckpointError(
             f"{path} is truncated, or no checkpoint at all ({path.stat().st_size} bytes).\n"
@@ -59,14 +57,15 @@ def read(path: Path, *kinds: str) -> dict[str, Any]:
         raise CheckpointError(
             f"{path} was not written by dune_rl.\nGive a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of a run."
         )
-    if content["version"] != VERSION:
+    version = content["version"]
+    if version not in (MIGRATED_VERSION, VERSION):
         raise CheckpointError(
-            f"{path} has format {content['version']}; this dune_rl reads {VERSION}.\n"
+            f"{path} has format {version}; this dune_rl reads {MIGRATED_VERSION} and {VERSION}.\n"
             "Use the version of dune_rl that wrote it, or train anew."
         )
     if content["kind"] not in kinds:
         raise CheckpointError(f"{path} is a {content['kind']}, but a {' or '.join(kinds)} is needed here.")
-    return content
+    return migrate(content) if version == MIGRATED_VERSION else content
 
 
 def _unreadable(path: Path, error: Exception) -> str:

@@ -1,7 +1,6 @@
-"""What a run writes down: TensorBoard events, the window of recent episodes, and metrics.csv."""
+"""What a run records: TensorBoard events, the recent episodes of each group, and metrics.csv."""
 
 import math
-import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,129 +12,141 @@ from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
 from dune_rl.learning.curve import draw_curve
-from dune_rl.learning.evaluation import Row, averages, write_csv
+from dune_rl.learning.measures import Row, averages, write_csv
 
 METRICS_FILE = "metrics.csv"
 CURVE_FILE = "curve.png"
 _WINDOW = 100
-_SPEED_WINDOW_S = 20.0
 
 
-class Speed:
-    """Frames and updates per second over the last seconds."""
+class RecentEpisodes:
+    """The last hundred training episodes of a group's agents, with metrics of these `names`."""
 
-    def __init__(self) -> None:
-        self._marks: deque[tuple[float, int, int]] = deque()
-        self._latest = (0.0, 0.0)
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        self._rows: deque[list[float]] = deque(maxlen=_WINDOW)
+        self._uncounted = 0
 
-    def mark(self, frames: int, updates: int) -> tuple[float, float]:
-        """Take note of the counts now; gives frames/s and updates/s, zero before the second mark.
+    def __len__(self) -> int:
+        return len(self._rows)
 
-        The first mark after a pause gives the speeds from before it.
-        """
-        now = time.monotonic()
-        self._marks.append((now, frames, updates))
-        while len(self._marks) > 2 and now - self._marks[0][0] > _SPEED_WINDOW_S:
-            self._marks.popleft()
-        start, frames_then, updates_then = self._marks[0]
-        span = now - start
-        if span > 0:
-            self._latest = (frames - frames_then) / span, (updates - updates_then) / span
-        return self._latest
+    def extend(self, rows: Sequence[list[float]]) -> bool:
+        """Add rows of metrics; returns whether a hundred have come in since it last did."""
+        self._rows.extend(rows)
+        self._uncounted += len(rows)
+        full = self._uncounted >= _WINDOW
+        if full:
+            self._uncounted = 0
+        return full
 
-    def pause(self) -> None:
-        """Leave what happened since the last mark out of the speeds: an evaluation, say."""
-        self._marks.clear()
+    def averages(self) -> Row:
+        """Means over the recent episodes."""
+        return averages([dict(zip(self.names, row, strict=True)) for row in self._rows])
+
+    @property
+    def success_rate(self) -> float:
+        """Share of successes; NaN before the first episode, and where success is no metric."""
+        if not self._rows or "success" not in self.names:
+            return math.nan
+        column = self.names.index("success")
+        return sum(row[column] for row in self._rows) / len(self._rows)
+
+    def state(self) -> dict[str, Any]:
+        """Plain data for `restore`."""
+        window = torch.tensor(list(self._rows), dtype=torch.float64).reshape(-1, len(self.names))
+        return {"names": list(self.names), "window": window, "unrecorded": self._uncounted}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """The inverse of `state`; rows of other metrics (of an older version) are dropped."""
+        self._uncounted = state["unrecorded"]
+        if tuple(state["names"]) == self.names:
+            self._rows.extend(state["window"].tolist())
 
 
 class RunLog:
-    """Logs into `folder`; `state` and `restore` carry what a resumed run needs."""
+    """Logs of a run in `folder`, by group; where there are several, names begin with the group's.
 
-    def __init__(self, folder: Path, metric_names: Sequence[str], *, frames: int = 0) -> None:
+    `metric_names` are the metrics of each group. `state` and `restore` carry what a resumed run needs.
+    """
+
+    def __init__(self, folder: Path, metric_names: Mapping[str, Sequence[str]], *, frames: int = 0) -> None:
         self._folder = folder
-        self._names = tuple(metric_names)
-        self._window: deque[list[float]] = deque(maxlen=_WINDOW)
-        self._unrecorded = 0
+        self._recent = {group: RecentEpisodes(names) for group, names in metric_names.items()}
+        self._several = len(metric_names) > 1
         self.history: list[dict[str, Any]] = []
         # A resumed run repeats the steps after its checkpoint; their first version is dropped.
         self._events = SummaryWriter(str(folder), purge_step=frames or None)
 
-    def collected(self, batch: TensorDictBase, frames: int, updates: int) -> None:
-        """Log the episodes that ended in `batch`; every hundred of them make a line of metrics.csv."""
+    def collected(self, batch: TensorDictBase, frames: int, updates: Mapping[str, int]) -> None:
+        """Log the episodes that ended in `batch`; every hundred of a group make a line of metrics.csv."""
         finished = batch["next", "done"].squeeze(-1)
         if not finished.any():
             return
-        rows: Tensor = batch["next", "metrics"][finished]
-        self._window.extend(rows.tolist())
-        for name, value in zip(self._names, rows.nanmean(0).tolist(), strict=True):
-            if name.startswith(("reward/", "randomisation/")):
-                self._events.add_scalar(name, value, frames)
-        recent = self._recent()
-        figures = averages(recent)
-        self._scalars("train", figures, frames)
-        self._unrecorded += len(rows)
-        if self._unrecorded >= _WINDOW:
-            self._unrecorded = 0
-            self._record("train", len(recent), figures, frames, updates)
-
-    def _recent(self) -> list[Row]:
-        return [dict(zip(self._names, row, strict=True)) for row in self._window]
+        for group, recent in self._recent.items():
+            rows: Tensor = batch["next", group, "metrics"][finished].flatten(0, 1)
+            complete = recent.extend(rows.tolist())
+            for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
+                if name.startswith(("reward/", "randomisation/")):
+                    self.scalars(group, {name: value}, frames)
+            figures = recent.averages()
+            self._measured(group, "train", figures, frames)
+            if complete:
+                self._record(group, "train", len(recent), figures, frames, updates[group])
 
     @property
     def success_rate(self) -> float:
-        """Over the recent training episodes; NaN before the first ends."""
-        column = self._names.index("success")
-        return sum(row[column] for row in self._window) / len(self._window) if self._window else math.nan
+        """Over the recent training episodes, the mean of the groups that have one; NaN before the first."""
+        rates = [recent.success_rate for recent in self._recent.values()]
+        known = [rate for rate in rates if not math.isnan(rate)]
+        return sum(known) / len(known) if known else math.nan
 
-    def learned(self, values: Mapping[str, float], frames: int) -> None:
-        """Log losses and the like."""
+    def scalars(self, group: str | None, values: Mapping[str, float], frames: int) -> None:
+        """Log figures of a group, or with None of the whole run, under their names."""
+        prefix = f"{group}/" if group is not None and self._several else ""
         for name, value in values.items():
-            self._events.add_scalar(name, value, frames)
+            self._events.add_scalar(prefix + name, value, frames)
 
-    def evaluated(self, rows: Sequence[Row], frames: int, updates: int) -> None:
+    def evaluated(self, rows: Mapping[str, Sequence[Row]], frames: int, updates: Mapping[str, int]) -> None:
         """Add an evaluation to TensorBoard and metrics.csv, and write both to disk."""
-        figures = averages(rows)
-        self._scalars("eval", figures, frames)
-        self._record("eval", len(rows), figures, frames, updates)
+        for group, episodes in rows.items():
+            figures = averages(episodes)
+            self._measured(group, "eval", figures, frames)
+            self._record(group, "eval", len(episodes), figures, frames, updates[group])
         self.write()
 
     def write(self) -> None:
         """Bring metrics.csv and the TensorBoard file up to date."""
         self._events.flush()
         if self.history:
-            write_csv(self._folder / METRICS_FILE, self.history)
+            columns = {name: "" for row in self.history for name in row}
+            write_csv(self._folder / METRICS_FILE, [columns | row for row in self.history])
 
-    def _record(self, kind: str, episodes: int, figures: Row, frames: int, updates: int) -> None:
-        self.history.append(
-            {"kind": kind, "frames": frames, "updates": updates, "episodes": episodes, **figures}
-        )
+    def _record(
+        self, group: str, kind: str, episodes: int, figures: Row, frames: int, updates: int
+    ) -> None:
+        row = {"kind": kind, "frames": frames, "updates": updates, "episodes": episodes, **figures}
+        self.history.append({"group": group, **row} if self._several else row)
 
     def draw(self, title: str) -> None:
         """Write the learning curve, if there is a point to draw."""
         if self.history:
             draw_curve(self.history, self._folder / CURVE_FILE, title)
 
-    def _scalars(self, group: str, figures: Row, frames: int) -> None:
-        for name, value in figures.items():
-            if not math.isnan(value):
-                self._events.add_scalar(f"{group}/{name}", value, frames)
+    def _measured(self, group: str, kind: str, figures: Row, frames: int) -> None:
+        known = {f"{kind}/{name}": value for name, value in figures.items() if not math.isnan(value)}
+        self.scalars(group, known, frames)
 
     def state(self) -> dict[str, Any]:
         """Plain data for `restore`."""
-        window = torch.tensor(list(self._window), dtype=torch.float64).reshape(-1, len(self._names))
-        return {
-            "names": list(self._names),
-            "window": window,
-            "unrecorded": self._unrecorded,
-            "history": self.history,
-        }
+        recent = {group: recent.state() for group, recent in self._recent.items()}
+        return {"recent": recent, "history": self.history}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """The inverse of `state`; a window of other metrics (of an older version) is dropped."""
+        """The inverse of `state`."""
         self.history = list(state["history"])
-        self._unrecorded = state["unrecorded"]
-        if tuple(state["names"]) == self._names:
-            self._window.extend(state["window"].tolist())
+        for group, recent in state["recent"].items():
+            if group in self._recent:
+                self._recent[group].restore(recent)
 
     def close(self) -> None:
         """Write out what is pending."""

@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from dune_rl.learning.evaluation import MEASURES, Row, compare
+from dune_rl.learning.measures import MEASURES, Row, compare
 from dune_rl.learning.statistics import Estimate
 
-# Scale, form and unit of what is not told plainly.
+# Scale, form and unit of what is not printed as a plain number.
 _FORMS = {"SR": (100, "{:.0f}", " %"), "TR": (100, "{:.0f}", " %"), "battery": (100, "{:.2f}", " %")}
 
 
 def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> Table:
     """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
 
-    What was not measured of any has no row.
+    Measures that not all policies have are left out.
     """
     table = Table(
         title=title, caption="brackets: 95 % intervals", caption_justify="left", title_justify="left"
@@ -24,11 +24,12 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> 
     table.add_column("measure", no_wrap=True)
     for policy in results:
         table.add_column(Text(policy), justify="right")
-    for name, (meaning, unit) in MEASURES.items():
+    for name in dict.fromkeys(name for estimates in results.values() for name in estimates):
         if not all(name in estimates for estimates in results.values()):
             continue
+        meaning, unit = MEASURES.get(name, ("", ""))
         # As Text: in a string, rich takes brackets for markup.
-        label = Text(f"{name}  {meaning}" + (f" [{unit}]" if unit else ""))
+        label = Text("  ".join(filter(None, (name, meaning))) + (f" [{unit}]" if unit else ""))
         table.add_row(label, *(_cell(name, estimates[name]) for estimates in results.values()))
     return table
 

@@ -5,7 +5,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.metrics.registry import METRICS, MetricTerms, Reduction
+from dune_rl.metrics.registry import METRICS, MetricTermConf, MetricTerms, Reduction
 from dune_rl.settings import Settings
 from dune_rl.state import Array, Flags, GroupState, State
 from dune_rl.terms import bind_terms
@@ -71,75 +71,87 @@ class MetricSet:
     def __init__(self, conf: MetricsConf, num_rows: int) -> None:
         confs = conf.all_terms
         self.names = (*BUILT_IN, *confs)
-        # In rows by reduction, so that each is one operation; `_order` puts them into the order of names.
-        by_reduction = sorted(confs, key=lambda name: _REDUCTIONS.index(confs[name].reduce))
-        self._terms, self._stateful = bind_terms(METRICS, [confs[name] for name in by_reduction], num_rows)
-        reductions = [confs[name].reduce for name in by_reduction]
-        ends = np.cumsum([0, *(reductions.count(reduction) for reduction in _REDUCTIONS)]).tolist()
-        self._rows = {
-            reduction: slice(ends[index], ends[index + 1])
-            for index, reduction in enumerate(_REDUCTIONS)
-            if ends[index] < ends[index + 1]
-        }
-        order = [by_reduction.index(name) + len(BUILT_IN) for name in confs]
-        self._order = np.array([*range(len(BUILT_IN)), *order])
-        self._initial = np.array([_initial(confs[name].reduce, confs[name].initial) for name in by_reduction])
-        self._all = np.zeros((len(self.names), num_rows))
-        means = reductions.count("mean")
-        self._sums, self._counts = np.zeros((means, num_rows)), np.zeros((means, num_rows))
+        reductions = {"return": "sum", "steps": "last", **{name: term.reduce for name, term in confs.items()}}
+        # A row for each metric, by reduction, so that each reduction is one operation.
+        rows = sorted(reductions, key=lambda name: _REDUCTIONS.index(reductions[name]))
+        kinds = [reductions[name] for name in rows]
+        ends = np.cumsum([kinds.count(kind) for kind in _REDUCTIONS]).tolist()
+        self._rows = dict(zip(_REDUCTIONS, map(slice, [0, *ends], ends), strict=False))
+        self._added = slice(0, ends[1])
+        # What a step gives, and what is kept of an episode: of a mean the sum, and beside it the count.
+        self._new = np.zeros((len(rows), num_rows))
+        self._kept = np.zeros((len(rows), num_rows))
+        self._counts = np.zeros((kinds.count("mean"), num_rows))
+        self._ids = np.zeros(num_rows)
+        self._initial = np.array([[_initial(confs.get(name))] for name in rows])
+        self._order = np.array([rows.index(name) for name in self.names[1:]])
+        self._steps, self._returns = self._new[rows.index("steps")], self._new[rows.index("return")]
+        shared = _names_by_term(confs)
+        terms, self._stateful = bind_terms(METRICS, [confs[names[0]] for names in shared], num_rows)
+        places = [[self._new[rows.index(name)] for name in names] for names in shared]
+        self._terms = list(zip(terms, places, strict=True))
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Begin the episodes of the agents in `mask` (N,)."""
-        self._all[:, mask] = 0.0
-        self._all[0, mask] = group.episode.ids[mask]
-        self._all[len(BUILT_IN) :, mask] = self._initial[:, None]
-        self._sums[:, mask] = 0.0
+        self._ids[mask] = group.episode.ids[mask]
+        self._kept[:, mask] = self._initial
+        self._kept[self._rows["mean"], mask] = 0.0
         self._counts[:, mask] = 0.0
         for term in self._stateful:
             term.reset(mask, group)
 
     def update(self, state: State, group: GroupState, reward: Array) -> None:
         """Add one control step with its `reward` (N,); agents that are done keep their values."""
-        done = group.done if group.done.any() else None
-        final = None if done is None else self._all[:, done]
-        self._all[1] = group.episode.steps
-        self._all[2] += reward
-        values = np.empty((len(self._terms), len(reward)))
-        for row, term in zip(values, self._terms, strict=True):
-            row[:] = term(state, group)
-        for reduction, rows in self._rows.items():
-            self._reduce(reduction, values[rows], self._all[len(BUILT_IN) :][rows])
-        if done is not None:
-            self._all[:, done] = final
+        self._steps[:] = group.episode.steps
+        self._returns[:] = reward
+        for term, rows in self._terms:
+            values = term(state, group)
+            for row in rows:
+                row[:] = values
+        if np.count_nonzero(group.done):
+            self._new[:, group.done] = np.nan
+        self._reduce()
 
-    def _reduce(self, reduction: Reduction, new: Array, values: Array) -> None:
-        if reduction == "last":
-            values[:] = new
-        elif reduction == "sum":
-            values += np.where(np.isnan(new), 0.0, new)
-        elif reduction == "mean":
-            given = ~np.isnan(new)
-            self._sums += np.where(given, new, 0.0)
-            self._counts += given
-            np.divide(self._sums, self._counts, out=values, where=self._counts > 0.0)
-        elif reduction == "min":
-            np.fmin(values, new, out=values)
-        elif reduction == "max":
-            np.fmax(values, new, out=values)
+    def _reduce(self) -> None:
+        new, kept, rows = self._new, self._kept, self._rows
+        given = ~np.isnan(new)
+        if np.count_nonzero(given) == given.size:
+            kept[self._added] += new[self._added]
+            kept[rows["last"]] = new[rows["last"]]
         else:
-            np.copyto(values, new, where=np.isnan(values))
+            kept[self._added] += np.where(given[self._added], new[self._added], 0.0)
+            np.copyto(kept[rows["last"]], new[rows["last"]], where=given[rows["last"]])
+        self._counts += given[rows["mean"]]
+        kept[rows["min"]] = np.fmin(kept[rows["min"]], new[rows["min"]])
+        kept[rows["max"]] = np.fmax(kept[rows["max"]], new[rows["max"]])
+        first = kept[rows["first"]]
+        np.copyto(first, new[rows["first"]], where=np.isnan(first))
 
     @property
     def values(self) -> Array:
         """Values (N, K) of the present episodes."""
-        values: Array = self._all[self._order].T
-        return values
+        values, means = self._kept.copy(), self._rows["mean"]
+        values[means] = self._initial[means]
+        np.divide(self._kept[means], self._counts, out=values[means], where=self._counts > 0.0)
+        return np.concatenate([self._ids[None], values.take(self._order, axis=0)]).T
 
 
-_REDUCTIONS: tuple[Reduction, ...] = ("sum", "mean", "min", "max", "last", "first")
+# Sums and means come first: both are added up.
+_REDUCTIONS: tuple[Reduction, ...] = ("sum", "mean", "min", "max", "first", "last")
 
 
-def _initial(reduction: Reduction, initial: float | None) -> float:
-    if initial is not None:
-        return initial
-    return 0.0 if reduction == "sum" else np.nan
+def _initial(conf: MetricTermConf | None) -> float:
+    """The value before the first one; without settings, that of the built-in columns."""
+    if conf is None:
+        return 0.0
+    if conf.initial is not None:
+        return conf.initial
+    return 0.0 if conf.reduce == "sum" else np.nan
+
+
+def _names_by_term(confs: MetricTerms) -> list[list[str]]:
+    """The metrics by term: those that differ in their reduction alone share one."""
+    shared: dict[str, list[str]] = {}
+    for name, conf in confs.items():
+        shared.setdefault(conf.model_dump_json(exclude={"reduce", "initial"}), []).append(name)
+    return list(shared.values())

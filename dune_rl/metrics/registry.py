@@ -1,8 +1,8 @@
-"""The metric terms there are: ours, those of packages, and those that a program registers."""
+"""The registry of metrics, and the settings that every metric has."""
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, SerializeAsAny
+from pydantic import BeforeValidator, SerializeAsAny
 
 from dune_rl.terms import TermConf, TermRegistry
 
@@ -14,7 +14,7 @@ _OWN = {
     "collisions": "collisions",
     "ended_by": "ended_by",
     "energy_wh": "energy_wh",
-    "range_km": "Range",
+    "range_km": "BatteryRange",
     "smoothness": "smoothness",
     "success": "Success",
     "time_to_goal": "time_to_goal",
@@ -24,22 +24,23 @@ _OWN = {
 
 
 class MetricTermConf(TermConf):
-    """A metric term and how its values of an episode become one; NaN is no value for any but `last`.
+    """A metric: `reduce` makes one value of an episode's steps; NaN is the value of a step that has none.
 
-    `initial` is what stands before the first value; null is 0 for a sum and NaN for the others.
+    `initial` is the value before the first step that has one; null is 0 for a sum and NaN for the others.
     """
 
     reduce: Reduction = "mean"
-    initial: float | None = Field(None, description="before the first value")
+    initial: float | None = None
 
 
 METRICS = TermRegistry(
     "metric",
-    f"{__name__}:METRICS",
+    "dune_rl.metrics.registry:METRICS",
     own={name: f"dune_rl.metrics.terms:{target}" for name, target in _OWN.items()},
     base=MetricTermConf,
 )
 
+# Metrics by name; an entry without `term` is the metric that is registered by its name.
 MetricTerms = Annotated[
     dict[str, Annotated[SerializeAsAny[MetricTermConf], BeforeValidator(METRICS.parse_settings)]],
     BeforeValidator(METRICS.tag_entries),

@@ -78,13 +78,13 @@ def smoothness(state: State, group: GroupState) -> Array:
 
 def energy_wh(state: State, group: GroupState) -> Array:
     """Energy drawn from the battery in this step [W h]."""
-    if group.work_j is None or group.battery is None:
+    if group.energy is None:
         raise ConfigError(
             f"the energy of {group.name} is not measured: set metrics.energy=true, for a robot with a battery"
         )
     # The work of diverged physics may be anything.
-    work_j = np.where(group.motion.diverged, 0.0, group.work_j)
-    return group.battery.drawn_wh(work_j, group.episode.step_s)
+    work_j = np.where(group.motion.diverged, 0.0, group.energy.work_j)
+    return group.energy.battery.drawn_wh(work_j, group.episode.step_s)
 
 
 class BatteryShare:
@@ -100,11 +100,11 @@ class BatteryShare:
     def __call__(self, state: State, group: GroupState) -> Array:
         """Shares (N,); to be called once a control step."""
         self._drawn_wh += energy_wh(state, group)
-        assert group.battery is not None
-        return self._drawn_wh / group.battery.capacity_wh
+        assert group.energy is not None
+        return self._drawn_wh / group.energy.battery.capacity_wh
 
 
-class Range:
+class BatteryRange:
     """Distance [km] that a full battery lasts for, at the use and over the way of the episode.
 
     The way is counted level; NaN before anything is drawn.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.etree.ElementTree import Element, ParseError, SubElement, tostring
 
 from defusedxml.ElementTree import parse
 
@@ -60,6 +60,14 @@ def scale_motors(motors: Sequence[Motor], strength: float) -> tuple[Motor, ...]:
     )
 
 
+def collision_urdf(urdf: Path) -> str:
+    """The text of `urdf` without visual shapes; meshes have absolute paths.
+
+    Raises PhysicsError if the file cannot be read.
+    """
+    return tostring(_parse_collision_urdf(urdf), encoding="unicode")
+
+
 def varied_urdf(urdf: Path, variation: BodyVariation) -> str:
     """Text of the URDF with the masses of `variation`, without visuals; mesh paths are absolute.
 
@@ -88,7 +96,10 @@ def varied_urdf(urdf: Path, variation: BodyVariation) -> str:
 
 
 def _parse_collision_urdf(urdf: Path) -> Element:
-    return _copy(_parse_cached(urdf, urdf.stat().st_mtime_ns))
+    try:
+        return _copy(_parse_cached(urdf, urdf.stat().st_mtime_ns))
+    except (OSError, ParseError) as error:
+        raise PhysicsError(f"cannot read {urdf}: {error}") from error
 
 
 @lru_cache(maxsize=16)

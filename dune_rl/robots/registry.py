@@ -3,14 +3,7 @@
 from dune_rl.errors import RobotError
 from dune_rl.registry import Registry
 from dune_rl.robots.robot import Robot
-from dune_rl.settings import Settings
-
-
-class RobotSettings(Settings):
-    """Settings of a robot; `name` says of which, so that settings read from a file find their class."""
-
-    name: str
-
+from dune_rl.robots.settings import RobotSettings
 
 ROBOTS: Registry[Robot] = Registry(
     "robot",

@@ -1,8 +1,8 @@
-"""The reward and termination terms there are: ours, those of packages, and those that a program registers."""
+"""The registries of reward and termination terms, and the settings that every term has."""
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, SerializeAsAny
+from pydantic import BeforeValidator, SerializeAsAny
 
 from dune_rl.terms import TermConf, TermRegistry
 
@@ -26,32 +26,39 @@ _OWN_TERMINATIONS = {
 
 
 class RewardTermConf(TermConf):
-    """A reward term: its value times `weight`, in steps in which no reward named in `unless` has a value."""
+    """A reward term: `weight` multiplies its value.
+
+    It earns 0 in a step in which one of the reward terms named in `unless` is not 0, before its weight.
+    """
 
     weight: float = 1.0
-    unless: tuple[str, ...] = Field((), description="rewards that come instead of this one where they pay")
+    unless: tuple[str, ...] = ()
 
 
 class TerminationTermConf(TermConf):
-    """A termination term: it terminates; with `truncates` it truncates, with `renew` it draws a new goal."""
+    """A termination term, which ends an agent's episode; with `truncates` as time does.
+
+    `renew` gives the agent another goal instead of ending its episode.
+    """
 
     truncates: bool = False
-    renew: bool = Field(False, description="whether to draw a new goal and go on instead of ending")
+    renew: bool = False
 
 
 REWARDS = TermRegistry(
     "reward",
-    f"{__name__}:REWARDS",
+    "dune_rl.tasks.registry:REWARDS",
     own={name: f"dune_rl.tasks.rewards:{name}" for name in _OWN_REWARDS},
     base=RewardTermConf,
 )
 TERMINATIONS = TermRegistry(
     "termination",
-    f"{__name__}:TERMINATIONS",
+    "dune_rl.tasks.registry:TERMINATIONS",
     own={name: f"dune_rl.tasks.terminations:{target}" for name, target in _OWN_TERMINATIONS.items()},
     base=TerminationTermConf,
 )
 
+# Terms by name; an entry without `term` is the term that is registered by its name.
 RewardTerms = Annotated[
     dict[str, Annotated[SerializeAsAny[RewardTermConf], BeforeValidator(REWARDS.parse_settings)]],
     BeforeValidator(REWARDS.tag_entries),

@@ -47,8 +47,10 @@ def velocity(
     state: State, group: GroupState, *, speed_scale: float = 0.0025, turn_scale: float = 0.0
 ) -> Array:
     """`speed_scale` [s/m] times forward speed, less `turn_scale` [s/rad] times |yaw rate|."""
-    motion = group.motion
-    return speed_scale * motion.velocity_b[:, 0] - turn_scale * np.abs(motion.angular_b[:, 2])
+    reward = speed_scale * group.motion.velocity_b[:, 0]
+    if turn_scale:
+        reward -= turn_scale * np.abs(group.motion.angular_b[:, 2])
+    return reward
 
 
 def collision(state: State, group: GroupState, *, distance_m: Annotated[float, Field(ge=0.0)] = 0.2) -> Flags:

@@ -1,8 +1,7 @@
 """A task: where an agent starts and goes, what its steps earn, and when its episode ends."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -60,7 +59,7 @@ class TaskConf(Settings):
                     others = ", ".join(known for known in self.rewards if known != name) or "none"
                     raise ValueError(f"rewards.{name}.unless names no other reward: {other!r} (has {others})")
             ending = getattr(reward, "termination", DIVERGED)
-            if ending not in (DIVERGED, *self.terminations):
+            if reward.weight and ending not in (DIVERGED, *self.terminations):
                 raise ValueError(
                     f"rewards.{name}.termination names no termination: {ending!r} "
                     f"(has {', '.join((*self.terminations, DIVERGED))})"
@@ -70,13 +69,13 @@ class TaskConf(Settings):
                 raise ValueError(f"terminations.{name} cannot both truncate and renew the goal: choose one")
         return self
 
-    def changed(
+    def with_terms(
         self,
         rewards: Mapping[str, Mapping[str, Any]] | None = None,
         terminations: Mapping[str, Mapping[str, Any]] | None = None,
         **others: Any,
     ) -> "TaskConf":
-        """The same settings but for those given: a few of some terms, further terms, `spawn`."""
+        """These settings with changes: of some settings of some terms, further terms, `spawn`."""
         values = self.model_dump()
         for section, changes in (("rewards", rewards), ("terminations", terminations)):
             for name, change in (changes or {}).items():
@@ -94,8 +93,7 @@ def walking_task() -> TaskConf:
     )
 
 
-@dataclass(frozen=True)
-class Endings:
+class Endings(NamedTuple):
     """Whose episode ends in this step, and who gets a new goal instead, each (N,)."""
 
     terminated: Flags
@@ -112,21 +110,25 @@ class Task:
 
     def __init__(self, conf: TaskConf, num_rows: int) -> None:
         self.conf = conf
-        self._terminations, stateful = bind_terms(TERMINATIONS, list(conf.terminations.values()), num_rows)
-        self._rewards, stateful_rewards = bind_terms(REWARDS, list(conf.rewards.values()), num_rows)
-        self._stateful = [*stateful, *stateful_rewards]
-        kinds = [(conf.truncates, conf.renew) for conf in conf.terminations.values()]
-        self._terminating = np.array([kind == (False, False) for kind in kinds], bool)
-        self._truncating = np.array([truncates for truncates, _ in kinds], bool)
-        self._renewing = np.array([renew for _, renew in kinds], bool)
+        endings, rewards = list(conf.terminations.values()), list(conf.rewards.values())
+        self._terminations, stateful_endings = bind_terms(TERMINATIONS, endings, num_rows)
+        self._rewards, stateful_rewards = bind_terms(REWARDS, rewards, num_rows)
+        self._stateful = [*stateful_endings, *stateful_rewards]
+        self._endings = (DIVERGED, *conf.terminations)
+        self._truncating = np.array([False, *(term.truncates for term in endings)])
+        self._renewing = np.array([False, *(term.renew for term in endings)])
+        self._terminating = ~self._truncating & ~self._renewing
+        self._terminating[0] = False
         names = list(conf.rewards)
-        self._weights = np.array([reward.weight for reward in conf.rewards.values()])[:, None]
-        # Row i marks the terms that come instead of term i.
-        self._instead = np.array(
-            [[other in reward.unless for other in names] for reward in conf.rewards.values()], bool
-        ).reshape(len(names), len(names))
+        self._weights = np.array([reward.weight for reward in rewards])[:, None]
+        # The rewards that come instead of others, and in each row which of them come instead of that reward.
+        preferred = [name for name in names if any(name in term.unless for term in rewards)]
+        self._preferred = np.array([names.index(name) for name in preferred], np.int64)
+        self._instead = np.array([[name in term.unless for name in preferred] for term in rewards], bool)
         self.reward_names = tuple(f"reward/{name}" for name in names)
         self._sums = np.zeros((len(names), num_rows))
+        self._values = np.zeros((len(names), num_rows))
+        self._rows = list(self._values)
 
     @property
     def has_ends(self) -> bool:
@@ -145,32 +147,40 @@ class Task:
         Diverged physics truncates whatever else seems to be the case, and what terminates does not
         truncate also.
         """
-        diverged = group.motion.diverged
-        flags = np.empty((len(self._terminations), len(diverged)), bool)
-        for row, term in zip(flags, self._terminations, strict=True):
-            row[:] = term(state, group)
-        flags &= ~diverged
+        num_rows = len(group.done)
+        flags = np.empty((len(self._endings), num_rows), bool)
+        flags[0] = group.motion.diverged
+        for row, term in enumerate(self._terminations, 1):
+            flags[row] = term(state, group)
+        group.endings.update(zip(self._endings, flags, strict=True))
+        if not np.count_nonzero(flags):
+            return Endings(np.zeros(num_rows, bool), np.zeros(num_rows, bool), np.zeros(num_rows, bool))
+        flags[1:] &= ~flags[0]
         terminated = flags[self._terminating].any(axis=0)
         flags[self._truncating] &= ~terminated
-        truncated = flags[self._truncating].any(axis=0) | diverged
+        truncated = flags[self._truncating].any(axis=0) | flags[0]
         renews = flags[self._renewing].any(axis=0) & ~(terminated | truncated | group.done)
-        group.endings.update(zip(self.conf.terminations, flags, strict=True))
-        group.endings[DIVERGED] = diverged
         return Endings(terminated, truncated, renews)
 
     def reward(self, state: State, group: GroupState) -> Array:
         """Reward (N,) of this step, 0 for agents that are done."""
-        values = np.empty(self._sums.shape)
-        for row, term in zip(values, self._rewards, strict=True):
+        if not self._rows:
+            return np.zeros(len(group.done))
+        values = self._values
+        for row, term in zip(self._rows, self._rewards, strict=True):
             row[:] = term(state, group)
-        values[self._instead @ (values != 0.0)] = 0.0
+        preferred = values.take(self._preferred, axis=0)
+        if np.count_nonzero(preferred):
+            np.copyto(values, 0.0, where=self._instead @ (preferred != 0.0))
         values *= self._weights
-        values[:, group.done] = 0.0
+        if np.count_nonzero(group.done):
+            values[:, group.done] = 0.0
         self._sums += values
-        # One after another, so that the bytes do not depend on how many there are.
-        reward: Array = np.add.accumulate(values, axis=0)[-1] if len(values) else np.zeros(len(group.done))
+        # One after another: the bytes of a sum by pairs would depend on how many terms and agents there are.
+        reward: Array = np.add.accumulate(values, axis=0)[-1]
         return reward
 
     @property
     def reward_sums(self) -> Array:
+        """Weighted sums (N, T) of the reward terms over the present episodes."""
         return self._sums.T

@@ -45,7 +45,7 @@ class Stuck:
         offset = position - self._anchor_w
         moved = np.hypot(offset[:, 0], offset[:, 1]) > self._distance_m
         self._steps += 1
-        self._anchor_w[moved] = position[moved]
+        np.copyto(self._anchor_w, position, where=moved[:, None])
         self._steps[moved] = 0
         return self._steps >= self._limit
 
@@ -55,9 +55,9 @@ def flipped(
 ) -> Flags:
     """Whether roll, pitch or tilt is more than `angle_deg`."""
     limit = math.radians(angle_deg)
-    roll_or_pitch = np.abs(group.motion.roll_pitch_yaw[:, :2]).max(axis=1)
+    angles = np.abs(group.motion.roll_pitch_yaw)
     # Upside down has small roll and pitch in some conventions; the tilt is half a turn in all.
-    turned: Flags = (roll_or_pitch > limit) | (group.motion.tilt > limit)
+    turned: Flags = np.maximum(np.maximum(angles[:, 0], angles[:, 1]), group.motion.tilt) > limit
     return turned
 
 

@@ -10,7 +10,9 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from dune_rl import paths
-from dune_rl.actors.actor import ActorConf
+from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.bodies.person import PersonConf
+from dune_rl.config.agents import AgentGroupConf, walker_sensors
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -18,10 +20,11 @@ from dune_rl.config.compose import (
     compose_evaluation,
     compose_resumed,
 )
-from dune_rl.config.schema import Conf, EnvConf, EvaluateConf, LearningConf
+from dune_rl.config.schema import Conf, EnvConf, EvaluateConf
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.errors import ConfigError
+from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
@@ -34,9 +37,7 @@ from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.settings import Settings
-from dune_rl.tasks.point_goal import PointGoalConf
-from dune_rl.tasks.rewards import RewardConf
-from dune_rl.tasks.terminations import TerminationConf
+from dune_rl.tasks.task import TaskConf, walking_task
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.heightmap.build import HeightmapConf
@@ -75,11 +76,12 @@ BODY = RandomisationConf(
     action_latency_s=Uniform(low=0.0, high=0.1),
 )
 
-PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
-    ("actors", "none"): (),
-    ("actors", "walkers"): (ActorConf(), ActorConf()),
-    ("actors", "external_walkers"): (ActorConf(controller="external"), ActorConf(controller="external")),
-    ("learning", "sac"): LearningConf(),
+WALKERS = AgentGroupConf(body=PersonConf(), count=2, controller="path", path=PathConf())
+PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
+    ("actors", "none"): {},
+    ("actors", "walkers"): {"walker": WALKERS},
+    ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
+    ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
     ("physics", "bullet"): PhysicsConf(),
     ("randomisation", "none"): RandomisationConf(),
@@ -101,26 +103,31 @@ PLAIN: dict[tuple[str, str], Settings | tuple[Settings, ...]] = {
         camera=CameraConf(outputs=("rgb", "depth", "segmentation", "normals", "grey")),
         lidar_3d=Lidar3dConf(outputs=("range", "intensity", "segmentation")),
     ),
-    ("task", "point_goal"): PointGoalConf(),
-    ("task", "dune_code"): PointGoalConf(
-        reward=RewardConf(
-            min_progress_m=0.001,
-            signed_progress=True,
-            heading_limit_rad=1.2566370614359172,
-            misaligned=-0.03,
-            heading_bonus=0.0,
-            turn_scale=0.0015,
-            stuck=-25.0,
-            flipped=-20.0,
-            out_of_world=-10.0,
-            collision_distance_m=0.3,
-            contact=0.0,
-        ),
-        termination=TerminationConf(
-            goal_distance_m=0.5, stuck_distance_m=0.001, stuck_steps=600, continue_after_goal=True
-        ),
+    ("sensors", "walker"): walker_sensors(),
+    ("task", "point_goal"): TaskConf(),
+    ("task", "dune_code"): TaskConf().changed(
+        rewards={
+            "distance": {
+                "min_progress_m": 0.001,
+                "signed": True,
+                "heading_limit_deg": 72.0,
+                "misaligned": -0.03,
+            },
+            "heading": {"bonus": 0.0},
+            "velocity": {"turn_scale": 0.0015},
+            "stuck": {"weight": -25.0},
+            "flipped": {"weight": -20.0},
+            "out_of_world": {"weight": -10.0},
+            "collision": {"distance_m": 0.3},
+            "contact": {"weight": 0.0},
+        },
+        terminations={
+            "goal_reached": {"distance_m": 0.5, "renew": True},
+            "stuck": {"distance_m": 0.001, "steps": 600},
+        },
     ),
-    ("task", "paper"): PointGoalConf(reward=RewardConf(contact=0.0)),
+    ("task", "paper"): TaskConf().changed(rewards={"contact": {"weight": 0.0}}),
+    ("task", "walking"): walking_task(),
     ("weather", "clear"): WeatherConf(),
     ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_rad=3.4, sun_elevation_rad=0.1)),
     ("weather", "dust"): WeatherConf(dust_visibility_m=30.0),
@@ -161,22 +168,33 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
 def test_yaml_states_every_setting(group: str, option: str) -> None:
     stated = yaml.safe_load((CONF / group / f"{option}.yaml").read_text())
     plain = PLAIN[group, option]
-    for part, settings in zip(
-        stated if isinstance(plain, tuple) else [stated],
-        plain if isinstance(plain, tuple) else [plain],
-        strict=True,
-    ):
-        if "defaults" in part:
-            # It changes another option, which states the rest.
-            assert leaves({k: v for k, v in part.items() if k != "defaults"}) < leaves(settings.model_dump())
-        else:
-            assert leaves(part) | ({"path"} & leaves(settings.model_dump())) == leaves(settings.model_dump())
+    if isinstance(plain, dict):
+        plain = EnvConf(world=FlatConf(), actors=plain)
+        stated = {"actors": stated}
+        settings = leaves({"actors": plain.model_dump()["actors"]})
+        inherits = "defaults" in stated["actors"]
+        stated["actors"].pop("defaults", None)
+    else:
+        settings = leaves(plain.model_dump())
+        inherits = "defaults" in stated
+        stated.pop("defaults", None)
+    if inherits:
+        # It changes another option, which states the rest.
+        assert leaves(stated) < settings
+    else:
+        assert leaves(stated) | ({"path"} & settings) | of_every_term(settings) == settings
+
+
+def of_every_term(paths: set[str]) -> set[str]:
+    """The settings that every term has: they are explained once, at the head of its section."""
+    own = {"term", "weight", "unless", "truncates", "renew", "reduce", "initial"}
+    return {path for path in paths if path.rpartition(".")[2] in own}
 
 
 def leaves(data: dict[str, Any], prefix: str = "") -> set[str]:
     found: set[str] = set()
     for name, value in data.items():
-        found |= leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name}
+        found |= leaves(value, f"{prefix}{name}.") if isinstance(value, dict) and value else {prefix + name}
     return found
 
 
@@ -187,10 +205,10 @@ def test_every_yaml_line_with_a_first_use_is_explained() -> None:
 
 def test_root_settings_agree() -> None:
     composed = compose(["+world=flat"])
-    plain = Conf(world=FlatConf(), actors=(ActorConf(), ActorConf()), run_dir=composed.run_dir)
+    plain = Conf(world=FlatConf(), actors={"walker": WALKERS}, run_dir=composed.run_dir)
     assert composed == plain
     evaluation = compose_evaluation(["+world=flat", "policy=random"])
-    assert evaluation == EvaluateConf(world=FlatConf(), actors=(ActorConf(), ActorConf()), policy="random")
+    assert evaluation == EvaluateConf(world=FlatConf(), actors={"walker": WALKERS}, policy="random")
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -205,7 +223,7 @@ def test_experiments_compose_and_give_way(experiment: str) -> None:
 @pytest.mark.parametrize("actors", ["actors=none", "+actors=none"])
 def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> None:
     conf = compose([world, actors, seed])
-    assert (conf.world.name, conf.actors, conf.seed) == ("flat", (), 3)
+    assert (conf.world.name, conf.actors, conf.seed) == ("flat", {}, 3)
 
 
 @pytest.mark.parametrize(
@@ -238,18 +256,22 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
         (["world=flat", "batch_size=64"], "batch_size is not a setting; did you mean learning.batch_size?"),
         (["world=flat", "max_steps=64"],
-         "max_steps is not a setting; did you mean task.termination.max_steps?"),
+         "max_steps is not a setting; did you mean task.terminations.time_limit.max_steps?"),
         (["world=flat", "physics.zzz=1"],
          "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations, "
          "friction"),
-        (["world=flat", "actors.1.speed_mps=9"], "actors.1.speed_mps must be at most 5.0 (got 9)"),
+        (["world=flat", "actors.walker.body.speed_mps=9"],
+         "actors.walker.body.speed_mps must be at most 5.0 (got 9)"),
+        (["world=flat", "actors.walker.speed_mps=9"],
+         "actors.walker.speed_mps is not a setting; did you mean actors.walker.body.speed_mps?"),
         (["world=flat", "physics.control_hz=30"],
          "physics: control_hz must divide physics_hz (30 does not divide 200); "
          "take 10, 20, 25, 40 or 50 with 200"),
         (["world=flat", "learning.replay.capacity=64"],
          "learning: replay.capacity must be at least batch_size (got 64 and 512)"),
         (["world=flat", "actors=external_walkers"],
-         "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"),
+         "one agent group is driven here, and rover and walker are external; give all but one another "
+         "controller (actors=walkers has walkers on paths), or take parallel_env or make"),
         (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
         (["world=flat", "learning.hidden=[256"],
          "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "
@@ -272,9 +294,9 @@ def test_bad_overrides(overrides: list[str], message: str) -> None:
 
 def test_faults_come_together() -> None:
     with pytest.raises(ConfigError) as caught:
-        compose(["world=moon", "seed=-1", "blah", "+sensors.lidar.n_beam=5", "actors.0.radius_m=0"])
+        compose(["world=moon", "seed=-1", "blah", "+sensors.lidar.n_beam=5", "actors.walker.body.radius_m=0"])
     assert sorted(str(caught.value).splitlines()) == [
-        "actors.0.radius_m must be above 0.0 (got 0)",
+        "actors.walker.body.radius_m must be above 0.0 (got 0)",
         "cannot read 'blah'; write key=value",
         "seed must be at least 0 (got -1)",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
@@ -310,7 +332,7 @@ def test_environment_settings_share_the_messages() -> None:
         compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
     assert sorted(str(caught.value).splitlines()) == [
         "colour is not a setting; "
-        "the top level has world, weather, robot, robots, actors, sensors, physics, task, metrics, "
+        "the top level has world, weather, agents, robot, robots, actors, sensors, physics, task, metrics, "
         "randomisation",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
         NO_MOON,
@@ -322,13 +344,13 @@ def test_saved_settings_stay_unless_asked() -> None:
         mode="json"
     )
     resumed = compose_resumed(["total_frames=9"], (), saved)
-    assert (resumed.world.name, resumed.actors, resumed.seed) == ("inspection", (), 5)
+    assert (resumed.world.name, resumed.actors, resumed.seed) == ("inspection", {}, 5)
     assert (resumed.learning.tau, resumed.total_frames) == (0.1, 9)
 
     same = compose_evaluation(["checkpoint=x"], (), saved)
-    assert (same.world.name, same.actors, same.seed) == ("inspection", (), 0)
+    assert (same.world.name, same.actors, same.seed) == ("inspection", {}, 0)
     other = compose_evaluation(["checkpoint=x", "+world=flat", "physics.control_hz=10"], (), saved)
-    assert (other.world, other.actors, other.physics.control_hz) == (FlatConf(), (), 10)
+    assert (other.world, other.actors, other.physics.control_hz) == (FlatConf(), {}, 10)
 
 
 def test_saved_settings_share_the_messages() -> None:

@@ -22,6 +22,19 @@ class NoGround:
         raise AssertionError("a sensor does not read clearance")
 
 
+class FixedProximity:
+    """Neighbours and clearances that are given."""
+
+    def __init__(self, neighbours: np.ndarray, clearance: np.ndarray) -> None:
+        self._neighbours, self._clearance = neighbours, clearance
+
+    def clearance(self, group: str) -> np.ndarray:
+        return self._clearance.copy()
+
+    def neighbours(self, group: str) -> np.ndarray:
+        return self._neighbours
+
+
 def motion_of(states: np.ndarray, joints: JointState | None = None) -> Motion:
     """The motion of bodies in physics states (N, 13): position, quaternion xyzw, velocity, turn."""
     states = np.atleast_2d(np.asarray(states, float))
@@ -75,10 +88,12 @@ def group_state(
         EpisodeState(seed, ids, np.broadcast_to(np.asarray(steps, np.int64), rows).copy(), ids, step_s),
         motion,
         ContactState(none > 0, none, none),
-        np.zeros((rows, 0, 4)) if neighbours is None else np.asarray(neighbours, float),
-        none > 0,
-        lambda: np.full(rows, np.inf),
         GoalState(np.zeros((rows, 2)), zero, zero, zero) if goal is None else goal,
+        none > 0,
+        FixedProximity(
+            np.zeros((rows, 0, 4)) if neighbours is None else np.asarray(neighbours, float),
+            np.full(rows, np.inf),
+        ),
     )
 
 

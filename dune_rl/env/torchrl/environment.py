@@ -113,9 +113,7 @@ class DuneEnv(EnvBase):
     def _group_part(self, group: AgentGroup, step: GroupStep | None) -> TensorDict:
         shape = [self._simulation.num_scenes, group.count]
         parts = {key: _by_agent(value, shape) for key, value in group.observe().items()}
-        part: dict[str, Any] = {
-            "observation": _unchecked(parts, shape)
-        }
+        part: dict[str, Any] = {"observation": _unchecked(parts, shape)}
         if step is None:
             terminated, truncated = group.terminated, group.truncated
         else:

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame
+from dune_rl.physics.bullet.urdf import add_visual_stubs
 from dune_rl.physics.interface import Coupling, RobotBody
 from dune_rl.physics.motors import Servos, motor_power_w
 from dune_rl.physics.stderr import suppress_stderr
-from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
+from dune_rl.physics.varied_body import BodyVariation, collision_urdf, scale_motors, varied_urdf
 
 with suppress_stderr():
     import pybullet
@@ -58,7 +59,7 @@ class BulletRobot:
         self._torques = [motor.max_torque_nm for motor in self._motors]
         self._commands: Sequence[float] = spec.rest_commands()
         self._servos = Servos(self._motors, timestep_s)
-        self._varied_urdf: str | None = None
+        self._urdf: str | None = None
         self._frame: InertialFrame | None = None
         self.measures_work = measures_work and bool(self._motors)
         self._work = 0.0
@@ -68,8 +69,10 @@ class BulletRobot:
         self._motors = scale_motors(self._spec.motors, variation.motor_strength)
         self._servos = Servos(self._motors, self._timestep_s)
         self._torques = [motor.max_torque_nm for motor in self._motors]
-        unchanged = variation.keeps_masses
-        self._varied_urdf = None if unchanged else varied_urdf(self._spec.urdf, variation)
+        if variation.keeps_masses:
+            self._urdf = None
+        else:
+            self._urdf = add_visual_stubs(varied_urdf(self._spec.urdf, variation))
 
     def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         self._pose = (position_w, quaternion)
@@ -82,17 +85,7 @@ class BulletRobot:
 
     def load(self) -> int:
         """Load the robot at its start pose and return PyBullet's handle."""
-        if self._varied_urdf is None:
-            self._robot = self._load_robot(self._spec.urdf, *self._pose)
-        else:
-            # PyBullet cannot move the centre of mass of a loaded body, and loads a URDF only from a file.
-            handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
-            try:
-                with open(handle, "w", encoding="utf-8") as file:
-                    file.write(self._varied_urdf)
-                self._robot = self._load_robot(Path(name), *self._pose)
-            finally:
-                Path(name).unlink()
+        self._robot = self._load_robot()
         self._commands = self._spec.rest_commands()
         self._servos.reset()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
@@ -104,19 +97,37 @@ class BulletRobot:
         """Drop the handle after the client was disconnected."""
         self._robot = None
 
-    def _load_robot(self, urdf: Path, position_w: Sequence[float], quaternion: Sequence[float]) -> int:
-        client = self._client
+    def _load_robot(self) -> int:
+        if self._urdf is None:
+            self._urdf = add_visual_stubs(collision_urdf(self._spec.urdf))
+        # PyBullet cannot change the masses of a loaded body, and loads a URDF only from a file.
+        handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
+        try:
+            with open(handle, "w", encoding="utf-8") as file:
+                file.write(self._urdf)
+            robot = self._load_file(name)
+        finally:
+            Path(name).unlink()
+        self._set_up(robot)
+        return robot
+
+    def _load_file(self, name: str) -> int:
+        position_w, quaternion = self._pose
         try:
             robot: int = pybullet.loadURDF(
-                str(urdf),
+                name,
                 basePosition=list(position_w),
                 baseOrientation=list(quaternion),
-                # Rendering does not use the engine; reading visual meshes would cost milliseconds a reset.
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_IGNORE_VISUAL_SHAPES,
-                physicsClientId=client,
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                physicsClientId=self._client,
             )
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot load {self._spec.urdf}: {error}") from error
+        return robot
+
+    def _set_up(self, robot: int) -> None:
+        """Set the contact parameters, collision filters and joints of a loaded robot."""
+        client = self._client
         self._name_joints(robot)
         for link in range(-1, len(self._links) - 1):
             self._set_up_link(robot, link)
@@ -133,7 +144,6 @@ class BulletRobot:
         info = pybullet.getDynamicsInfo(robot, -1, physicsClientId=client)
         frame = InertialFrame(info[3], info[4])
         self._frame = None if frame.is_identity else frame
-        return robot
 
     def _name_joints(self, robot: int) -> None:
         client, spec = self._client, self._spec

@@ -16,7 +16,7 @@ from dune_rl.robots.hyperdog.leg_kinematics import Leg
 from dune_rl.robots.hyperdog.trot import Trot, TrotConf
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.robot import BodyMotion, RectangularHull, speed_and_heading_bounds
-from dune_rl.settings import Settings
+from dune_rl.robots.settings import RobotSettings
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class HyperDogMountsConf(MountsConf):
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-class HyperDogConf(Settings):
+class HyperDogConf(RobotSettings):
     """Settings of the dog: what its actions are, its gait and its servos.
 
     `action` is `speed_and_heading`, as for rovers, or `joints`: the twelve
@@ -85,13 +85,13 @@ class HyperDog(RectangularHull):
     mass_kg = 5.0
     wheels = None
 
-    def __init__(self, conf: HyperDogConf, num_scenes: int) -> None:
+    def __init__(self, conf: HyperDogConf, num_robots: int) -> None:
         self.conf = conf
-        self._heading = HeadingController(conf.heading, conf.max_yaw_rate_radps, num_scenes)
-        self._trot = Trot(conf.gait, _HIPS_B, num_scenes)
-        self._wanted = np.zeros((num_scenes, 2))
-        self._correction = np.zeros((num_scenes, 2))
-        self._yaw = np.full(num_scenes, np.nan)
+        self._heading = HeadingController(conf.heading, conf.max_yaw_rate_radps, num_robots)
+        self._trot = Trot(conf.gait, _HIPS_B, num_robots)
+        self._wanted = np.zeros((num_robots, 2))
+        self._correction = np.zeros((num_robots, 2))
+        self._yaw = np.full(num_robots, np.nan)
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
         self.standing_height_m = conf.standing_height_m
         self.mounts: MountsConf = conf.mounts

@@ -10,9 +10,9 @@ from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
-from dune_rl.settings import Settings
 
 
 class LeoDriveConf(SkidSteerConf):
@@ -45,7 +45,7 @@ class LeoMountsConf(MountsConf):
     imu_b: tuple[float, float, float] = (0.063, -0.031, -0.039)
 
 
-class LeoRoverConf(Settings):
+class LeoRoverConf(RobotSettings):
     """Settings of the rover: heading controller, drive, tyres, rockers, its sensors' places and its battery.
 
     The battery is the maker's, 11.1 V and 5 Ah; what is drawn at rest makes it
@@ -88,7 +88,7 @@ class LeoRover(WheeledRobot):
         [[x, y, -0.1353] for x, y in ((0.1552, 0.1789), (0.1552, -0.1789), (-0.15, 0.1789), (-0.15, -0.1789))]
     )
 
-    def __init__(self, conf: LeoRoverConf, num_scenes: int) -> None:
+    def __init__(self, conf: LeoRoverConf, num_robots: int) -> None:
         self.conf = conf
         wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
         rockers = ("left_rocker_joint", "right_rocker_joint")
@@ -111,5 +111,5 @@ class LeoRover(WheeledRobot):
             on_left=["left" in wheel for wheel in wheels],
             mounts=conf.mounts,
             battery=conf.battery,
-            num_scenes=num_scenes,
+            num_scenes=num_robots,
         )

@@ -10,12 +10,12 @@ from dune_rl.physics.interface import RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
-from dune_rl.settings import Settings
 
 
-class RoverZeroConf(Settings):
+class RoverZeroConf(RobotSettings):
     """Settings of the rover: its heading controller, drive and tyres, its sensors' places and its battery.
 
     The battery's figures are estimates: nothing is published of them.
@@ -53,7 +53,7 @@ class RoverZero(WheeledRobot):
         [[0.1415, 0.18, 0.0], [0.1415, -0.18, 0.0], [-0.145, 0.18, 0.0], [-0.145, -0.18, 0.0]]
     )
 
-    def __init__(self, conf: RoverZeroConf, num_scenes: int) -> None:
+    def __init__(self, conf: RoverZeroConf, num_robots: int) -> None:
         self.conf = conf
         wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
         super().__init__(
@@ -68,5 +68,5 @@ class RoverZero(WheeledRobot):
             on_left=["left" in wheel for wheel in wheels],
             mounts=conf.mounts,
             battery=conf.battery,
-            num_scenes=num_scenes,
+            num_scenes=num_robots,
         )

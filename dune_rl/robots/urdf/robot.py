@@ -17,6 +17,7 @@ from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf, Triple
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.urdf.bodies import RigidBody, rigid_bodies, write_urdfs
 from dune_rl.robots.urdf.meshes import UrdfMeshes
@@ -70,7 +71,7 @@ class UrdfMountsConf(Settings):
     imu_b: Triple | None = None
 
 
-class UrdfConf(Settings):
+class UrdfConf(RobotSettings):
     """A URDF at `path`, and what cannot be read from it.
 
     `left_wheels` and `right_wheels` are names of joints; None takes all
@@ -121,7 +122,7 @@ class UrdfRobot(WheeledRobot):
     z up. `RobotError` tells what in the file or the settings cannot be.
     """
 
-    def __init__(self, conf: UrdfConf, num_scenes: int) -> None:
+    def __init__(self, conf: UrdfConf, num_robots: int) -> None:
         self.conf = conf
         model = read_urdf(conf.path)
         meshes = UrdfMeshes(model.path)
@@ -158,7 +159,7 @@ class UrdfRobot(WheeledRobot):
             on_left=[wheel.on_left for wheel in wheels],
             mounts=self._mounts(conf.mounts),
             battery=conf.battery,
-            num_scenes=num_scenes,
+            num_scenes=num_robots,
         )
         self.drive = drive
 

@@ -1,28 +1,27 @@
-"""What a policy reads and commands: the observation's parts, in order, and the action's bounds."""
+"""What a policy reads and writes: an agent group's observation, part by part, and its action's bounds."""
 
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, TensorSpec
-from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
 
-# A key of the environment's output that is measured, not observed.
-METRICS_KEY = "metrics"
+if TYPE_CHECKING:
+    from torchrl.data import TensorSpec
+    from torchrl.envs import EnvBase
 
 
 @dataclass(frozen=True)
-class Image:
-    """A part with `shape` (height, width, channels): bytes or float32, its values from `low` to `high`."""
+class ImageSpec:
+    """An image of `shape` (height, width, channels), uint8 or float32, with values from `low` to `high`."""
 
     shape: tuple[int, int, int]
-    whole_bytes: bool
+    uint8: bool
     low: float
     high: float
 
@@ -32,47 +31,50 @@ class Image:
         return math.prod(self.shape)
 
 
-class Packed(NamedTuple):
-    """Observations as two matrices: `floats` (..., F), vectors first, and `octets` (..., B), of bytes."""
+class PackedObservation(NamedTuple):
+    """Observations as two matrices: `floats` (..., F), vectors first, and `octets` (..., B) of uint8."""
 
     floats: Tensor
     octets: Tensor
 
 
 @dataclass(frozen=True)
-class Layout:
+class PolicySpec:
     """Observation keys with their sizes, in the order in which they are concatenated, and action bounds.
 
     `low` and `high` are in the action's own (physical) units. `ranges` names the
     parts whose values are positive throughout, such as a LiDAR's: of those
     it is the ratio that matters, 0.3 m to 0.6 m as much as 3 m to 6 m. `sizes`
-    are of the vectors; `images` follow them in the same way.
+    are of the vectors; `images` follow them in the same way. All agents of a
+    group have the same spec.
     """
 
     sizes: Mapping[str, int]
     low: tuple[float, ...]
     high: tuple[float, ...]
     ranges: tuple[str, ...] = ()
-    images: Mapping[str, Image] = field(default_factory=dict)
+    images: Mapping[str, ImageSpec] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, env: EnvBase) -> "Layout":
-        """The layout of a batched environment: every vector and image that it observes, by name."""
-        axes = len(env.batch_size)
-        parts = {key: spec for key, spec in sorted(env.observation_spec.items()) if key != METRICS_KEY}
+    def of(cls, env: "EnvBase", group: str) -> "PolicySpec":
+        """The spec of an agent group of `env`: every vector and image that it observes, by name."""
+        observation = env.observation_spec[group, "observation"]
+        # Behind the axes of scenes and of agents.
+        axes = len(env.batch_size) + 1
+        parts = dict(sorted(observation.items()))
         sizes = {
             key: spec.shape[-1]
             for key, spec in parts.items()
             if spec.dtype.is_floating_point and spec.ndim == axes + 1
         }
-        images = {key: _image(spec) for key, spec in parts.items() if spec.ndim == axes + 3}
-        bounds = env.action_spec.space
-        size = env.action_spec.shape[-1]
+        images = {key: _image_spec(spec) for key, spec in parts.items() if spec.ndim == axes + 3}
+        action = env.full_action_spec[group, "action"]
+        size = action.shape[-1]
         return cls(
             sizes,
-            tuple(bounds.low.reshape(-1, size)[0].tolist()),
-            tuple(bounds.high.reshape(-1, size)[0].tolist()),
-            tuple(key for key in sizes if _positive(env.observation_spec[key])),
+            tuple(action.space.low.reshape(-1, size)[0].tolist()),
+            tuple(action.space.high.reshape(-1, size)[0].tolist()),
+            tuple(key for key in sizes if _is_positive(parts[key])),
             images,
         )
 
@@ -88,9 +90,9 @@ class Layout:
 
     @property
     def packed_sizes(self) -> tuple[int, int]:
-        """Widths F and B of what `pack` gives."""
-        floats = sum(image.size for image in self.images.values() if not image.whole_bytes)
-        octets = sum(image.size for image in self.images.values() if image.whole_bytes)
+        """Widths F and B of what `pack` returns."""
+        floats = sum(image.size for image in self.images.values() if not image.uint8)
+        octets = sum(image.size for image in self.images.values() if image.uint8)
         return self.observation_size + floats, octets
 
     @property
@@ -114,7 +116,7 @@ class Layout:
         """Centre of each action component's interval, shape (A,)."""
         return (torch.tensor(self.high) + torch.tensor(self.low)) / 2
 
-    def pack(self, observation: TensorDictBase) -> Packed:
+    def pack(self, observation: TensorDictBase) -> PackedObservation:
         """The parts of `observation` (...), flat and side by side."""
         shape = observation.batch_size
         floats, octets = [torch.zeros(*shape, 0)], [torch.zeros(*shape, 0, dtype=torch.uint8)]
@@ -123,18 +125,18 @@ class Layout:
             if key in self.sizes:
                 floats.append(part)
             else:
-                (octets if self.images[key].whole_bytes else floats).append(part.flatten(-3))
-        return Packed(torch.cat(floats, -1), torch.cat(octets, -1))
+                (octets if self.images[key].uint8 else floats).append(part.flatten(-3))
+        return PackedObservation(torch.cat(floats, -1), torch.cat(octets, -1))
 
-    def unpack(self, packed: Packed) -> tuple[Tensor, list[Tensor]]:
+    def unpack(self, packed: PackedObservation) -> tuple[Tensor, list[Tensor]]:
         """Vectors (..., observation_size), and each image (..., height, width, channels)."""
         vectors = packed.floats[..., : self.observation_size]
         images = []
         starts = {False: self.observation_size, True: 0}
         for image in self.images.values():
-            matrix = packed.octets if image.whole_bytes else packed.floats
-            start = starts[image.whole_bytes]
-            starts[image.whole_bytes] = start + image.size
+            matrix = packed.octets if image.uint8 else packed.floats
+            start = starts[image.uint8]
+            starts[image.uint8] = start + image.size
             images.append(matrix[..., start : start + image.size].unflatten(-1, image.shape))
         return vectors, images
 
@@ -146,28 +148,23 @@ class Layout:
             "high": list(self.high),
             "ranges": list(self.ranges),
             "images": {
-                key: {
-                    "shape": list(each.shape),
-                    "bytes": each.whole_bytes,
-                    "low": each.low,
-                    "high": each.high,
-                }
+                key: {"shape": list(each.shape), "bytes": each.uint8, "low": each.low, "high": each.high}
                 for key, each in self.images.items()
             },
         }
 
     @classmethod
-    def from_plain(cls, data: Mapping[str, Any]) -> "Layout":
+    def from_plain(cls, data: Mapping[str, Any]) -> "PolicySpec":
         """The inverse of `plain`."""
         # Files from before there were images have none.
         images = {
-            key: Image(tuple(each["shape"]), each["bytes"], each["low"], each["high"])
+            key: ImageSpec(tuple(each["shape"]), each["bytes"], each["low"], each["high"])
             for key, each in data.get("images", {}).items()
         }
         low, high = tuple(data["low"]), tuple(data["high"])
         return cls(dict(data["sizes"]), low, high, tuple(data["ranges"]), images)
 
-    def only(self, keys: Collection[str]) -> "Layout":
+    def only(self, keys: Collection[str]) -> "PolicySpec":
         """The same without the parts that are not among `keys`."""
         return replace(
             self,
@@ -176,8 +173,8 @@ class Layout:
             images={key: image for key, image in self.images.items() if key in keys},
         )
 
-    def require(self, here: "Layout", source: str) -> None:
-        """Raise unless a policy of this layout, read from `source`, fits the environment `here`."""
+    def require(self, here: "PolicySpec", source: str) -> None:
+        """Raise CheckpointError unless a policy of this spec, read from `source`, fits `here`."""
         faults = []
         for key in sorted({*self.keys, *here.keys}):
             there, now = self._extent(key), here._extent(key)
@@ -209,10 +206,11 @@ class Layout:
         return f"{height} by {width} pixels of {channels}"
 
 
-def _image(spec: TensorSpec) -> Image:
+def _image_spec(spec: "TensorSpec") -> ImageSpec:
     low, high = float(spec.space.low.min()), float(spec.space.high.max())
-    return Image(tuple(spec.shape[-3:]), spec.dtype == torch.uint8, low, high)
+    return ImageSpec(tuple(spec.shape[-3:]), spec.dtype == torch.uint8, low, high)
 
 
-def _positive(spec: TensorSpec) -> bool:
-    return isinstance(spec, Bounded) and bool((spec.space.low > 0).all())
+def _is_positive(spec: "TensorSpec") -> bool:
+    low = getattr(spec.space, "low", None)
+    return low is not None and bool((low > 0).all())

@@ -1,134 +1,39 @@
 """The replay buffer: transitions as flat rows, in memory or on disk."""
 
+import logging
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
-from pydantic import Field
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl import logger
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
 from dune_rl.errors import CheckpointError, ConfigError
-from dune_rl.learning.layout import Layout, Packed
-from dune_rl.learning.networks import FEATURES
-from dune_rl.learning.returns import multi_step
-from dune_rl.settings import Settings
+from dune_rl.learning.sac.settings import ReplayConf
+
+# TorchRL announces every buffer that it makes, on the console.
+logger.setLevel(logging.WARNING)
 
 _ROWS_PER_COPY = 65_536
 _MOST_OF_MEMORY = 0.75
 
 
-class ReplayConf(Settings):
-    """Where transitions are kept, and how many."""
-
-    capacity: int = Field(1_000_000, ge=1)
-    storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
-
-
-def check_memory(conf: ReplayConf, transitions: "Transitions", frames: int) -> None:
-    """Raise ConfigError where the rows of a run of `frames` would not fit into this machine's memory."""
+def check_memory(conf: ReplayConf, row: int, count: int) -> None:
+    """Raise ConfigError where `count` rows of `row` bytes would not fit into this machine's memory."""
     if conf.storage == "disk" or not hasattr(os, "sysconf"):
         return
-    row = transitions.width * transitions.dtype.itemsize
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    needed = row * min(conf.capacity, frames)
+    needed = row * min(conf.capacity, count)
     if needed > _MOST_OF_MEMORY * memory:
         fits = int(_MOST_OF_MEMORY * memory / row)
         raise ConfigError(
-            f"a replay buffer of {min(conf.capacity, frames):,} transitions takes {needed / 2**30:.0f} GiB, "
+            f"a replay buffer of {min(conf.capacity, count):,} transitions takes {needed / 2**30:.0f} GiB, "
             f"and this machine has {memory / 2**30:.0f}.\n"
             f"Set learning.replay.capacity={fits} or less, or learning.replay.storage=disk."
-        )
-
-
-class Transitions:
-    """How a transition lies in one row: observation, later observation, action, reward, terminated, steps.
-
-    Observations are kept raw: they are normalised when sampled, with the statistics of that day. The
-    later one is `steps` later, at most `n_steps`, and the reward is the discounted sum until then.
-    Rows are float32; where there are images of bytes, rows are the bytes of those floats, and the images
-    of both observations behind them.
-    """
-
-    def __init__(self, layout: Layout, n_steps: int = 1, gamma: float = 0.99) -> None:
-        self._layout = layout
-        self._n_steps, self._gamma = n_steps, gamma
-        floats, self._octets = layout.packed_sizes
-        self._widths = [floats] * 2 + [layout.action_size, 1, 1, 1]
-        self._floats = sum(self._widths)
-        self.dtype = torch.uint8 if self._octets else torch.float32
-        self.width = 4 * self._floats + 2 * self._octets if self._octets else self._floats
-
-    def rows(self, batch: TensorDictBase) -> Tensor:
-        """Rows (k, width) of a collected batch (scenes, steps), or (steps,), with k transitions.
-
-        The later observation is that of the step itself, before any reset. Only
-        `terminated` is kept of the three ends, so a time limit cannot be mistaken for one.
-        """
-        batch = batch.reshape(-1, batch.shape[-1])
-        after = batch.get("next")
-        done = after.get("done").squeeze(-1)
-        reward, steps = multi_step(after.get("reward").squeeze(-1), done, self._n_steps, self._gamma)
-        last = torch.arange(done.shape[-1]) + steps - 1
-        chosen = (torch.arange(len(done)).unsqueeze(-1), last)
-        now, later = self._layout.pack(batch), self._layout.pack(after)
-        parts = [
-            now.floats,
-            later.floats[chosen],
-            batch.get("action"),
-            reward.unsqueeze(-1),
-            after.get("terminated").float()[chosen],
-            steps.unsqueeze(-1).float(),
-        ]
-        rows = torch.cat(parts, -1).reshape(-1, self._floats)
-        if not self._octets:
-            return rows
-        images = [each.reshape(len(rows), -1) for each in (now.octets, later.octets[chosen])]
-        return torch.cat([rows.view(torch.uint8), *images], -1)
-
-    def vectors(self, rows: Tensor) -> Tensor:
-        """The raw vectors (k, observation_size) observed in `rows`."""
-        return self._split(rows)[0].floats[:, : self._layout.observation_size]
-
-    def _split(self, rows: Tensor) -> tuple[Packed, Packed, list[Tensor]]:
-        now = later = rows.new_zeros((len(rows), 0), dtype=torch.uint8)
-        if self._octets:
-            now, later = rows[:, 4 * self._floats :].split(self._octets, -1)
-            rows = rows[:, : 4 * self._floats].contiguous().view(torch.float32)
-        first, second, *rest = rows.split(self._widths, -1)
-        return Packed(first, now), Packed(second, later), rest
-
-    def batch(self, rows: Tensor, encode: Callable[[Packed], Tensor], reward_scale: float) -> TensorDict:
-        """What a loss takes, batch size (k,), from `rows` (k, width).
-
-        `encode` makes features of observations; those of the later ones, which
-        only targets are made of, carry no gradient.
-        """
-        now, after, (action, reward, terminated, steps) = self._split(rows)
-        ended = terminated > 0
-        with torch.no_grad():
-            later = encode(after)
-        return TensorDict(
-            {
-                FEATURES: encode(now),
-                "action": action,
-                "steps_to_next_obs": steps,
-                "next": TensorDict(
-                    {
-                        FEATURES: later,
-                        "reward": reward * reward_scale,
-                        "terminated": ended,
-                        "done": ended,
-                    },
-                    [len(rows)],
-                ),
-            },
-            [len(rows)],
         )
 
 

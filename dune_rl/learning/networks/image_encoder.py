@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from dune_rl.learning.layout import Image
+from dune_rl.learning.policy_spec import ImageSpec
 
 # Bytes up to this are classes (of a segmentation), not brightness.
 _MOST_CLASSES = 15
@@ -20,10 +20,10 @@ class ImageEncoder(nn.Module):
     4th, or less of a small image, the others halve what is left until it is small.
     """
 
-    def __init__(self, image: Image, channels: Sequence[int], size: int) -> None:
+    def __init__(self, image: ImageSpec, channels: Sequence[int], size: int) -> None:
         super().__init__()
         self._image = image
-        self._classes = int(image.high) + 1 if image.whole_bytes and image.high <= _MOST_CLASSES else 0
+        self._classes = int(image.high) + 1 if image.uint8 and image.high <= _MOST_CLASSES else 0
         n_in = image.shape[2] * (self._classes or 1)
         height, width = image.shape[:2]
         stages: list[nn.Module] = []
@@ -56,7 +56,7 @@ class ImageEncoder(nn.Module):
             one_hot: Tensor = nn.functional.one_hot(images.long(), self._classes).flatten(-2).float()
             return one_hot
         low, high = self._image.low, self._image.high
-        if not self._image.whole_bytes and low >= 0.0:
+        if not self._image.uint8 and low >= 0.0:
             # Of a distance it is the ratio that matters, close by more than far away.
             return torch.log1p(images) * (4.0 / torch.tensor(high).log1p().item()) - 2.0
         # Large copies take as long as the convolutions: one in the type that these will want, then in place.

@@ -1,4 +1,4 @@
-"""Collectors of transitions: in this process, or in worker processes."""
+"""Collection of transitions: in this process, or in worker processes."""
 
 import os
 import signal
@@ -6,39 +6,20 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import torch
-from pydantic import Field
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import DuneWarning
+from dune_rl.learning.group_policy import JointPolicy
+from dune_rl.learning.settings import CollectorConf
 from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 
 MakeEnv = Callable[[int, int], EnvBase]
-
-
-class CollectorConf(Settings):
-    """Who steps the environments: `serial` is deterministic, `async` is fastest."""
-
-    mode: Literal["serial", "sync", "async"] = "async"
-    workers: int = Field(1, ge=1, description="processes, in the modes sync and async")
-    scenes: int = Field(16, ge=1, description="scenes stepped as one batch, in each process")
-    steps: int = Field(32, ge=1, description="steps of every scene between two hand-overs to the learner")
-
-    @property
-    def processes(self) -> int:
-        """Worker processes beside the learner's own."""
-        return 0 if self.mode == "serial" else self.workers
-
-    @property
-    def frames_per_batch(self) -> int:
-        """Transitions in each batch that the learner is handed."""
-        return self.scenes * self.steps * (self.workers if self.mode == "sync" else 1)
 
 
 def available_cores() -> int:
@@ -47,7 +28,7 @@ def available_cores() -> int:
 
 
 def learner_threads(conf: CollectorConf) -> int:
-    """Threads for the learner beside the collector's workers.
+    """Threads for the learners beside the collector's workers.
 
     One in the mode `serial`, whose results then do not depend on the machine's
     cores. At most four otherwise: networks of a few hundred units gain nothing
@@ -67,7 +48,7 @@ def environment_seed(seed: int, worker: int, frames: int) -> int:
 
 
 def _worker_env(make_env: MakeEnv, scenes: int, seed: int) -> EnvBase:
-    # The learner has built the same world and told of it.
+    # The learner's process has built the same world, and shown its warnings.
     warnings.simplefilter("ignore", DuneWarning)
     torch.set_num_threads(1)
     torch.manual_seed(seed)
@@ -75,7 +56,7 @@ def _worker_env(make_env: MakeEnv, scenes: int, seed: int) -> EnvBase:
 
 
 @contextmanager
-def _signals_held() -> Iterator[None]:
+def _blocked_signals() -> Iterator[None]:
     # Processes started meanwhile inherit the mask for life: Ctrl-C then reaches the learner alone, which
     # ends them in order. The learner itself gets what arrived as soon as the block ends.
     if not hasattr(signal, "pthread_sigmask"):
@@ -88,39 +69,40 @@ def _signals_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class Collection:
-    """Batches of transitions (scenes, steps) from a policy that is sent now and then.
+class TransitionCollector:
+    """Batches of transitions (scenes, steps) from the policies of all groups, whose weights are sent at times.
 
+    `policies` (by group) must be on the CPU; they are this object's own copies.
     Until `random_frames` more frames are in, actions are drawn uniformly. In
     the mode `serial`, `state` restores the scenes in the middle of their
     episodes, bit for bit; in the other modes a resumed run begins new episodes.
-
-    `policy` must be on the CPU; it is this object's own copy. Each `stage` of a
-    serial run has episodes of its own.
+    Each `stage` of a serial run has episodes of its own.
     """
 
     def __init__(
         self,
         conf: CollectorConf,
         make_env: MakeEnv,
-        policy: TensorDictModuleBase,
+        policies: Mapping[str, TensorDictModuleBase],
         seed: int,
         *,
         frames: int = 0,
         random_frames: int = 0,
         state: Mapping[str, Any] | None = None,
-        learner_threads: int = 1,
+        threads: int = 1,
         stage: int = 0,
     ) -> None:
-        self._policy = policy
+        """`threads` are the learners', which TorchRL's collectors set again."""
+        self._policies = dict(policies)
+        self._policy = JointPolicy(self._policies.values())
         self._env: EnvBase | None = None
         # A whole number of batches; otherwise TorchRL rounds up too, with a warning.
-        wanted = -(-max(0, random_frames) // conf.frames_per_batch) * conf.frames_per_batch
+        rounded = -(-max(0, random_frames) // conf.frames_per_batch) * conf.frames_per_batch
         common: dict[str, Any] = {
-            "policy": policy,
+            "policy": self._policy,
             "frames_per_batch": conf.frames_per_batch,
             "total_frames": -1,
-            "init_random_frames": wanted,
+            "init_random_frames": rounded,
             "auto_register_policy_transforms": False,
         }
         if conf.mode == "serial":
@@ -135,20 +117,21 @@ class Collection:
             for worker in range(conf.workers)
         ]
         kind = MultiAsyncCollector if conf.mode == "async" else MultiSyncCollector
-        with _signals_held():
-            self._collector = kind(factories, num_threads=learner_threads, num_sub_threads=1, **common)
+        with _blocked_signals():
+            self._collector = kind(factories, num_threads=threads, num_sub_threads=1, **common)
 
     def __iter__(self) -> Iterator[TensorDictBase]:
         yield from self._collector
 
     @torch.no_grad()
-    def send(self, policy: TensorDictModuleBase) -> None:
-        """Act by the weights and statistics of `policy`, on whatever device it is, from the next batch on."""
-        ours, theirs = self._policy.state_dict(keep_vars=True), policy.state_dict()
-        for key, value in theirs.items():
-            if isinstance(value, torch.Tensor):
-                ours[key].data.copy_(value)
-        if self._env is None:
+    def send(self, policies: Mapping[str, TensorDictModuleBase]) -> None:
+        """Act by the weights and statistics of `policies`, on whatever device, from the next batch on."""
+        for group, policy in policies.items():
+            ours, theirs = self._policies[group].state_dict(keep_vars=True), policy.state_dict()
+            for key, value in theirs.items():
+                if isinstance(value, torch.Tensor):
+                    ours[key].data.copy_(value)
+        if self._env is None and policies:
             self._collector.update_policy_weights_(self._policy)
 
     def state(self) -> dict[str, Any] | None:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from dune_rl.learning.layout import Layout
+from dune_rl.learning.policy_spec import PolicySpec
 
 # Shorter scans go to the networks as they are.
 _SHORTEST = 8
@@ -15,7 +15,7 @@ _KERNEL, _STRIDE = 5, 2
 class ScanEncoder(nn.Module):
     """Passes observation vectors (..., n) on, with their scans convolved: features (..., `size`).
 
-    The parts of a layout that are ranges and of equal length are the channels
+    The parts of a spec that are ranges and of equal length are the channels
     of one circular scan, the present one beside those of before. The first
     layer compares them direction by direction; a perceptron would have to
     learn that anew for every direction. With `channels` 0 nothing is changed.
@@ -23,10 +23,10 @@ class ScanEncoder(nn.Module):
 
     _other: Tensor
 
-    def __init__(self, layout: Layout, channels: int) -> None:
+    def __init__(self, spec: PolicySpec, channels: int) -> None:
         super().__init__()
-        scans = _columns_by_length(layout) if channels else {}
-        other = torch.ones(layout.observation_size, dtype=torch.bool)
+        scans = _columns_by_length(spec) if channels else {}
+        other = torch.ones(spec.observation_size, dtype=torch.bool)
         for columns in scans.values():
             other[columns] = False
         self.register_buffer("_other", other.nonzero().squeeze(1), persistent=False)
@@ -48,12 +48,12 @@ class ScanEncoder(nn.Module):
         return torch.cat(parts, 1).reshape(*vectors.shape[:-1], self.size)
 
 
-def _columns_by_length(layout: Layout) -> Mapping[int, Tensor]:
-    """Columns (channels, length) of the layout's scans, by their length."""
+def _columns_by_length(spec: PolicySpec) -> Mapping[int, Tensor]:
+    """Columns (channels, length) of the spec's scans, by their length."""
     columns: dict[int, list[Tensor]] = {}
     start = 0
-    for key, length in layout.sizes.items():
-        if key in layout.ranges and length >= _SHORTEST:
+    for key, length in spec.sizes.items():
+        if key in spec.ranges and length >= _SHORTEST:
             columns.setdefault(length, []).append(torch.arange(start, start + length))
         start += length
     return {length: torch.stack(each) for length, each in columns.items()}

@@ -1,0 +1,226 @@
+"""Agent groups as they are configured, and what the shorthands `robot`, `robots` and `actors` stand for."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, model_validator
+
+from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
+from dune_rl.bodies.person import PersonConf
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.robots.registry import ROBOTS
+from dune_rl.robots.settings import RobotSettings
+from dune_rl.sensors.conf import SensorsConf
+from dune_rl.settings import Settings
+from dune_rl.suggestions import closest, one_of
+from dune_rl.tasks.task import TaskConf, walking_task
+
+EXTERNAL, PATH = "external", "path"
+PERSON = "person"
+_MOST_AGENTS = 1000
+# Agents are called GROUP_0, GROUP_1, ...; TorchRL has keys of its own beside the groups'.
+_GROUP_NAME = re.compile(r"[A-Za-z]\w*")
+_TAKEN_NAMES = ("action", "done", "metrics", "next", "observation", "reward", "terminated", "truncated")
+
+
+class FrozenPolicyConf(Settings):
+    """A controller that is a trained policy: a run's folder, or a file of weights."""
+
+    checkpoint: str = Field(min_length=1)
+
+
+Controller = Literal["external", "path"] | FrozenPolicyConf | BehaviourSettings
+
+
+def _parse_body(value: Any) -> Any:
+    if isinstance(value, str):
+        value = {"name": value}
+    if isinstance(value, Mapping) and value.get("name") == PERSON:
+        return PersonConf.model_validate(value)
+    if isinstance(value, Mapping) and isinstance(name := value.get("name"), str):
+        known = [PERSON, *ROBOTS.names()]
+        if name not in known:
+            near = closest(name, known)
+            remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+            raise ValueError(f"there is no body {name!r}; {remedy}")
+    return ROBOTS.parse_settings(value)
+
+
+def _parse_controller(value: Any) -> Any:
+    if value in (EXTERNAL, PATH) or isinstance(value, Settings):
+        return value
+    if isinstance(value, Mapping) and "checkpoint" in value:
+        return FrozenPolicyConf.model_validate(value)
+    name = value.get("name") if isinstance(value, Mapping) else value
+    known = [EXTERNAL, PATH, *BEHAVIOURS.names()]
+    if not isinstance(name, str) or name not in known:
+        near = closest(str(name), known)
+        remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
+        raise ValueError(f"there is no controller {name!r}; {remedy}")
+    return BEHAVIOURS.parse_settings({"name": value} if isinstance(value, str) else value)
+
+
+class AgentGroupConf(Settings):
+    """A group of `count` equal agents.
+
+    `body` is a robot or a person. `controller` is `external` (a user or a
+    learner gives its actions), `path` (a person walks there and back), a
+    behaviour, or a checkpoint of a trained policy. `path` has the paths on
+    which persons start, and between whose ends they go.
+
+    Where `sensors`, `task` or `metrics` are None, they follow from the rest:
+    see `resolve_groups`.
+    """
+
+    body: Annotated[SerializeAsAny[RobotSettings | PersonConf], BeforeValidator(_parse_body)]
+    count: int = Field(1, ge=1, le=_MOST_AGENTS)
+    controller: Annotated[SerializeAsAny[Controller], BeforeValidator(_parse_controller)] = "external"
+    path: PathConf | None = None
+    sensors: SensorsConf | None = None
+    task: TaskConf | None = None
+    metrics: MetricsConf | None = None
+
+    @model_validator(mode="after")
+    def _body_can_walk_paths(self) -> Self:
+        if not isinstance(self.body, PersonConf) and (self.controller == PATH or self.path is not None):
+            raise ValueError(
+                f"paths are walked by persons, and the body is {self.body.name}: choose another controller, "
+                "and leave path out"
+            )
+        return self
+
+
+def _checked_names(groups: dict[str, AgentGroupConf]) -> dict[str, AgentGroupConf]:
+    for name in groups:
+        if not _GROUP_NAME.fullmatch(name):
+            raise ValueError(f"a group cannot be called {name!r}: take letters, digits and _, a letter first")
+        if name in _TAKEN_NAMES:
+            raise ValueError(f"a group cannot be called {name!r}, which is a key of TorchRL's")
+    return groups
+
+
+AgentGroups = Annotated[dict[str, AgentGroupConf], AfterValidator(_checked_names)]
+
+
+@dataclass(frozen=True)
+class ResolvedGroup:
+    """An agent group with all that it is made of.
+
+    A group without `task` has no goal of its own, earns nothing and never ends an episode; one without
+    `sensors` observes nothing. `path` is set for persons, and only for them.
+    """
+
+    name: str
+    body: RobotSettings | PersonConf
+    count: int
+    controller: Controller
+    path: PathConf | None
+    sensors: SensorsConf | None
+    task: TaskConf | None
+    metrics: MetricsConf | None
+
+    @property
+    def is_external(self) -> bool:
+        """Whether its actions come from outside."""
+        return self.controller == EXTERNAL
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The names of its agents."""
+        return tuple(f"{self.name}_{number}" for number in range(self.count))
+
+
+@dataclass(frozen=True)
+class GroupDefaults:
+    """What the groups of robots have unless they say otherwise: the environment's own sections."""
+
+    sensors: SensorsConf
+    task: TaskConf
+    metrics: MetricsConf
+
+
+def resolve_groups(
+    groups: Mapping[str, AgentGroupConf], defaults: GroupDefaults
+) -> tuple[ResolvedGroup, ...]:
+    """The groups in their order, with the sensors, task and metrics of those that do not say.
+
+    | body   | controller  | sensors       | task          | metrics       |
+    |--------|-------------|---------------|---------------|---------------|
+    | robot  | external    | environment's | environment's | environment's |
+    | robot  | checkpoint  | environment's | roaming       | none          |
+    | robot  | a behaviour | none          | roaming       | none          |
+    | person | external    | walker's      | walking       | none          |
+    | person | checkpoint  | walker's      | none          | none          |
+    | person | another     | none          | none          | none          |
+
+    Roaming robots start and go where the environment's task has it, and get another goal at each.
+    """
+    return tuple(_resolved(name, group, defaults) for name, group in groups.items())
+
+
+def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> ResolvedGroup:
+    is_person = isinstance(group.body, PersonConf)
+    is_external = group.controller == EXTERNAL
+    observes = is_external or isinstance(group.controller, FrozenPolicyConf)
+    sensors: SensorsConf | None = None
+    task: TaskConf | None = None
+    if observes:
+        sensors = walker_sensors() if is_person else defaults.sensors
+    if is_external:
+        task = walking_task() if is_person else defaults.task
+    elif not is_person:
+        task = roaming_task(defaults.task)
+    return ResolvedGroup(
+        name,
+        group.body,
+        group.count,
+        group.controller,
+        (group.path or PathConf()) if is_person else None,
+        group.sensors or sensors,
+        group.task or task,
+        group.metrics or (defaults.metrics if is_external and not is_person else None),
+    )
+
+
+def walker_sensors() -> SensorsConf:
+    """What persons observe: the end of their path, the nearest other agent, and their own velocity."""
+    return SensorsConf.model_validate(
+        {
+            "enabled": ["goal", "nearest_agent", "velocity"],
+            "named": {"velocity": {"sensor": "planar_velocity"}},
+        }
+    )
+
+
+def roaming_task(task: TaskConf) -> TaskConf:
+    """A task of the same starts and goals that earns nothing and never ends: goal follows goal."""
+    reached = task.terminations.get("goal_reached")
+    terminations = {} if reached is None else {"goal_reached": reached.model_copy(update={"renew": True})}
+    return TaskConf(spawn=task.spawn, rewards={}, terminations=terminations)
+
+
+def robot_groups(robots: Iterable[RobotSettings], taken: Iterable[str]) -> dict[str, AgentGroupConf]:
+    """A group for each kind of equal robots, in the order of the first of each.
+
+    Rover Zero's is called `rover`, another has its robot's name; a further one of a name gets `_b`, `_c` and
+    so on, and so does one whose name is `taken`.
+    """
+    counts: dict[RobotSettings, int] = {}
+    for robot in robots:
+        counts[robot] = counts.get(robot, 0) + 1
+    groups: dict[str, AgentGroupConf] = {}
+    for robot, count in counts.items():
+        label = "rover" if robot.name == "rover_zero" else re.sub(r"\W", "_", robot.name)
+        name = free_name(label, {*taken, *groups})
+        groups[name] = AgentGroupConf(body=robot, count=count)
+    return groups
+
+
+def free_name(name: str, taken: Iterable[str]) -> str:
+    """The name, with `_b`, `_c`, ... behind it where it is taken."""
+    letters = "bcdefghijklmnopqrstuvwxyz"
+    known = set(taken)
+    return next(each for each in (name, *(f"{name}_{letter}" for letter in letters)) if each not in known)

@@ -1,0 +1,56 @@
+"""What drives the agents that no user drives: a behaviour, or a frozen policy."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.behaviours.registry import Behaviour
+from dune_rl.sensors.sensor import Reading
+from dune_rl.state import GroupState, State
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Observe = Callable[[], dict[str, Reading]]
+Policy = Callable[[dict[str, Reading]], Array]
+
+
+class Controller(Protocol):
+    """Decides the actions of the N agents of a group."""
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
+        ...
+
+    def act(self, state: State, group: GroupState, observe: Observe) -> Array:
+        """Actions (N, A) for the next control step; `observe` gives the group's observation, each part
+        (N, ...).
+        """
+        ...
+
+
+class BehaviourController:
+    """A behaviour as a controller: it reads the state, not sensors."""
+
+    def __init__(self, behaviour: Behaviour) -> None:
+        self._behaviour = behaviour
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        self._behaviour.reset(mask, group)
+
+    def act(self, state: State, group: GroupState, observe: Observe) -> Array:
+        return np.asarray(self._behaviour.act(state, group), np.float64)
+
+
+class PolicyController:
+    """A frozen policy as a controller: it maps the group's observation to actions (N, A)."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """A frozen policy remembers nothing."""
+
+    def act(self, state: State, group: GroupState, observe: Observe) -> Array:
+        return np.asarray(self._policy(observe()), np.float64)

@@ -1,0 +1,1 @@
+"""Networks of policies: encoders of vectors, scans and images, and the actor behind them."""

@@ -1,0 +1,80 @@
+"""Evaluation of the policies while they are trained."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from torchrl.envs import EnvBase
+
+from dune_rl.learning.algorithm import Algorithm
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.group_policy import Deterministic, JointPolicy
+from dune_rl.learning.measures import Row, averages, score
+from dune_rl.learning.settings import EvaluationConf
+
+
+class PeriodicEvaluation:
+    """Evaluates the learners' policies on the same episodes every so many frames, and knows the best result.
+
+    `env` has the scenes of the evaluation. `seed` is that of its episodes.
+    """
+
+    def __init__(
+        self, conf: EvaluationConf, env: EnvBase, learners: Mapping[str, Algorithm], seed: int
+    ) -> None:
+        self._conf, self._env, self._seed = conf, env, seed
+        self._learners = learners
+        # Evaluations act on the CPU, whatever device learns.
+        self._policies = {group: learner.make_policy() for group, learner in learners.items()}
+        self._policy = Deterministic(JointPolicy(self._policies.values()))
+        self._best_score = -float("inf")
+        self._evaluated_at = -1
+        self._next_at = conf.every_frames
+        self.rows: dict[str, list[Row]] = {}
+
+    def is_due(self, frames: int) -> bool:
+        """Whether an evaluation is due after `frames`."""
+        return frames >= self._next_at
+
+    def is_done(self, frames: int) -> bool:
+        """Whether the policies after `frames` have been evaluated."""
+        return self._evaluated_at == frames
+
+    def run(self, frames: int, stop: Callable[[], bool]) -> bool:
+        """Evaluate the policies after `frames` into `rows`; returns whether they are the best so far.
+
+        When `stop` returns true meanwhile, nothing is kept: short episodes would be
+        over-represented, and a resumed run will evaluate again.
+        """
+        for group, learner in self._learners.items():
+            self._policies[group].load_state_dict(learner.policy.state_dict())
+        rows = evaluate(self._policy, self._env, self._conf.episodes, self._seed, stop=stop)
+        if stop():
+            return False
+        while self._next_at <= frames:
+            self._next_at += self._conf.every_frames
+        self._evaluated_at = frames
+        self.rows = rows
+        scores = [score(averages(episodes)) for episodes in rows.values()]
+        mean = sum(scores) / len(scores)
+        is_best = mean >= self._best_score
+        if is_best:
+            self._best_score = mean
+        return is_best
+
+    def state(self) -> dict[str, Any]:
+        """Plain data for `restore`."""
+        return {
+            "best_score": self._best_score,
+            "evaluated_at": self._evaluated_at,
+            "next_evaluation": self._next_at,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """The inverse of `state`."""
+        self._best_score = state["best_score"]
+        self._evaluated_at = state["evaluated_at"]
+        self._next_at = state["next_evaluation"]
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._env.close()

@@ -1,0 +1,105 @@
+"""The folder of a training run: its checkpoint, the data beside it, and the policies' files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dune_rl.errors import CheckpointError
+from dune_rl.files import write_atomically
+from dune_rl.learning.algorithm import Algorithm
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE, write
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.saved_policies import policy_entry
+
+_EXPERIENCE = "replay"
+
+
+class RunFolder:
+    """Writes what a run keeps in `path`; `config` is the resolved configuration, stored beside the weights.
+
+    Raises CheckpointError if the folder cannot be written, or with `fresh` if it already holds a run.
+    """
+
+    def __init__(self, path: Path, config: Mapping[str, Any], *, fresh: bool) -> None:
+        self.path = path
+        self._config = dict(config)
+        if fresh and (path / CHECKPOINT_FILE).exists():
+            raise CheckpointError(
+                f"{path} already holds a run.\nContinue it with resume={path}, or name another folder."
+            )
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with write_atomically(path / ".writable"):
+                pass
+            (path / ".writable").unlink()
+        except OSError as error:
+            raise CheckpointError(
+                f"The folder {path} cannot be written: {error.strerror or error}.\n"
+                "Name another folder for the run."
+            ) from error
+
+    def save_policies(self, learners: Mapping[str, Algorithm], frames: int, *, best: bool) -> None:
+        """Write the policies of all groups: as the best ones so far, or as the latest."""
+        groups = {group: policy_entry(learner) for group, learner in learners.items()}
+        content = {"groups": groups, "config": self._config, "frames": frames}
+        write(self.path / (BEST_POLICY_FILE if best else LAST_POLICY_FILE), "policy", content)
+
+    def save(
+        self,
+        learners: Mapping[str, Algorithm],
+        frames: int,
+        progress: Mapping[str, Any],
+        *,
+        with_experience: bool,
+    ) -> None:
+        """Write the checkpoint, with `progress` for whatever is no learner's, and the latest policies.
+
+        The checkpoint names the files beside it, so that no crash can mix two saves.
+        """
+        groups = {}
+        for group, learner in learners.items():
+            path = self.path / f"{_EXPERIENCE}-{group}-{frames}"
+            entry = policy_entry(learner)
+            del entry["policy"]
+            experience = learner.save_experience(path) if with_experience else None
+            groups[group] = {**entry, "learner": learner.state_dict(), "experience": experience}
+        content = {"groups": groups, "config": self._config, **progress}
+        write(self.path / CHECKPOINT_FILE, "checkpoint", content)
+        self.save_policies(learners, frames, best=False)
+        named = {entry["experience"]["file"] for entry in groups.values() if entry["experience"]}
+        for file in self.path.glob(f"{_EXPERIENCE}-*.*"):
+            if file.name not in named:
+                file.unlink()
+
+
+def restore_learners(
+    learners: Mapping[str, Algorithm], saved: Mapping[str, Mapping[str, Any]], source: Path
+) -> None:
+    """Continue learners from the groups `saved` in the checkpoint `source`; CheckpointError if they differ."""
+    if saved.keys() != learners.keys():
+        raise CheckpointError(
+            f"{source} trains the groups {', '.join(sorted(saved))}; here are {', '.join(sorted(learners))}.\n"
+            "Resume with the agents that it was started with, or train anew."
+        )
+    for group, learner in learners.items():
+        entry = saved[group]
+        _check(learner, entry, source)
+        learner.load_state_dict(entry["learner"])
+        if entry["experience"] is not None:
+            learner.load_experience(source.parent, entry["experience"])
+
+
+def _check(learner: Algorithm, entry: Mapping[str, Any], source: Path) -> None:
+    context = learner.context
+    if entry["algorithm"] != context.algorithm:
+        raise CheckpointError(
+            f"{source} was trained with {entry['algorithm']}. Resume with learning={entry['algorithm']}, "
+            "or train anew."
+        )
+    PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
+    theirs, ours = entry["network"], learner.network_settings()
+    different = [f"learning.{key}={value}" for key, value in theirs.items() if value != ours.get(key)]
+    if different:
+        raise CheckpointError(
+            f"{source} has networks of another shape. Resume with {' '.join(different)}, or train anew."
+        )

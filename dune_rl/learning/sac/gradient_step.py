@@ -1,0 +1,116 @@
+"""One gradient step of soft actor-critic: losses, optimiser and target networks."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
+from torch import Tensor
+from torchrl.objectives import SACLoss, SoftUpdate
+
+from dune_rl.learning.networks.features import Features
+from dune_rl.learning.networks.policy import FEATURES
+from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
+from dune_rl.learning.sac.action_value import make_action_value
+from dune_rl.learning.sac.settings import SacConf
+
+MakeBatch = Callable[[Callable[[PackedObservation], Tensor]], TensorDict]
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether `device` multiplies bfloat16 matrices itself, which halves the time of an update."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
+
+
+class GradientStep:
+    """Twin action values, their targets, the entropy coefficient, and the optimiser of these and of a policy.
+
+    The normaliser of the policy's features is no part of the loss; their encoder serves the critics too.
+    """
+
+    def __init__(
+        self, conf: SacConf, spec: PolicySpec, network: TensorDictSequential, device: torch.device
+    ) -> None:
+        self._conf = conf
+        self._device = device
+        self._reduced = conf.precision == "bfloat16" or (conf.precision == "auto" and has_bfloat16(device))
+        self._features: Features = network[0].module
+        # The loss wants the entropy of actions in physical units, which the scaling shifts.
+        entropy = -float(spec.action_size) if conf.target_entropy is None else conf.target_entropy
+        self.loss = SACLoss(
+            network[1],
+            make_action_value(spec, self._features.size, conf.hidden, device),
+            num_qvalue_nets=2,
+            loss_function="l2",
+            alpha_init=conf.initial_entropy_coefficient,
+            target_entropy=entropy + float(spec.half_range.log().sum()),
+            delay_qvalue=True,
+        )
+        self.loss.make_value_estimator(gamma=conf.gamma)
+        # Lazily made by SACLoss otherwise, which would leave it out of a fresh state_dict.
+        self._target_entropy = self.loss.target_entropy
+        self.loss.to(device)
+        self._target_update = SoftUpdate(self.loss, tau=conf.tau)
+        coefficient = self.loss.log_alpha
+        networks = [p for p in self.loss.parameters() if p.requires_grad and p is not coefficient]
+        networks += self._features.parameters()
+        self.optimiser = torch.optim.Adam(
+            [
+                {"params": networks, "lr": conf.learning_rate},
+                {"params": [coefficient], "lr": conf.entropy_learning_rate},
+            ],
+            fused=True,
+        )
+
+    def schedule(self, share: float) -> float:
+        """Set and return the learning rate that is due after a `share` (0 to 1) of the run."""
+        conf = self._conf
+        rate = conf.learning_rate + share * (conf.final_learning_rate - conf.learning_rate)
+        networks, coefficient = self.optimiser.param_groups
+        networks["lr"] = rate
+        coefficient["lr"] = conf.entropy_learning_rate * rate / conf.learning_rate
+        return rate
+
+    def __call__(self, make_batch: MakeBatch) -> dict[str, Tensor]:
+        """Take one step; `make_batch` makes the loss's input with the features that it is given.
+
+        Returns the losses, the entropy coefficient and the entropy, without gradients.
+        """
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._reduced):
+            batch = make_batch(self._features.encode)
+            features = batch.get(FEATURES)
+            # The encoder learns from the critics alone, as in Yarats et al. (2021): it is cut off
+            # here, and given the gradient of their loss before the actor's adds its own.
+            cut = features.detach().requires_grad_()
+            losses = self.loss(batch.set(FEATURES, cut))
+        losses["loss_qvalue"].backward()
+        if features.requires_grad:
+            features.backward(cut.grad)
+        (losses["loss_actor"] + losses["loss_alpha"]).backward()
+        self.optimiser.step()
+        self.optimiser.zero_grad()
+        self._target_update.step()
+        return {
+            "loss/actor": losses["loss_actor"].detach(),
+            "loss/critic": losses["loss_qvalue"].detach(),
+            "loss/alpha": losses["loss_alpha"].detach(),
+            "sac/alpha": losses["alpha"].detach(),
+            "sac/entropy": losses["entropy"].detach(),
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Parameters of the loss, targets included, and the optimiser's state."""
+        # The loss's dictionary holds batch sizes beside its tensors; those follow from the settings.
+        loss = self.loss.state_dict()
+        return {
+            "loss": {key: value for key, value in loss.items() if isinstance(value, Tensor)},
+            "optimiser": self.optimiser.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """The inverse of `state_dict`."""
+        self.loss.load_state_dict({**self.loss.state_dict(), **state["loss"]})
+        self.optimiser.load_state_dict(state["optimiser"])

@@ -1,0 +1,58 @@
+"""Hyperparameters of soft actor-critic. Importing them loads neither PyTorch nor TorchRL."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from dune_rl.learning.settings import LearningConf, Width
+from dune_rl.settings import Settings
+
+
+class ReplayConf(Settings):
+    """Where transitions are kept, and how many."""
+
+    capacity: int = Field(1_000_000, ge=1)
+    storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
+
+
+class SacConf(LearningConf):
+    """Soft actor-critic; the defaults are those of the DUnE paper where it states them."""
+
+    name: Literal["sac"] = "sac"
+    learning_rate: float = Field(3e-4, gt=0, description="at frame 0")
+    final_learning_rate: float = Field(5e-5, gt=0, description="at total_frames, reached linearly")
+    entropy_learning_rate: float = Field(
+        3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
+    )
+    learning_starts: int = Field(50_000, ge=0, description="frames before the first update")
+    warm_up: Literal["random", "go_to_goal"] = Field("go_to_goal", description="who acts in them")
+    updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
+    batch_size: int = Field(512, ge=1)
+    hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
+    scan_channels: int = Field(8, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
+    image_channels: tuple[Width, ...] = Field(
+        (16, 32, 32), min_length=1, description="of the convolutions over each image, if there are any"
+    )
+    image_features: int = Field(64, ge=1, le=4096, description="values that each image is reduced to")
+    gamma: float = Field(0.99, ge=0, lt=1)
+    n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
+    tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
+    initial_entropy_coefficient: float = Field(0.5, gt=0)
+    target_entropy: float | None = Field(
+        None, description="nats, for actions scaled to [-1, 1]; null: minus the number of action components"
+    )
+    reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
+    observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
+        "auto", description="of the networks' products; auto: bfloat16 where the processor has it built in"
+    )
+    replay: ReplayConf = ReplayConf()
+
+    @model_validator(mode="after")
+    def _replay_holds_a_batch(self) -> Self:
+        if self.replay.capacity < self.batch_size:
+            raise ValueError(
+                f"replay.capacity must be at least batch_size "
+                f"(got {self.replay.capacity} and {self.batch_size})"
+            )
+        return self

@@ -1,0 +1,78 @@
+"""Trained policies in files, and acting by them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchrl.envs import EnvBase
+
+from dune_rl.errors import CheckpointError
+from dune_rl.learning.algorithm import Algorithm
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
+from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolicy
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.registry import algorithm_class
+
+
+def policy_entry(learner: Algorithm) -> dict[str, Any]:
+    """What a file keeps of a group's policy: the algorithm's name, its spec, its network and the weights."""
+    weights = learner.policy.network.state_dict()
+    return {
+        "algorithm": learner.context.algorithm,
+        "spec": learner.context.spec.plain(),
+        "network": learner.network_settings(),
+        "policy": {key: value.detach().cpu().clone() for key, value in weights.items()},
+    }
+
+
+def load_group_policy(
+    path: Path, group: str, here: PolicySpec, *, allow_more: bool = False
+) -> tuple[GroupPolicy, dict[str, Any]]:
+    """The policy of a file or run folder for `group`, on the CPU, and the resolved settings that made it.
+
+    A folder gives its best policy. A file with one policy alone serves a group of
+    any name. Raises CheckpointError if the file is unreadable, has no policy for
+    the group, or one for another spec than `here`, which with `allow_more` may
+    have further parts in its observation.
+    """
+    file = find(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    content = read(file, "policy", "checkpoint")
+    return _group_policy(content, file, group, here, allow_more), content["config"]
+
+
+def load_policy(
+    path: Path, env: EnvBase, *, allow_more: bool = False
+) -> tuple[Deterministic, dict[str, Any]]:
+    """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
+    file = find(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    content = read(file, "policy", "checkpoint")
+    policies = [
+        _group_policy(content, file, group, PolicySpec.of(env, group), allow_more) for group in env.group_map
+    ]
+    return Deterministic(JointPolicy(policies)), content["config"]
+
+
+def _group_policy(
+    content: Mapping[str, Any], file: Path, group: str, here: PolicySpec, allow_more: bool
+) -> GroupPolicy:
+    entry = _entry(content["groups"], file, group)
+    spec = PolicySpec.from_plain(entry["spec"])
+    spec.require(here.only(spec.keys) if allow_more else here, str(file))
+    network = algorithm_class(entry["algorithm"], str(file)).make_network(spec, entry["network"])
+    # A checkpoint has the weights among the learner's state.
+    weights: Mapping[str, torch.Tensor] = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
+    network.load_state_dict(weights)
+    return GroupPolicy(group, spec, network)
+
+
+def _entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, Any]:
+    if group in groups:
+        entry: Mapping[str, Any] = groups[group]
+        return entry
+    if len(groups) == 1:
+        return next(iter(groups.values()))
+    raise CheckpointError(
+        f"{file} has no policy for the group {group}, but for {', '.join(sorted(groups))}.\n"
+        "Use the agents that it was trained with (its run's folder holds its settings), or train anew."
+    )

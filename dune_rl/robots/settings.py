@@ -1,0 +1,14 @@
+"""The base of every robot's settings."""
+
+from dune_rl.settings import Settings
+
+
+class RobotSettings(Settings):
+    """Settings of a robot; `name` says of which, so that settings read from a file find their class."""
+
+    name: str
+
+    @property
+    def standing_height_m(self) -> float | None:
+        """Height of the origin over level ground, where it is known before the robot is built."""
+        return None

@@ -1,0 +1,247 @@
+"""Agent groups in the configuration: explicit ones, and those that the shorthands stand for."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.bodies.person import PersonConf
+from dune_rl.config.agents import FrozenPolicyConf, ResolvedGroup, walker_sensors
+from dune_rl.config.compose import compose, compose_environment, compose_evaluation, from_hydra
+from dune_rl.config.schema import EnvConf, SingleAgentConf
+from dune_rl.errors import ConfigError
+from dune_rl.robots.leo_rover.robot import LeoRoverConf
+from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.sensors.conf import SensorsConf
+from dune_rl.tasks.task import TaskConf, walking_task
+
+TEAM = (
+    "agents={rover: {body: rover_zero, count: 3, controller: external, task: paper}, "
+    "walker: {body: person, count: 5, controller: path}}"
+)
+
+
+def groups_of(*words: str, **settings: Any) -> dict[str, ResolvedGroup]:
+    groups = compose_environment("flat", words, settings).groups
+    assert len({group.name for group in groups}) == len(groups)
+    return {group.name: group for group in groups}
+
+
+def fault(*words: str, **settings: Any) -> str:
+    with pytest.raises(ConfigError) as caught:
+        compose_environment("flat", words, settings)
+    return str(caught.value)
+
+
+def summary(groups: dict[str, ResolvedGroup]) -> dict[str, tuple[int, object]]:
+    return {name: (group.count, group.controller) for name, group in groups.items()}
+
+
+def test_groups_on_the_command_line() -> None:
+    groups = groups_of(TEAM)
+    assert summary(groups) == {"rover": (3, "external"), "walker": (5, "path")}
+    assert groups["rover"].agents == ("rover_0", "rover_1", "rover_2")
+    assert groups["rover"].task == compose_environment("flat", ["task=paper"]).task
+    assert groups["walker"].body == PersonConf()
+    assert groups["walker"].path == PathConf()
+
+
+def test_groups_in_python_and_in_a_file_are_the_same(tmp_path: Path) -> None:
+    rover = {"body": "rover_zero", "count": 3, "controller": "external", "task": "paper"}
+    walker = {"body": "person", "count": 5, "controller": "path"}
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "team.yaml").write_text(f"rover: {rover}\nwalker: {walker}\n")
+    by_words = compose_environment("flat", [TEAM])
+    assert compose_environment("flat", (), {"agents": {"rover": rover, "walker": walker}}) == by_words
+    assert compose_environment("flat", ["agents=team"], config_dirs=[str(tmp_path)]) == by_words
+    # As Python objects, too.
+    assert EnvConf.model_validate(by_words.model_dump(mode="json")) == by_words
+
+
+def test_the_default_is_one_rover_and_two_walkers_on_paths() -> None:
+    assert summary(groups_of()) == {"rover": (1, "external"), "walker": (2, "path")}
+    assert summary(groups_of("robot=leo_rover", "actors=none")) == {"leo_rover": (1, "external")}
+    groups = groups_of("actors=external_walkers")
+    assert summary(groups) == {"rover": (1, "external"), "walker": (2, "external")}
+    assert (groups["walker"].task, groups["walker"].sensors) == (walking_task(), walker_sensors())
+    assert groups["walker"].metrics is None
+
+
+def test_equal_robots_are_one_group() -> None:
+    robots = [
+        "rover_zero",
+        "leo_rover",
+        {"name": "rover_zero"},
+        {"name": "rover_zero", "wheel_friction": 0.8},
+    ]
+    groups = groups_of("actors=none", robots=robots)
+    assert summary(groups) == {
+        "rover": (2, "external"),
+        "leo_rover": (1, "external"),
+        "rover_b": (1, "external"),
+    }
+    assert groups["rover_b"].body == RoverZeroConf(wheel_friction=0.8)
+    conf = compose_environment("flat", ["robots=[rover_zero,leo_rover]"])
+    assert conf.robots == (RoverZeroConf(), LeoRoverConf())
+
+
+def test_a_list_of_actors_becomes_groups() -> None:
+    groups = groups_of(
+        actors=[
+            {"speed_mps": 0.7},
+            {"controller": "external"},
+            {"speed_mps": 0.7},
+            {"waypoints": [[0, 0], [3, 0]]},
+        ]
+    )
+    assert summary(groups) == {
+        "rover": (1, "external"),
+        "walker_b": (2, "path"),
+        "walker": (1, "external"),
+        "walker_c": (1, "path"),
+    }
+    assert groups["walker_b"].body == PersonConf(speed_mps=0.7)
+    assert groups["walker_c"].path == PathConf(waypoints=((0.0, 0.0), (3.0, 0.0)))
+    assert groups_of(actors=[{"count": 3}])["walker"].count == 3
+    assert summary(groups_of(actors=[])) == {"rover": (1, "external")}
+
+
+def test_a_file_of_a_list_of_actors_goes_on_working(tmp_path: Path) -> None:
+    (tmp_path / "actors").mkdir()
+    (tmp_path / "actors" / "mixed.yaml").write_text(
+        "- kind: walker\n  controller: external\n- kind: walker\n  controller: scripted\n  speed_mps: 0.7\n"
+    )
+    conf = compose_environment("flat", ["actors=mixed"], config_dirs=[str(tmp_path)])
+    assert [(group.name, group.controller) for group in conf.groups] == [
+        ("rover", "external"),
+        ("walker", "external"),
+        ("walker_b", "path"),
+    ]
+
+
+def test_actors_change_by_their_names() -> None:
+    groups = groups_of("actors.walker.count=4", "actors.walker.body.speed_mps=0.5")
+    assert (groups["walker"].count, groups["walker"].body) == (4, PersonConf(speed_mps=0.5))
+    groups = groups_of(actors={"walker": {"count": 3}, "dog": {"body": "hyperdog"}})
+    assert summary(groups) == {"rover": (1, "external"), "walker": (3, "path"), "dog": (1, "external")}
+
+
+def test_sections_of_a_group() -> None:
+    conf = compose_environment(
+        "flat",
+        ["task.terminations.time_limit.max_steps=77", "sensors.lidar.n_beams=64"],
+        {
+            "agents": {
+                "rover": {"body": "rover_zero"},
+                "blind": {"body": "leo_rover", "sensors": ["goal", "velocity"]},
+                "eager": {
+                    "body": {"name": "rover_zero", "wheel_friction": 0.5},
+                    "task": {"name": "paper", "rewards": {"goal": {"weight": 7.0}, "heading": None}},
+                    "metrics": {"name": "paper", "energy": True},
+                },
+                "husky": {"body": "leo_rover", "controller": {"checkpoint": "runs/x"}},
+            }
+        },
+    )
+    rover, blind, eager, husky = conf.groups
+    assert (rover.sensors, rover.task, rover.metrics) == (conf.sensors, conf.task, conf.metrics)
+    assert blind.sensors == SensorsConf(enabled=("goal", "velocity"))
+    assert blind.task == conf.task
+    assert eager.body == RoverZeroConf(wheel_friction=0.5)
+    assert eager.task is not None and eager.metrics is not None
+    assert "heading" not in eager.task.rewards
+    assert (eager.task.rewards["goal"].weight, eager.task.rewards["contact"].weight) == (7.0, 0.0)
+    assert eager.metrics.energy
+    assert husky.controller == FrozenPolicyConf(checkpoint="runs/x")
+    assert husky.task is not None
+    assert (husky.task.rewards, husky.metrics) == ({}, None)
+    assert [(name, term.renew) for name, term in husky.task.terminations.items()] == [("goal_reached", True)]
+
+
+def test_settings_of_a_run_with_groups_stay() -> None:
+    words = [TEAM, "agents.rover.task={name: paper, rewards: {heading: null}}"]
+    saved = compose_environment("flat", words).model_dump(mode="json")
+    again = compose_evaluation(["policy=random"], (), saved)
+    assert again.groups == compose_environment("flat", words).groups
+    changed = compose_evaluation(["policy=random", "agents.walker.count=1"], (), saved)
+    assert [group.count for group in changed.groups] == [3, 1]
+    other = compose_evaluation(["policy=random", "agents={rover: {body: leo_rover}}"], (), saved)
+    assert [group.name for group in other.groups] == ["rover"]
+
+
+def test_a_job_of_hydra_knows_options_by_name() -> None:
+    import hydra
+
+    from dune_rl import paths
+
+    with hydra.initialize_config_dir(str(paths.conf_folder()), version_base="1.3"):
+        config = hydra.compose("train", ["+world=flat", f"++{TEAM}", "run_dir=runs/x"])
+        assert from_hydra(config).groups == compose(["+world=flat", TEAM]).groups
+
+
+@pytest.mark.parametrize(
+    ("agents", "said"),
+    [
+        ({"a": {"body": "rover_zro"}},
+         "agents.a.body: there is no body 'rover_zro'; did you mean rover_zero?"),
+        ({"a": {"body": {"wheel_friction": 1.0}}},
+         "agents.a.body: name must say which robot it is: hyperdog, leo_rover, rover_zero or urdf"),
+        ({"a": {"body": {"name": "leo_rover", "wheel_friction": 9}}},
+         "agents.a.body.wheel_friction must be at most 3.0 (got 9)"),
+        ({"a": {"body": {"name": "person", "hight_m": 1}}},
+         "agents.a.body.hight_m is not a setting; did you mean agents.a.body.height_m?"),
+        ({"a": {"body": "rover_zero", "conut": 2}},
+         "agents.a.conut is not a setting; did you mean agents.a.count?"),
+        ({"a": {"body": "rover_zero", "count": 0}}, "agents.a.count must be at least 1 (got 0)"),
+        ({"a": {"count": 2}}, "agents.a.body is missing; give it a value"),
+        ({"a": {"body": "rover_zero", "controller": "exernal"}},
+         "agents.a.controller: there is no controller 'exernal'; did you mean external?"),
+        ({"a": {"body": "rover_zero", "controller": {"checkpoint": ""}}},
+         "agents.a.controller.checkpoint must be text that is not empty (got '')"),
+        ({"a": {"body": "rover_zero", "task": "papper"}},
+         "agents.a.task: there is no task 'papper'; did you mean paper?"),
+        ({"a": {"body": "rover_zero", "sensors": {"lidar": {"n_beam": 5}}}},
+         "agents.a.sensors.lidar.n_beam is not a setting; did you mean agents.a.sensors.lidar.n_beams?"),
+        ({"a": {"body": "rover_zero", "task": {"rewards": {"distanc": {}}}}},
+         "agents.a.task.rewards.distanc: there is no reward 'distanc' (is the package that brings it "
+         "installed?); did you mean distance?"),
+        ({"a": {"body": "rover_zero", "controller": "path"}},
+         "agents.a: paths are walked by persons, and the body is rover_zero: choose another controller, and "
+         "leave path out"),
+        ({"a b": {"body": "rover_zero"}},
+         "agents: a group cannot be called 'a b': take letters, digits and _, a letter first"),
+        ({"done": {"body": "rover_zero"}},
+         "agents: a group cannot be called 'done', which is a key of TorchRL's"),
+        ({"a": {"body": "person", "controller": "path"}},
+         "no agent group is driven from outside; set the controller of one to external, such as "
+         "agents.a.controller=external"),
+        ({}, "agents must be a section with at least one entry (got {})"),
+    ],
+)  # fmt: skip
+def test_faults_of_groups(agents: dict[str, Any], said: str) -> None:
+    assert fault(agents=agents) == said
+
+
+def test_groups_take_the_place_of_the_shorthands() -> None:
+    assert fault(TEAM, "robot=leo_rover") == "agents takes the place of robot; leave one of them out"
+    assert fault(TEAM, actors="walkers") == "agents takes the place of actors; leave one of them out"
+
+
+def test_one_group_is_trained_and_gymnasium_has_one_agent() -> None:
+    assert compose(["+world=flat", TEAM]).driven_group.name == "rover"
+    with pytest.raises(ConfigError, match="one agent group is driven here, and rover and leo_rover"):
+        compose(["+world=flat", "robots=[rover_zero,leo_rover]"])
+    with pytest.raises(ConfigError, match="Gymnasium has one agent, and rover has 3; take"):
+        compose_environment("flat", [TEAM], None, SingleAgentConf)
+
+
+def test_sensors_of_every_group_are_checked() -> None:
+    realism = {"lidar": {"rate_hz": 3.0}}
+    said = fault(agents={"a": {"body": "rover_zero", "sensors": {"realism": realism}}})
+    assert said.startswith("agents.a.sensors.realism.lidar: ")
+
+
+def test_the_task_of_a_group_has_defaults_of_its_own() -> None:
+    groups = groups_of(agents={"a": {"body": "rover_zero", "task": {"spawn": {"margin_m": 0.5}}}})
+    assert groups["a"].task == TaskConf.model_validate({"spawn": {"margin_m": 0.5}})

@@ -1,0 +1,159 @@
+"""Settings under their older names, in overrides, in Python and in the settings of older runs."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from dune_rl.config.compose import compose, compose_environment, compose_evaluation
+from dune_rl.config.migration import RENAMED, migrated
+from dune_rl.config.schema import EnvConf
+from dune_rl.errors import ConfigError, DuneWarning
+from dune_rl.tasks.task import TaskConf
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+OLD_TASK: dict[str, Any] = {
+    "spawn": {"region": "anywhere", "max_slope_deg": 20.0, "margin_m": 0.1, "min_goal_distance_m": 2.0},
+    "reward": {
+        "alpha": 2.0,
+        "distance_scale": 0.4,
+        "min_progress_m": 0.001,
+        "signed_progress": True,
+        "heading_limit_rad": 1.2566370614359172,
+        "misaligned": -0.03,
+        "heading_bonus": 0.02,
+        "velocity_scale": 0.003,
+        "turn_scale": 0.0015,
+        "goal": 90.0,
+        "collision": -0.6,
+        "collision_distance_m": 0.3,
+        "contact": -9.0,
+        "stuck": -25.0,
+        "flipped": -20.0,
+        "out_of_world": -10.0,
+    },
+    "termination": {
+        "goal_distance_m": 0.5,
+        "max_steps": 1500,
+        "stuck_distance_m": 0.001,
+        "stuck_steps": 600,
+        "flipped_rad": 1.4835298641951802,
+        "continue_after_goal": True,
+    },
+    "walking": {"progress_scale": 1.0, "near_miss": -0.1, "comfort_m": 1.2},
+}
+NEW_TASK = TaskConf().changed(
+    spawn={"region": "anywhere", "max_slope_deg": 20.0, "margin_m": 0.1, "min_goal_distance_m": 2.0},
+    rewards={
+        "distance": {
+            "weight": 2.0,
+            "scale": 0.4,
+            "min_progress_m": 0.001,
+            "signed": True,
+            "heading_limit_deg": 72.0,
+            "misaligned": -0.03,
+        },
+        "heading": {"weight": 2.0, "bonus": 0.02},
+        "velocity": {"speed_scale": 0.003, "turn_scale": 0.0015},
+        "goal": {"weight": 90.0},
+        "collision": {"weight": -0.6, "distance_m": 0.3},
+        "contact": {"weight": -9.0},
+        "stuck": {"weight": -25.0},
+        "flipped": {"weight": -20.0},
+        "out_of_world": {"weight": -10.0},
+    },
+    terminations={
+        "goal_reached": {"distance_m": 0.5, "renew": True},
+        "stuck": {"distance_m": 0.001, "steps": 600},
+        "flipped": {"angle_deg": 85.0},
+        "time_limit": {"max_steps": 1500},
+    },
+)
+
+
+def test_the_task_of_an_older_run_is_the_same_task() -> None:
+    saved = compose_environment("flat").model_dump(mode="json") | {"task": OLD_TASK}
+    conf = compose_evaluation(["policy=random"], (), saved)
+    assert conf.task == NEW_TASK
+    changed = compose_evaluation(["policy=random", "task.terminations.time_limit.max_steps=5"], (), saved)
+    assert changed.task == NEW_TASK.changed(terminations={"time_limit": {"max_steps": 5}})
+
+
+@pytest.mark.parametrize("file", sorted(EXPERIMENTS.rglob("config.yaml")), ids=lambda file: file.parent.name)
+def test_settings_of_the_studies_are_read(file: Path) -> None:
+    saved = yaml.safe_load(file.read_text())
+    conf = compose_evaluation(["policy=random"], (), saved)
+    walkers = len(saved["actors"]) if isinstance(saved["actors"], list) else None
+    assert walkers is None or sum(group.count for group in conf.groups) == 1 + walkers
+    assert conf.driven_group.name == "rover"
+    assert conf.task.terminations["time_limit"].max_steps == 2000  # type: ignore[attr-defined]
+    # Warnings are errors here: nobody is warned of what a run states that they did not write.
+
+
+def test_metrics_and_walkers_of_an_older_run() -> None:
+    saved = compose_environment("flat").model_dump(mode="json")
+    saved["metrics"] = {"max_clearance_m": 8.0, "uneven_tilt_rad": 0.08726646259971647, "energy": True}
+    saved["task"] = OLD_TASK | {"walking": {"progress_scale": 2.0, "near_miss": -0.1, "comfort_m": 1.5}}
+    saved["actors"] = [
+        {"kind": "walker", "controller": "external"},
+        {"kind": "walker", "controller": "scripted"},
+    ]
+    conf = EnvConf.model_validate(migrated(saved))
+    terms = conf.metrics.model_dump()["terms"]
+    assert [terms[name]["max_m"] for name in ("clearance", "min_clearance")] == [8.0, 8.0]
+    assert [terms[name]["initial"] for name in ("clearance", "min_clearance")] == [8.0, 8.0]
+    assert (terms["vort"]["uneven_tilt_deg"], conf.metrics.energy) == (5.0, True)
+    rewards = conf.actors["walker"].task.model_dump()["rewards"]  # type: ignore[union-attr]
+    assert (rewards["progress"]["weight"], rewards["near_miss"]["comfort_m"]) == (2.0, 1.5)
+    assert conf.actors["walker_b"].task is None
+
+
+def test_older_names_are_accepted_and_warned_of() -> None:
+    words = ["task.reward.goal=50", "task.termination.flipped_rad=1.0"]
+    with pytest.warns(DuneWarning) as told:
+        conf = compose(["+world=flat", *words])
+    assert [str(each.message) for each in told] == [
+        "task.reward.goal is now task.rewards.goal.weight",
+        "task.termination.flipped_rad is now task.terminations.flipped.angle_deg",
+    ]
+    assert conf.task == TaskConf().changed(
+        rewards={"goal": {"weight": 50.0}}, terminations={"flipped": {"angle_deg": 57.295779513}}
+    )
+    with pytest.warns(DuneWarning, match="metrics.max_clearance_m is now metrics.terms.clearance.max_m and"):
+        compose_environment("flat", (), {"metrics": {"max_clearance_m": 5.0}})
+    with pytest.warns(DuneWarning, match=r"task\.walking is now actors\.walker\.task\.rewards"):
+        conf = compose_environment("flat", ["actors=external_walkers", "task.walking.near_miss=-0.5"])
+    assert conf.groups[1].task.rewards["near_miss"].weight == -0.5  # type: ignore[union-attr]
+
+
+def test_the_length_of_an_episode_keeps_its_name() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        by_words = compose_environment("flat", ["task.termination.max_steps=50"])
+        by_settings = compose_environment("flat", (), {"task": {"termination": {"max_steps": 50}}})
+    assert (
+        by_words == by_settings == compose_environment("flat", ["task.terminations.time_limit.max_steps=50"])
+    )
+
+
+@pytest.mark.filterwarnings("ignore::dune_rl.errors.DuneWarning")
+def test_faults_under_an_older_name() -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose(["+world=flat", "task.reward.gaol=1", "task.termination.max_steps=0"])
+    assert sorted(str(caught.value).splitlines()) == [
+        "task.reward is not a setting; did you mean task.rewards?",
+        "task.terminations.time_limit.max_steps must be at least 1 (got 0)",
+    ]
+
+
+@pytest.mark.parametrize("section", sorted(RENAMED))
+def test_every_new_name_is_a_setting(section: str) -> None:
+    stated = compose(["+world=flat"]).model_dump()[section]
+    for renaming in RENAMED[section]:
+        for new in renaming.new:
+            data = stated
+            for part in new.split("."):
+                assert part in data, f"{section}.{new}"
+                data = data[part]

@@ -1,0 +1,91 @@
+"""States of agents for rewards, terminations and metrics to read, made without a simulation."""
+
+from typing import Any
+
+import numpy as np
+from states import STEP_S, NoGround
+
+from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.state import BatteryModel, ContactState, EpisodeState, GoalState, GroupState, Motion, State
+
+EXTENT = (-50.0, 50.0, -20.0, 20.0)
+
+
+class Extents(NoGround):
+    """Ground of which terms read the extent alone."""
+
+    def __init__(self, num_scenes: int, extent: tuple[float, float, float, float]) -> None:
+        self.extents = np.tile(np.array(extent), (num_scenes, 1))
+
+
+def agents(
+    rows: int = 1,
+    *,
+    name: str = "rover",
+    count: int = 1,
+    position: Any = (0.0, 0.0, 0.0),
+    roll_pitch_yaw: Any = (0.0, 0.0, 0.0),
+    quaternion: Any = (0.0, 0.0, 0.0, 1.0),
+    velocity_b: Any = (0.0, 0.0, 0.0),
+    angular_b: Any = (0.0, 0.0, 0.0),
+    velocity_w: Any = (0.0, 0.0, 0.0),
+    acceleration_b: Any = (0.0, 0.0, 0.0),
+    diverged: Any = False,
+    distance: Any = 5.0,
+    progress: Any = 0.0,
+    bearing: Any = 0.0,
+    clearance: Any = np.inf,
+    touching: Any = False,
+    new: Any = 0,
+    total: Any = 0,
+    step: int = 1,
+    episode: int = 0,
+    done: Any = False,
+    work_j: Any = None,
+    battery: BatteryModel | None = None,
+    radius_m: float = 0.0,
+    endings: dict[str, Any] | None = None,
+) -> GroupState:
+    """`rows` agents in the open, 5 m from their goals and facing them, at rest, but for what is given.
+
+    Values are of all agents, or one for each.
+    """
+
+    def vector(values: Any) -> np.ndarray:
+        return np.broadcast_to(np.asarray(values, float), (rows, np.shape(values)[-1])).copy()
+
+    def numbers(values: Any, kind: type = float) -> np.ndarray:
+        return np.broadcast_to(np.asarray(values, kind), rows).copy()
+
+    distances = numbers(distance)
+    return GroupState(
+        name,
+        count,
+        EpisodeState(0, numbers(episode, int), numbers(step, int), numbers(episode, int), STEP_S),
+        Motion(
+            vector(position),
+            vector(roll_pitch_yaw),
+            vector(velocity_w),
+            np.zeros((rows, 3)),
+            numbers(diverged, bool),
+            rotation=rotation_matrices(vector(quaternion)),
+            velocity_b=vector(velocity_b),
+            angular_b=vector(angular_b),
+            acceleration_b=vector(acceleration_b),
+        ),
+        ContactState(numbers(touching, bool), numbers(new, int), numbers(total, int)),
+        np.zeros((rows, 0, 4)),
+        numbers(done, bool),
+        lambda: numbers(clearance),
+        GoalState(np.zeros((rows, 2)), distances, distances + numbers(progress), numbers(bearing)),
+        None if work_j is None else numbers(work_j),
+        battery,
+        radius_m,
+        {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
+    )
+
+
+def state_of(*groups: GroupState, extent: tuple[float, float, float, float] = EXTENT) -> State:
+    """The state of scenes with these groups."""
+    scenes = len(groups[0].done) // groups[0].count
+    return State({group.name: group for group in groups}, Extents(scenes, extent), scenes)
