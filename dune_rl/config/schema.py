@@ -168,12 +168,13 @@ class BenchmarkConf(EnvConf):
     seed: int = Field(0, ge=0)
 
 
-class ViewConf(OneGroupConf):
-    """A look at an environment: pictures and a video."""
+class ViewConf(EnvConf):
+    """A look at an environment: pictures and a video, seen from behind `agent` (None: the first)."""
 
     view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
     checkpoint: str | None = None
     policy: Literal["go_to_goal", "random"] | None = None
+    agent: str | None = None
     seed: int = Field(0, ge=0)
     after_s: float = Field(3.0, ge=0.0)
     longest_s: float = Field(30.0, gt=0.0)

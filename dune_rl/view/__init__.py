@@ -1,4 +1,4 @@
-"""Look at a world, its rover and its sensors: `python -m dune_rl.view +world=inspection`."""
+"""Pictures of a world, its agents and their sensors: `python -m dune_rl.view +world=inspection`."""
 
 from dune_rl.view.command_line import main
 

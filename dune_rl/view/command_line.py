@@ -17,33 +17,33 @@ from dune_rl.sensors.lidar_3d import Lidar3dOutput
 
 USAGE = (
     ("python -m dune_rl.view +world=inspection", "a contact sheet and a video"),
-    ("python -m dune_rl.view +world=inspection view=orbit", "the place, seen from above"),
+    ("python -m dune_rl.view +world=inspection view=orbit", "the world from above"),
     ("python -m dune_rl.view +world=inspection view=map", "its map"),
-    ("python -m dune_rl.view checkpoint=runs/NAME view=video", "a trained policy drives"),
-    ("python -m dune_rl.view checkpoint=runs/NAME view=map", "where it drives, on the map"),
+    ("python -m dune_rl.view checkpoint=runs/NAME view=video", "a video of a trained policy"),
+    ("python -m dune_rl.view checkpoint=runs/NAME view=map", "its tracks on the map"),
 )
-CLOSING = "No display and no GPU is needed: the pictures are traced on the processor."
+CLOSING = "No display and no GPU are needed: the processor renders the pictures."
 SETTINGS = (
     ("view=NAME", "sheet, video, both, orbit or map"),
-    ("checkpoint=PATH", "a run's folder, or a file of weights, to drive by"),
+    ("checkpoint=PATH", "folder of a run, or file of weights, of the policy"),
     ("policy=NAME", "go_to_goal or random, instead of a checkpoint"),
-    ("seed=N", "of the episode"),
-    ("longest_s=S", "length of the video at most"),
+    ("agent=NAME", "agent to follow, such as rover_1; default: the first"),
+    ("seed=N", "seed of the episode"),
+    ("longest_s=S", "largest length of the video"),
     ("width=N height=N", "size of the video"),
-    ("episodes=N", "on the map: how many are driven, or shown as examples"),
-    ("out=FOLDER", "where the files go"),
+    ("episodes=N", "number of episodes on the map"),
+    ("out=FOLDER", "folder of the files"),
 )
 
 
 def main() -> None:
     """Run the command line; ends the process."""
     command.run_command(
-        HelpPage("Look at a world, its rover and its sensors.", USAGE, SETTINGS, CLOSING), _main
-    )
+        HelpPage("Render a world, its agents and their sensors.", USAGE, SETTINGS, CLOSING), _main)
 
 
 def _main(parsed: Namespace) -> None:
-    # Nothing is shown on a map of what the other sensors would sense.
+    # A map shows no readings, so it needs no sensors beside the policy's.
     on_map = override_value(parsed.overrides, "view") == "map"
     conf = command.compose_with_checkpoint(
         parsed, compose_view, (lambda saved: saved) if on_map else _with_all_sensors
@@ -51,12 +51,12 @@ def _main(parsed: Namespace) -> None:
     if conf is None:
         return
     if override_value(parsed.overrides, "sensors") is None:
-        conf = _without_odometry_on_legs(conf)
+        conf = _drop_odometry_of_legs(conf)
     _view(conf)
 
 
 def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's settings, and beside its own sensors all others, which its policy does not look at."""
+    """Settings of a run with all sensors enabled; its policy reads only its own."""
     own = saved["sensors"]
     sensors = {
         **own,
@@ -68,11 +68,17 @@ def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
     return {**saved, "sensors": sensors}
 
 
-def _without_odometry_on_legs(conf: ViewConf) -> ViewConf:
-    """The settings with the sensors that the robot can have: all, but odometry only where it has wheels."""
+def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
+    """`conf` without odometry if a robot with these sensors has no wheels."""
     from dune_rl.config.build import build_robot
+    from dune_rl.robots.settings import RobotSettings
 
-    if build_robot(conf.robot, 1).wheels is not None:
+    robots = [
+        build_robot(group.body, 1)
+        for group in conf.groups
+        if group.sensors == conf.sensors and isinstance(group.body, RobotSettings)
+    ]
+    if all(robot.wheels is not None for robot in robots):
         return conf
     enabled = tuple(name for name in conf.sensors.enabled if name != "odometry")
     return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": enabled})})
@@ -85,22 +91,23 @@ def _view(conf: ViewConf) -> None:
     if conf.view == "map":
         from dune_rl.view.maps import write_map
 
-        _show(console, write_map(conf, folder / f"{conf.world.name}_map.png", console))
+        _print_path(console, write_map(conf, folder / f"{conf.world.name}_map.png", console))
         return
-    from dune_rl.view.looks import write_orbit, write_sheet, write_video
-    from dune_rl.view.stage import Stage
+    from dune_rl.view.episode import EpisodeView
+    from dune_rl.view.outputs import write_orbit, write_sheet, write_video
 
-    stage = Stage(conf)
+    episode = EpisodeView(conf)
     try:
         if conf.view == "orbit":
-            _show(console, write_orbit(stage, folder / f"{conf.world.name}_orbit.png"))
+            _print_path(console, write_orbit(episode, folder / f"{conf.world.name}_orbit.png"))
         if conf.view in ("sheet", "both"):
-            _show(console, write_sheet(stage, folder / f"{conf.world.name}_sheet.png"))
+            _print_path(console, write_sheet(episode, folder / f"{conf.world.name}_sheet.png"))
         if conf.view in ("video", "both"):
-            _show(console, write_video(stage, folder / f"{conf.world.name}_seed{conf.seed}.mp4", console))
+            path = folder / f"{conf.world.name}_seed{conf.seed}.mp4"
+            _print_path(console, write_video(episode, path, console))
     finally:
-        stage.close()
+        episode.close()
 
 
-def _show(console: Console, path: Path) -> None:
+def _print_path(console: Console, path: Path) -> None:
     console.print(f"Written: {path}", highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Maps of a site, and of where a policy drives on it."""
+"""Maps of a world, with the starts and goals of episodes and the tracks of all agents."""
 
 from pathlib import Path
 
@@ -8,123 +8,209 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import no_grad
 
-from dune_rl.actors.actor import Actors
-from dune_rl.config.build import build_robot, build_world, make_torchrl_env
+from dune_rl.config.agents import FrozenPolicyConf
+from dune_rl.config.build import build_world, group_setups, make_torchrl_env, scene_class
 from dune_rl.config.schema import ViewConf
+from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.assembly import build_groups
+from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.episode_start import EpisodeStart
+from dune_rl.env.goals import PathGoals, RegionGoals
+from dune_rl.env.scene_manager import SceneManager
+from dune_rl.env.simulation import VectorSimulation
 from dune_rl.files import write_atomically
-from dune_rl.learning.layout import Layout
-from dune_rl.seeding import stream
-from dune_rl.tasks.spawn import Spawner
-from dune_rl.view.drivers import driver, ending
+from dune_rl.tasks.spawn import Placement, SpawnConf
+from dune_rl.view.endings import EndingRecorder, finite_points
+from dune_rl.view.policies import policy_factory
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
-from dune_rl.visualization.site_map.figure import site_map
-from dune_rl.visualization.site_map.layers import example_episodes, placements, things
-from dune_rl.visualization.site_map.panel import Drive, Site
+from dune_rl.visualization.site_map.figure import draw_site_map
+from dune_rl.visualization.site_map.layers import choose_spread_episodes, prop_footprints
+from dune_rl.visualization.site_map.panel import MapContent, Track
 
 _MOST_SCENES = 16
-# Of the region's side: markers of examples are that far apart.
+# Distance between the ends of example episodes, relative to the region's side.
 _APART = 0.15
 
 
 def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
-    """A map of the world of `conf` (PNG); where it names a driver, of its episodes too."""
-    site = site_of(conf, drives(conf, console) if conf.checkpoint or conf.policy else [])
-    figure = site_map(site, title(conf), subtitle(conf), conf.dpi)
+    """A map of the world of `conf` (PNG); with a checkpoint or policy, also the tracks of its episodes."""
+    content = map_content(conf, drive_episodes(conf, console) if conf.checkpoint or conf.policy else [])
+    figure = draw_site_map(content, title(conf), subtitle(conf), conf.dpi)
     with write_atomically(path) as temporary:
-        # The library's version would make the file another with every one.
+        # Without the drawing library's version, the file stays the same when that changes.
         figure.savefig(temporary, format="png", dpi=conf.dpi, metadata={"Software": None})
     return path
 
 
-def site_of(conf: ViewConf, driven: list[Drive]) -> Site:
-    """What the map shows: `driven` episodes, or where there are none, some that lie apart."""
+def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
+    """What the map shows: the episodes of `tracks`, or without any some with starts and goals far apart."""
     world = build_world(conf.world)
-    spawner = Spawner(world, conf.task.spawn, build_robot(conf.robot, 1).footprint_radius_m)
-    xmin, xmax, ymin, ymax = spawner.region
-    apart_m = _APART * max(xmax - xmin, ymax - ymin)
-    if driven:
-        first = placements(spawner, conf.seed, len(driven))
-        episodes = {each.episode: first[each.episode] for each in driven}
+    scenes = SceneManager(
+        world,
+        conf.weather,
+        DomainRandomizer.none(world, conf.weather),
+        scene_class(conf.physics.backend),
+        conf.physics,
+        num_scenes=1,
+    )
+    groups = build_groups(group_setups(conf), scenes, conf.seed)
+    EpisodeStart(groups, scenes).find_paths(conf.seed, world)
+    viewed = _viewed_group(groups, conf.agent)
+    spawner = viewed.spawners.of(world)
+    if tracks:
+        episodes = {
+            episode: _place_robots(groups, conf.seed, episode)
+            for episode in sorted({track.episode for track in tracks})
+        }
     else:
-        episodes = example_episodes(spawner, conf.seed, conf.episodes, apart_m)
-    return Site(
+        xmin, xmax, ymin, ymax = spawner.region
+        episodes = choose_spread_episodes(
+            lambda episode: _place_robots(groups, conf.seed, episode),
+            conf.episodes,
+            _APART * max(xmax - xmin, ymax - ymin),
+        )
+    return MapContent(
         world=world,
         spawner=spawner,
-        max_slope_deg=conf.task.spawn.max_slope_deg,
-        goal_distance_m=conf.task.termination.goal_distance_m,
-        things=things(world, len(OBSTACLES)),
-        paths=_paths(conf, spawner),
+        max_slope_deg=_spawn_conf(viewed).max_slope_deg,
+        goal_distance_m=_goal_distance_m(viewed),
+        footprints=prop_footprints(world, len(OBSTACLES)),
+        paths=_example_paths(groups),
         episodes=episodes,
-        drives=driven,
+        tracks=tracks,
     )
 
 
-def _paths(conf: ViewConf, spawner: Spawner) -> list[NDArray[np.float64]]:
-    """Some of the paths of each actor, as those of episodes of this seed are drawn from."""
-    if not conf.actors:
-        return []
-    world = build_world(conf.world)
-    actors = Actors(conf.actors, world, spawner.sample_points, stream(conf.seed, "paths"), 1)
-    each = max(1, len(PATHS) // len(conf.actors))
-    return [path for index in range(len(conf.actors)) for path in actors.paths(index)[:each]]
+def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGroup:
+    """The group of `agent`, whose region and free space the map shows; by default the first external one."""
+    own = next((group for group in groups if agent in group.names), None)
+    return own or next((group for group in groups if group.is_external), groups[0])
+
+
+def _place_robots(groups: tuple[AgentGroup, ...], seed: int, episode: int) -> list[Placement]:
+    """Starts and goals of the robots of all groups in an episode, in their order."""
+    placed: list[tuple[Placement, float]] = []
+    for group in groups:
+        source = group.goals.source
+        if isinstance(source, RegionGoals):
+            placements = source.place(0, seed, episode, placed)
+            placed += [(placement, source.footprint_radius_m) for placement in placements]
+    return [placement for placement, _ in placed]
+
+
+def _spawn_conf(group: AgentGroup) -> SpawnConf:
+    return SpawnConf() if group.setup.task is None else group.setup.task.spawn
+
+
+def _goal_distance_m(group: AgentGroup) -> float:
+    """Distance at which a goal counts as reached [m]; 0 where none does."""
+    terminations = {} if group.setup.task is None else group.setup.task.terminations
+    return next(
+        (float(each.distance_m) for each in terminations.values() if hasattr(each, "distance_m")), 0.0
+    )
+
+
+def _example_paths(groups: tuple[AgentGroup, ...]) -> list[NDArray[np.float64]]:
+    """Some of the paths (P, 2) [m] of each agent that walks on paths."""
+    followers = [group.goals.source.follower for group in groups if isinstance(group.goals.source, PathGoals)]
+    agents = [(follower, agent) for follower in followers for agent in range(follower.count)]
+    each = max(1, len(PATHS) // max(1, len(agents)))
+    return [path for follower, agent in agents for path in follower.paths(agent)[:each]]
 
 
 @no_grad()
-def drives(conf: ViewConf, console: Console) -> list[Drive]:
-    """The first episodes of the seed, driven to their ends."""
-    if conf.checkpoint is None:
-        # All that a built-in policy looks at; others take time.
-        conf = conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": ("goal",)})})
-    env = make_torchrl_env(conf, min(conf.episodes, _MOST_SCENES), conf.seed)
-    batch = env.batch
-    found: dict[int, Drive] = {}
+def drive_episodes(conf: ViewConf, console: Console) -> list[Track]:
+    """The tracks of all agents in the first episodes of the seed, driven to their ends."""
+    env = make_torchrl_env(_with_needed_sensors(conf), min(conf.episodes, _MOST_SCENES), conf.seed)
+    simulation = env.simulation
+    tracks: dict[int, list[Track]] = {}
     try:
-        policy = driver(conf, Layout.of(env))()
+        policy = policy_factory(conf, env)()
         with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
             task = bar.add_task("driving", total=conf.episodes)
             env.set_seed(conf.seed)
-            now = env.reset()
-            tracks = [[batch.motion.position_w[scene, :2].copy()] for scene in range(batch.num_scenes)]
-            while len(found) < conf.episodes:
-                after = env.step(policy(now))
-                for scene, track in enumerate(tracks):
-                    track.append(batch.motion.position_w[scene, :2].copy())
-                done = after["next", "done"].reshape(-1).numpy()
-                for scene in np.flatnonzero(done).tolist():
-                    episode = int(batch.episodes[scene])
-                    metrics = dict(zip(batch.metric_names, batch.metrics()[scene].tolist(), strict=True))
+            observation = env.reset()
+            recorder = _TrackRecorder(simulation)
+            while len(tracks) < conf.episodes:
+                after = env.step(policy(observation))
+                recorder.update()
+                done = np.flatnonzero(after["next", "done"].reshape(-1).numpy()).tolist()
+                for scene in done:
+                    episode = int(simulation.episodes[scene])
                     if episode < conf.episodes:
-                        found[episode] = Drive(episode, _finite(tracks[scene]), ending(metrics))
-                now = env.maybe_reset(env.step_mdp(after))
-                for scene in np.flatnonzero(done).tolist():
-                    tracks[scene] = [batch.motion.position_w[scene, :2].copy()]
-                bar.update(task, completed=len(found))
+                        tracks[episode] = recorder.tracks(scene)
+                observation = env.maybe_reset(env.step_mdp(after))
+                for scene in done:
+                    recorder.reset(scene)
+                bar.update(task, completed=len(tracks))
     finally:
         env.close()
-    return [found[episode] for episode in sorted(found)]
+    return [track for episode in sorted(tracks) for track in tracks[episode]]
 
 
-def _finite(track: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    points = np.array(track)
-    # Where physics diverged, a track ends before its episode does.
-    return points[np.isfinite(points).all(axis=1)]
+def _with_needed_sensors(conf: ViewConf) -> ViewConf:
+    """`conf` with the sensor goal alone, where built-in policies are all that reads sensors."""
+    if conf.checkpoint is not None or any(
+        isinstance(group.controller, FrozenPolicyConf) for group in conf.groups
+    ):
+        return conf
+    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": ("goal",)})})
+
+
+class _TrackRecorder:
+    """Positions of all agents from the start of their episodes."""
+
+    def __init__(self, simulation: VectorSimulation) -> None:
+        self._simulation = simulation
+        self._endings = EndingRecorder(simulation)
+        self._points: dict[tuple[str, int], list[NDArray[np.float64]]] = {}
+        for scene in range(simulation.num_scenes):
+            self.reset(scene)
+
+    def reset(self, scene: int) -> None:
+        """Begin new tracks in a scene, at the agents' present positions."""
+        self._endings.reset(scene)
+        for group in self._simulation.groups:
+            for row in range(scene * group.count, (scene + 1) * group.count):
+                self._points[group.name, row] = [group.body.motion.position_w[row, :2].copy()]
+
+    def update(self) -> None:
+        """Add the agents' positions after a step; call it before scenes are reset."""
+        self._endings.update()
+        for group in self._simulation.groups:
+            for row, position in enumerate(group.body.motion.position_w[:, :2].copy()):
+                self._points[group.name, row].append(position)
+
+    def tracks(self, scene: int) -> list[Track]:
+        """The tracks of a scene's agents."""
+        episode = int(self._simulation.episodes[scene])
+        return [
+            Track(
+                name,
+                episode,
+                finite_points(self._points[group.name, scene * group.count + agent]),
+                self._endings.ending(group.name, scene * group.count + agent) if group.is_external else None,
+            )
+            for group in self._simulation.groups
+            for agent, name in enumerate(group.names)
+        ]
 
 
 def title(conf: ViewConf) -> str:
-    """The world's name, and where it is read from a file, that one's."""
+    """The world's name, with the name of its file if it is read from one."""
     path = getattr(conf.world, "path", None)
     return conf.world.name if path is None else f"{conf.world.name}: {Path(path).name}"
 
 
 def subtitle(conf: ViewConf) -> str:
-    """Who drives, the seed of the episodes, and the settings of the world."""
+    """The policy, the seed of the episodes, and the settings of the world."""
     chosen = conf.world.model_dump(exclude={"name", "path"}, exclude_none=True)
     settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items() if value not in ((), []))
-    who: str | None = conf.policy
+    policy: str | None = conf.policy
     if conf.checkpoint is not None:
         path = Path(conf.checkpoint)
-        who = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"
-    head = f"{who}, " if who else ""
+        policy = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"
+    head = f"{policy}, " if policy else ""
     return f"{head}episodes of seed {conf.seed}" + (f"; world: {settings}" if settings else "")
 
 

@@ -1,6 +1,7 @@
-"""Contact sheets: what every sensor of a rover says at one instant, on one page."""
+"""Contact sheets: the readings of all sensors of one agent at one instant, on one page."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ from numpy.typing import NDArray
 
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.lidar import LidarConf
 
 Picture = NDArray[np.uint8]
 Readings = Mapping[str, NDArray[Any]]
+DrawPanel = Callable[[Any], None]
 
 _PAPER, _INK, _FAINT = "#10151c", "#e8ecf1", "#3a4656"
 _WARM, _COOL, _GREEN = "#ffc43d", "#5bb8ff", "#40d67a"
@@ -32,32 +35,68 @@ _COLUMNS = 4
 
 
 def contact_sheet(readings: Readings, conf: SensorsConf, picture: Picture, title: str) -> Figure:
-    """A page with `picture` (H, W, 3) of the scene and a panel for each of one rover's `readings`."""
-    panels = [(name, _PANELS[name]) for name in _PANELS if name in readings]
-    scans = [name for name in ("lidar", "lidar_past") if name in readings]
-    vectors = [name for name in readings if name not in _PANELS and name not in scans]
-    count = len(panels) + bool(scans) + bool(vectors)
-    # The picture takes two columns and two rows of the grid's top left.
+    """A page with `picture` (H, W, 3) of the scene and a panel for each of one agent's `readings`."""
+    panels = _reading_panels(readings, conf)
+    scans = _scan_panels(readings, conf)
+    shown = {name for _, names in (*panels, *scans) for name in names}
+    vectors = {name: value for name, value in readings.items() if name not in shown}
+    count = len(panels) + len(scans) + bool(vectors)
+    # The picture takes two columns and two rows at the top left of the grid.
     rows = 2 + max(0, -(-(count - 2 * (_COLUMNS - 2)) // _COLUMNS))
     figure = Figure(figsize=(4.0 * _COLUMNS, 3.3 * rows + 0.5), facecolor=_PAPER, layout="constrained")
     figure.suptitle(title, color=_INK, fontsize=17, x=0.01, ha="left")
     grid = figure.add_gridspec(rows, _COLUMNS)
     scene = figure.add_subplot(grid[:2, :2])
     scene.imshow(picture)
-    _bare(scene, "scene")
+    _style(scene, "scene")
     cells = [(row, column) for row in range(2) for column in range(2, _COLUMNS)]
     cells += [(row, column) for row in range(2, rows) for column in range(_COLUMNS)]
-    for (name, draw), cell in zip(panels, cells, strict=False):
-        draw(figure.add_subplot(grid[cell]), readings[name], conf)
-    left = cells[len(panels) :]
-    if scans:
-        _scans(figure.add_subplot(grid[left.pop(0)], projection="polar"), readings, conf)
+    free = iter(cells)
+    for draw, _ in panels:
+        draw(figure.add_subplot(grid[next(free)]))
+    for draw, _ in scans:
+        draw(figure.add_subplot(grid[next(free)], projection="polar"))
     if vectors:
-        _numbers(figure.add_subplot(grid[left.pop(0)]), {name: readings[name] for name in vectors})
+        _draw_numbers(figure.add_subplot(grid[next(free)]), vectors)
     return figure
 
 
-def _bare(axes: Axes, title: str) -> None:
+def _sensors(conf: SensorsConf) -> list[tuple[str, str, Any]]:
+    """Name, kind and settings of every sensor that may have a panel."""
+    own = [(kind, kind, getattr(conf, kind)) for kind in _LABELS if kind not in conf.named]
+    return [*own, *((name, settings.sensor, settings) for name, settings in conf.named.items())]
+
+
+def _reading_panels(readings: Readings, conf: SensorsConf) -> list[tuple[DrawPanel, list[str]]]:
+    """A function that draws each panel, and the names of the readings in it."""
+    panels: list[tuple[DrawPanel, list[str]]] = []
+    for name, kind, settings in _sensors(conf):
+        for (panel_kind, output), draw in _PANELS.items():
+            reading = f"{name}_{output}" if output else name
+            if panel_kind == kind and reading in readings:
+                label = _LABELS[kind] if name == kind else name
+                panels.append(
+                    (partial(draw, reading=readings[reading], conf=settings, label=label), [reading])
+                )
+    return panels
+
+
+def _scan_panels(readings: Readings, conf: SensorsConf) -> list[tuple[DrawPanel, list[str]]]:
+    """As `_reading_panels`, for the polar panels of planar LiDARs with their past scans."""
+    panels: list[tuple[DrawPanel, list[str]]] = []
+    for name, kind, settings in _sensors(conf):
+        names = [reading for reading in (f"{name}_past", name) if reading in readings]
+        if kind == "lidar" and names:
+            label = _LABELS[kind] if name == kind else name
+            past, now = readings.get(f"{name}_past"), readings.get(name)
+            draw = partial(
+                _draw_scans, past=past, now=now, goal=readings.get("goal"), conf=settings, label=label
+            )
+            panels.append((draw, names))
+    return panels
+
+
+def _style(axes: Axes, title: str) -> None:
     axes.set_title(title, color=_INK, fontsize=11, loc="left")
     axes.set_xticks([])
     axes.set_yticks([])
@@ -73,27 +112,25 @@ def _bar(axes: Axes, image: Any, label: str) -> None:
     bar.outline.set_edgecolor(_FAINT)
 
 
-def _rgb(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
+def _draw_rgb(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
     axes.imshow(reading, interpolation="nearest")
-    _bare(axes, f"camera, RGB, {conf.camera.width} by {conf.camera.height}")
+    _style(axes, f"{label}, RGB, {conf.width} by {conf.height}")
 
 
-def _grey(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
+def _draw_grey(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
     axes.imshow(reading[..., 0], cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    _bare(axes, "camera, grey")
+    _style(axes, f"{label}, grey")
 
 
-def _depth(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
-    metres = np.where(reading[..., 0] >= conf.camera.range_m * 0.999, np.nan, reading[..., 0])
-    image = axes.imshow(
-        metres, cmap="magma_r", norm=LogNorm(0.1, conf.camera.range_m), interpolation="nearest"
-    )
-    _bare(axes, "camera, depth")
+def _draw_depth(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+    metres = np.where(reading[..., 0] >= conf.range_m * 0.999, np.nan, reading[..., 0])
+    image = axes.imshow(metres, cmap="magma_r", norm=LogNorm(0.1, conf.range_m), interpolation="nearest")
+    _style(axes, f"{label}, depth")
     _bar(axes, image, "m")
 
 
-def _segmentation(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
-    _segments(axes, reading[..., 0], "camera, segments", "equal")
+def _draw_segmentation(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+    _segments(axes, reading[..., 0], f"{label}, segments", "equal")
 
 
 def _segments(axes: Axes, segments: NDArray[Any], title: str, aspect: Any) -> None:
@@ -101,7 +138,7 @@ def _segments(axes: Axes, segments: NDArray[Any], title: str, aspect: Any) -> No
     axes.imshow(
         segments, cmap=colours, vmin=-0.5, vmax=len(Segment) - 0.5, interpolation="nearest", aspect=aspect
     )
-    _bare(axes, title)
+    _style(axes, title)
     present = [segment for segment in Segment if (segments == segment).any()]
     handles = [Patch(color=_SEGMENT_COLOURS[each], label=each.name.lower()) for each in present]
     axes.legend(
@@ -109,80 +146,83 @@ def _segments(axes: Axes, segments: NDArray[Any], title: str, aspect: Any) -> No
     )
 
 
-def _normals(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
+def _draw_normals(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
     axes.imshow(np.clip((reading + 1.0) / 2.0, 0.0, 1.0), interpolation="nearest")
-    _bare(axes, "camera, normals")
+    _style(axes, f"{label}, normals")
 
 
-def _rings(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
-    metres = np.where(reading[..., 0] >= conf.lidar_3d.range_m * 0.999, np.nan, reading[..., 0])
+def _draw_rings(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+    metres = np.where(reading[..., 0] >= conf.range_m * 0.999, np.nan, reading[..., 0])
     image = axes.imshow(metres[:, ::-1], cmap="turbo_r", aspect="auto", interpolation="nearest")
-    _bare(axes, f"3D LiDAR, {reading.shape[0]} rings, seen from within")
+    _style(axes, f"{label}, {reading.shape[0]} rings, seen from inside")
     _bar(axes, image, "m")
 
 
-def _intensity(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
+def _draw_intensity(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
     image = axes.imshow(reading[:, ::-1, 0], cmap="viridis", aspect="auto", interpolation="nearest")
-    _bare(axes, "3D LiDAR, intensity")
+    _style(axes, f"{label}, intensity")
     _bar(axes, image, "share returned")
 
 
-def _ring_segments(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
-    _segments(axes, reading[:, ::-1, 0], "3D LiDAR, segments", "auto")
+def _draw_ring_segments(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+    _segments(axes, reading[:, ::-1, 0], f"{label}, segments", "auto")
 
 
-def _height_scan(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
-    scan = conf.height_scan
-    grid = reading.reshape(scan.rows, scan.columns)
+def _draw_height_scan(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+    grid = reading.reshape(conf.rows, conf.columns)
     limit = max(0.1, float(np.abs(grid).max()))
-    # Ahead is up, and left is left.
+    # Ahead is up, left is left.
     image = axes.imshow(
         grid[::-1, ::-1], cmap="BrBG_r", vmin=-limit, vmax=limit, interpolation="nearest", aspect="equal"
     )
-    _bare(axes, f"height scan, {scan.rows} by {scan.columns}, ahead is up")
-    _bar(axes, image, "m over the rover's ground")
+    _style(axes, f"{label}, {conf.rows} by {conf.columns}, ahead is up")
+    _bar(axes, image, "m above the ground below")
 
 
-def _depth_strip(axes: Axes, reading: NDArray[Any], conf: SensorsConf) -> None:
-    strip = conf.depth_strip
-    width = np.rad2deg(strip.fov_rad) / len(reading)
+def _draw_depth_strip(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+    width = np.rad2deg(conf.fov_rad) / len(reading)
     to_the_right = (len(reading) / 2 - np.arange(len(reading)) - 0.5) * width
-    _bare(axes, "depth strip, seen from within")
+    _style(axes, f"{label}, seen from inside")
     axes.bar(to_the_right, reading, width=width * 0.9, color=_COOL)
-    axes.set_ylim(0.0, strip.range_m)
+    axes.set_ylim(0.0, conf.range_m)
     axes.set_ylabel("m", color=_INK, fontsize=9)
     axes.set_xlabel("degrees to the right", color=_INK, fontsize=9)
     axes.tick_params(colors=_INK, labelsize=8)
     axes.set_xticks([-40, -20, 0, 20, 40])
-    axes.set_yticks(np.linspace(0.0, strip.range_m, 5))
+    axes.set_yticks(np.linspace(0.0, conf.range_m, 5))
 
 
-def _scans(axes: Any, readings: Readings, conf: SensorsConf) -> None:
+def _draw_scans(
+    axes: Any,
+    past: NDArray[Any] | None,
+    now: NDArray[Any] | None,
+    goal: NDArray[Any] | None,
+    conf: LidarConf,
+    label: str,
+) -> None:
     axes.set_theta_zero_location("N")
     axes.set_facecolor(_PAPER)
-    axes.set_title("LiDAR, ahead is up", color=_INK, fontsize=11, loc="left")
-    for name, colour, label in (("lidar_past", _COOL, "a moment ago"), ("lidar", _WARM, "now")):
-        if name in readings:
-            ranges = readings[name]
-            lidar = conf.lidar
-            width = lidar.fov_rad / len(ranges)
-            bearing = -lidar.fov_rad / 2 + (np.arange(len(ranges)) + 0.5) * width
-            seen = ranges < lidar.range_m * 0.999
+    axes.set_title(f"{label}, ahead is up", color=_INK, fontsize=11, loc="left")
+    for ranges, colour, opacity, when in ((past, _COOL, 0.45, "past"), (now, _WARM, 0.9, "now")):
+        if ranges is not None:
+            width = conf.fov_rad / len(ranges)
+            bearing = -conf.fov_rad / 2 + (np.arange(len(ranges)) + 0.5) * width
+            hit = ranges < conf.range_m * 0.999
             axes.bar(
-                bearing[seen], 0.35, width=width * 0.92, bottom=ranges[seen] - 0.18, color=colour,
-                alpha=0.9 if name == "lidar" else 0.45, label=label,
+                bearing[hit], 0.35, width=width * 0.92, bottom=ranges[hit] - 0.18, color=colour,
+                alpha=opacity, label=when,
             )  # fmt: skip
-    if "goal" in readings:
-        distance, bearing_goal = readings["goal"]
-        axes.plot([bearing_goal], [min(distance, conf.lidar.range_m)], "o", color=_GREEN, label="goal")
-    axes.set_ylim(0.0, conf.lidar.range_m)
+    if goal is not None:
+        distance, bearing_goal = goal
+        axes.plot([bearing_goal], [min(distance, conf.range_m)], "o", color=_GREEN, label="goal")
+    axes.set_ylim(0.0, conf.range_m)
     axes.tick_params(colors=_INK, labelsize=7)
     axes.grid(color=_FAINT)
     axes.legend(loc="lower right", fontsize=7, facecolor=_PAPER, labelcolor=_INK, framealpha=0.75)
 
 
-def _numbers(axes: Axes, readings: Readings) -> None:
-    _bare(axes, "numbers")
+def _draw_numbers(axes: Axes, readings: Readings) -> None:
+    _style(axes, "numbers")
     lines = []
     for name, values in readings.items():
         text = "  ".join(f"{value:8.3f}" for value in np.ravel(values)[:9])
@@ -194,15 +234,23 @@ def _numbers(axes: Axes, readings: Readings) -> None:
     )  # fmt: skip
 
 
-_PANELS: dict[str, Callable[[Axes, NDArray[Any], SensorsConf], None]] = {
-    "camera_rgb": _rgb,
-    "camera_depth": _depth,
-    "camera_segmentation": _segmentation,
-    "camera_normals": _normals,
-    "camera_grey": _grey,
-    "lidar_3d_range": _rings,
-    "lidar_3d_intensity": _intensity,
-    "lidar_3d_segmentation": _ring_segments,
-    "height_scan": _height_scan,
-    "depth_strip": _depth_strip,
+_LABELS = {
+    "camera": "camera",
+    "lidar_3d": "3D LiDAR",
+    "height_scan": "height scan",
+    "depth_strip": "depth strip",
+    "lidar": "LiDAR",
+}
+# By kind of sensor and output; sensors with a single output have an empty one.
+_PANELS: dict[tuple[str, str], Callable[..., None]] = {
+    ("camera", "rgb"): _draw_rgb,
+    ("camera", "depth"): _draw_depth,
+    ("camera", "segmentation"): _draw_segmentation,
+    ("camera", "normals"): _draw_normals,
+    ("camera", "grey"): _draw_grey,
+    ("lidar_3d", "range"): _draw_rings,
+    ("lidar_3d", "intensity"): _draw_intensity,
+    ("lidar_3d", "segmentation"): _draw_ring_segments,
+    ("height_scan", ""): _draw_height_scan,
+    ("depth_strip", ""): _draw_depth_strip,
 }

@@ -1,4 +1,4 @@
-"""Drawings laid over a film's frames: what the sensors say, and how the drive goes."""
+"""Overlays on a video's frames: sensor readings and the state of the episode."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -14,26 +14,26 @@ Picture = NDArray[np.uint8]
 
 _PANEL = (14, 18, 24, 170)
 _RING, _TEXT = (255, 255, 255, 60), (240, 243, 246, 255)
-_RETURN, _GOAL, _ROVER = (255, 196, 61, 255), (64, 214, 122, 255), (240, 243, 246, 255)
+_RETURN, _GOAL, _AGENT = (255, 196, 61, 255), (64, 214, 122, 255), (240, 243, 246, 255)
 _MARGIN = 14
 
 
 @lru_cache(maxsize=8)
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    # The one that matplotlib carries, so that every machine draws the same.
+    # The font in matplotlib's package, so that every machine draws the same text.
     return ImageFont.truetype(f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf", size)
 
 
-def with_overlays(
+def draw_overlays(
     frame: Picture,
     observation: Mapping[str, NDArray[np.generic]],
     lidar: LidarConf,
     lines: list[str],
     headline: str = "",
 ) -> Picture:
-    """`frame` (H, W, 3) with the camera's picture, the scan seen from above, and text.
+    """`frame` (H, W, 3) with the camera's picture, the scan from above, and text drawn on it.
 
-    `observation` holds one rover's readings by name; those that it lacks are left out.
+    `observation` has one agent's readings by name; what it lacks is left out.
     """
     canvas = Image.fromarray(frame).convert("RGBA")
     layer = Image.new("RGBA", canvas.size)
@@ -41,12 +41,14 @@ def with_overlays(
     width, height = canvas.size
     side = height // 3
     if "camera_rgb" in observation:
-        _inset(layer, np.asarray(observation["camera_rgb"], np.uint8), width - side - _MARGIN, _MARGIN, side)
+        _draw_picture(
+            layer, np.asarray(observation["camera_rgb"], np.uint8), width - side - _MARGIN, _MARGIN, side
+        )
     if "lidar" in observation:
         corner = (width - side - _MARGIN, height - side - _MARGIN)
         goal = observation.get("goal")
-        _scan(draw, corner, side, np.asarray(observation["lidar"], float), lidar, goal)
-    _text(draw, lines, height)
+        _draw_scan(draw, corner, side, np.asarray(observation["lidar"], float), lidar, goal)
+    _draw_text(draw, lines, height)
     if headline:
         font = _font(height // 14)
         box = draw.textbbox((0, 0), headline, font=font)
@@ -58,7 +60,7 @@ def with_overlays(
     return np.asarray(Image.alpha_composite(canvas, layer).convert("RGB"))
 
 
-def _inset(layer: Image.Image, picture: Picture, left: int, top: int, side: int) -> None:
+def _draw_picture(layer: Image.Image, picture: Picture, left: int, top: int, side: int) -> None:
     height, width = picture.shape[:2]
     size = (side, max(1, round(side * height / width)))
     image = Image.fromarray(picture).resize(size, Image.Resampling.NEAREST).convert("RGBA")
@@ -67,7 +69,7 @@ def _inset(layer: Image.Image, picture: Picture, left: int, top: int, side: int)
     layer.paste(image, (left, top))
 
 
-def _scan(
+def _draw_scan(
     draw: ImageDraw.ImageDraw,
     corner: tuple[int, int],
     side: int,
@@ -87,14 +89,14 @@ def _scan(
 
     def at(distance: float, bearing: float) -> tuple[float, float]:
         r = min(distance / range_m, 1.0) * radius
-        # Ahead is up, and left is left.
+        # Ahead is up, left is left.
         return float(centre[0] - r * np.sin(bearing)), float(centre[1] - r * np.cos(bearing))
 
     half = lidar.fov_rad / len(ranges) / 2
     for index, distance in enumerate(ranges):
         if distance >= range_m * 0.999:
             continue
-        # Segments run counter-clockwise.
+        # Segments are ordered counter-clockwise.
         bearing = -lidar.fov_rad / 2 + (2 * index + 1) * half
         draw.line(
             [at(float(distance), bearing - half * 0.9), at(float(distance), bearing + half * 0.9)],
@@ -107,10 +109,10 @@ def _scan(
         draw.ellipse((x - r, y - r, x + r, y + r), fill=_GOAL)
     size = max(5, side // 24)
     x, y = centre
-    draw.polygon([(x, y - size), (x - size * 0.7, y + size), (x + size * 0.7, y + size)], fill=_ROVER)
+    draw.polygon([(x, y - size), (x - size * 0.7, y + size), (x + size * 0.7, y + size)], fill=_AGENT)
 
 
-def _text(draw: ImageDraw.ImageDraw, lines: list[str], height: int) -> None:
+def _draw_text(draw: ImageDraw.ImageDraw, lines: list[str], height: int) -> None:
     if not lines:
         return
     font = _font(max(11, height // 30))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dune_rl.actors.actor import ActorConf
+from dune_rl.view.drivers import ending
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
@@ -20,25 +21,24 @@ from dune_rl.config.schema import ViewConf
 from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.view import drivers, maps
-from dune_rl.view.drivers import ending
 from dune_rl.visualization.site_map import colours
-from dune_rl.visualization.site_map.figure import site_map
+from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,
-    Ground,
-    at_points,
+    GroundGrid,
+    cell_values_at,
+    choose_spread_episodes,
     contour_levels,
-    example_episodes,
-    figures,
-    greenery,
-    over_ground,
+    covered_by,
     placements,
+    prop_footprints,
+    site_statistics,
     slope_class,
     spawn_mask,
-    things,
-    water,
+    vegetation_props,
+    water_props,
 )
-from dune_rl.visualization.site_map.panel import Drive, Site, draw_things, ground_picture, passage_picture
+from dune_rl.visualization.site_map.panel import MapContent, Track, draw_props, render_ground, render_passages
 from dune_rl.worlds.world import Prop, World
 
 Call = Callable[..., int]
@@ -59,7 +59,7 @@ def conf_of(*words: str) -> ViewConf:
 
 
 @cache
-def site(world: str) -> Site:
+def site(world: str) -> MapContent:
     return maps.site_of(conf_of(f"+world={world}"), [])
 
 
@@ -82,7 +82,7 @@ def ramp(slope: float) -> HeightField:
 
 
 def test_ground_is_the_terrain_s_at_the_centres_of_its_cells() -> None:
-    ground = Ground.of(ramp(0.5), (-4.0, 4.0, -2.0, 2.0), 16, 8)
+    ground = GroundGrid.of(ramp(0.5), (-4.0, 4.0, -2.0, 2.0), 16, 8)
     assert ground.height.shape == ground.slope.shape == ground.shade.shape == (8, 16)
     np.testing.assert_allclose(ground.x[[0, -1]], [-3.75, 3.75])
     np.testing.assert_allclose(ground.height, np.tile(0.5 * ground.x, (8, 1)))
@@ -91,9 +91,9 @@ def test_ground_is_the_terrain_s_at_the_centres_of_its_cells() -> None:
 
 def test_light_comes_from_the_north_west() -> None:
     faces_west, faces_east = (
-        Ground.of(ramp(slope), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade for slope in (0.5, -0.5)
+        GroundGrid.of(ramp(slope), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade for slope in (0.5, -0.5)
     )
-    level = Ground.of(ramp(0.0), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade
+    level = GroundGrid.of(ramp(0.0), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade
     np.testing.assert_allclose(level, 1.0)
     assert faces_west.min() > 1.0 > faces_east.max()
 
@@ -130,7 +130,7 @@ def area(triangles: np.ndarray) -> float:
 
 
 def test_things_are_seen_from_above_by_kind() -> None:
-    found = things(
+    found = prop_footprints(
         world_with(
             box("a", (0, 0, 0), (1, 2, 1)),
             box("b", (3, 3, 0), (4, 4, 1)),
@@ -149,7 +149,7 @@ def test_things_are_seen_from_above_by_kind() -> None:
 
 def test_the_last_of_many_kinds_are_put_together() -> None:
     props = [box(f"{n}", (n, 0, 0), (n + 0.9 - n / 10, 1, 1), f"kind {n}") for n in range(5)]
-    found = things(world_with(*props), 3)
+    found = prop_footprints(world_with(*props), 3)
     assert [each.kind for each in found] == ["kind 0", "kind 1", "other"]
     assert area(found[-1].triangles) / 2 == pytest.approx(0.7 + 0.6 + 0.5)
 
@@ -172,7 +172,7 @@ def test_each_kind_is_drawn_in_a_colour_of_its_own() -> None:
     axes = Figure().add_subplot()
     found = site("inspection").things
     tints = {each.kind: tint for each, tint in zip(found[1:], colours.OBSTACLES, strict=False)}
-    draw_things(axes, found, tints)
+    draw_props(axes, found, tints)
     drawn = [each for each in axes.collections if isinstance(each, PolyCollection)]
     assert [len(each.get_paths()) for each in drawn] == [len(f.triangles) for f in found for _ in range(2)]
     fills = {tuple(each.get_facecolor()[0]) for each in drawn[1::2]}
@@ -183,14 +183,14 @@ def test_things_hide_ground_only_where_they_are_over_it() -> None:
     # A sea at the height of a ramp's middle covers its lower half.
     sea = box("sea", (-9, -9, -9), (9, 9, 0.0), "water", solid=False)
     world = world_with(sea, slope=0.5)
-    ground = Ground.of(world.terrain, (-8.0, 8.0, -8.0, 8.0), 32, 32)
-    np.testing.assert_array_equal(over_ground(water(world), ground), np.tile(ground.x < 0, (32, 1)))
-    assert not over_ground([], ground).any()
+    ground = GroundGrid.of(world.terrain, (-8.0, 8.0, -8.0, 8.0), 32, 32)
+    np.testing.assert_array_equal(covered_by(water_props(world), ground), np.tile(ground.x < 0, (32, 1)))
+    assert not covered_by([], ground).any()
 
 
 def test_water_and_leaves_are_found() -> None:
-    assert {prop.kind for prop in water(site("island").world)} == {"water"}
-    assert {prop.kind for prop in greenery(site("rubicon").world)} == {"leaves", "undergrowth"}
+    assert {prop.kind for prop in water_props(site("island").world)} == {"water"}
+    assert {prop.kind for prop in vegetation_props(site("rubicon").world)} == {"leaves", "undergrowth"}
 
 
 # -- starts, goals and paths --------------------------------------------------------------------------
@@ -204,21 +204,21 @@ def test_the_marked_cells_are_the_spawner_s(name: str) -> None:
     np.testing.assert_allclose(free.centres(mask)[np.lexsort(free.centres(mask).T)],
                                spawner.cells[np.lexsort(spawner.cells.T)])  # fmt: skip
     assert free.traversable[mask].all()
-    assert at_points(free, mask, spawner.cells).all()
+    assert cell_values_at(free, mask, spawner.cells).all()
     for each in placements(spawner, 3, 20):
-        assert at_points(free, mask, np.array([[each.x, each.y], [each.goal_x, each.goal_y]])).all()
+        assert cell_values_at(free, mask, np.array([[each.x, each.y], [each.goal_x, each.goal_y]])).all()
 
 
 def test_points_beyond_the_world_are_in_no_cell() -> None:
     free = site("flat").spawner.free_space
     everywhere = np.ones(free.components.shape, bool)
     far = np.array([[1e3, 0.0], [0.0, -1e3], [0.0, 0.0]])
-    assert at_points(free, everywhere, far).tolist() == [False, False, True]
+    assert cell_values_at(free, everywhere, far).tolist() == [False, False, True]
 
 
 def test_examples_are_episodes_of_the_seed_that_lie_apart() -> None:
     spawner = site("rubicon").spawner
-    chosen = example_episodes(spawner, 5, 4, 1.2)
+    chosen = choose_spread_episodes(spawner, 5, 4, 1.2)
     first = placements(spawner, 5, max(chosen) + 1)
     assert len(chosen) == 4
     assert all(first[episode] == each for episode, each in chosen.items())
@@ -260,26 +260,26 @@ def test_way_points_are_the_path() -> None:
 def test_the_ground_s_colours_tell_slope_starts_and_passages() -> None:
     here = site("inspection")
     free = here.spawner.free_space
-    ground = Ground.of(here.world.terrain, here.world.extent, 320, 320)
-    picture = ground_picture(here, ground, 3.0)
+    ground = GroundGrid.of(here.world.terrain, here.world.extent, 320, 320)
+    picture = render_ground(here, ground, 3.0)
     assert picture.shape == (320, 320, 3)
     assert picture.min() >= 0.0 and picture.max() <= 1.0
     steep = slope_class(ground.slope, here.max_slope_deg) == SLOPE_CLASSES
-    covered = over_ground(water(here.world), ground)
+    covered = covered_by(water_props(here.world), ground)
     # Blue over red: purple for what is too steep, ochre for what is not.
     blueness = picture[..., 2] - picture[..., 0]
-    chosen = at_points(free, spawn_mask(here.spawner), ground.points)
+    chosen = cell_values_at(free, spawn_mask(here.spawner), ground.points)
     assert (blueness[steep & ~covered & ~chosen] > 0).all()
     assert (blueness[~steep & ~covered & ~chosen] <= 0).all()
     assert (blueness[covered] > 0.1).all()
-    under = passage_picture(here, ground, 3.0)[..., 3] > 0
+    under = render_passages(here, ground, 3.0)[..., 3] > 0
     assert under.any() and (chosen[under]).all()
 
 
 def test_figures_are_those_of_the_ground() -> None:
     world = world_with(box("a", (0, 0, -5), (2, 2, 5)), slope=0.25)
     spawner = maps.Spawner(world, conf_of("+world=flat").task.spawn, 0.3)
-    found = figures(world, spawner.free_space, (-4.0, 4.0, -4.0, 4.0), 25.0)
+    found = site_statistics(world, spawner.free_space, (-4.0, 4.0, -4.0, 4.0), 25.0)
     assert (found.width_m, found.depth_m) == (8.0, 8.0)
     assert found.relief_m == pytest.approx(0.25 * 7.9)
     assert found.median_slope_deg == found.steepest_tenth_deg == pytest.approx(np.rad2deg(np.arctan(0.25)))
@@ -331,7 +331,7 @@ def texts(figure: Figure) -> list[str]:
 
 
 def test_a_page_says_what_is_on_it() -> None:
-    figure = site_map(site("inspection"), "inspection", "world: seed 0", 72)
+    figure = draw_site_map(site("inspection"), "inspection", "world: seed 0", 72)
     found = texts(figure)
     for text in ("inspection", "world: seed 0", "the site", "starts and goals", "solar array", "water",
                  "bridge, driven on", "over 25°, too steep", "64 by 64 m", "8 by 8 m"):  # fmt: skip
@@ -350,15 +350,15 @@ def test_a_page_says_what_is_on_it() -> None:
 
 def test_a_region_as_large_as_the_world_needs_one_panel() -> None:
     here = maps.site_of(conf_of("+world=flat", "task.spawn.region=anywhere", "world.size_m=20"), [])
-    figure = site_map(here, "flat", "", 72)
+    figure = draw_site_map(here, "flat", "", 72)
     assert "starts and goals" not in texts(figure)
     assert len([axes for axes in figure.axes if axes.get_xlabel()]) == 1
 
 
 def test_the_closer_panel_holds_all_that_was_driven() -> None:
     here = site("flat")
-    far = Drive(0, np.array([[0.0, 0.0], [20.0, 3.0]]), "stuck")
-    figure = site_map(replace(here, drives=[far]), "", "", 72)
+    far = Track(0, np.array([[0.0, 0.0], [20.0, 3.0]]), "stuck")
+    figure = draw_site_map(replace(here, drives=[far]), "", "", 72)
     closer = [axes for axes in figure.axes if axes.get_xlabel()][1]
     assert closer.get_xlim()[1] > 20.0
     assert "stuck: 1 of 1" in texts(figure)
@@ -373,9 +373,9 @@ def test_nothing_written_overlaps_or_leaves_the_page(name: str, driven: bool) ->
             [np.linspace(*here.spawner.region[:2], 9), np.full(9, here.spawner.region[2])], axis=1
         )
         here = replace(
-            here, drives=[Drive(number, track, each) for number, each in enumerate(colours.ENDINGS)]
+            here, drives=[Track(number, track, each) for number, each in enumerate(colours.ENDINGS)]
         )
-    figure = site_map(here, name, maps.subtitle(conf_of(f"+world={name}")), 72)
+    figure = draw_site_map(here, name, maps.subtitle(conf_of(f"+world={name}")), 72)
     figure.canvas.draw()
     page = next(axes for axes in figure.axes if axes.get_label() == "page")
     boxes = [(text.get_text(), text.get_window_extent()) for text in page.texts if text.get_text()]

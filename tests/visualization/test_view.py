@@ -23,8 +23,8 @@ from dune_rl.learning.policies import policy_content
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.visualization.contact_sheet import contact_sheet
-from dune_rl.visualization.film import film
-from dune_rl.visualization.overlay import with_overlays
+from dune_rl.visualization.overlay import draw_overlays
+from dune_rl.visualization.video import open_video
 
 TINY = ["+world=flat", "width=128", "height=96", "samples=1", "longest_s=1", "after_s=0.2", "actors=none"]
 # Few sensors, for films that are not about them.
@@ -276,7 +276,7 @@ SIDE = 120 // 3
 def changed(observation: dict[str, np.ndarray], lines=(), headline: str = "") -> np.ndarray:
     """Which pixels (120, 160) of an even frame are drawn on."""
     before = FRAME.copy()
-    picture = with_overlays(before, observation, LIDAR, list(lines), headline)
+    picture = draw_overlays(before, observation, LIDAR, list(lines), headline)
     assert picture.shape == FRAME.shape and picture.dtype == np.uint8
     np.testing.assert_array_equal(before, FRAME)
     return (picture != FRAME).any(axis=-1)
@@ -297,7 +297,7 @@ def test_text_is_laid_over_at_the_top() -> None:
 def test_the_camera_s_picture_is_laid_over_at_the_top_right() -> None:
     red = np.zeros((8, 16, 3), np.uint8)
     red[..., 0] = 255
-    picture = with_overlays(FRAME, {"camera_rgb": red}, LIDAR, [])
+    picture = draw_overlays(FRAME, {"camera_rgb": red}, LIDAR, [])
     rows, columns = np.nonzero((picture == [255, 0, 0]).all(axis=-1))
     assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (SIDE, SIDE // 2)
     assert columns.max() < 160 and columns.min() > 80 and rows.max() < 60
@@ -309,7 +309,7 @@ def test_returns_lie_where_they_come_from(segment: int, right: int, down: int) -
     nothing = np.full(32, 12.0, np.float32)
     ranges = nothing.copy()
     ranges[segment] = 8.0
-    empty, seen = (with_overlays(FRAME, {"lidar": scan}, LIDAR, []) for scan in (nothing, ranges))
+    empty, seen = (draw_overlays(FRAME, {"lidar": scan}, LIDAR, []) for scan in (nothing, ranges))
     rows, columns = np.nonzero((empty != seen).any(axis=-1))
     centre = np.array([160 - 14 - SIDE / 2, 120 - 14 - SIDE / 2])
     offset = np.array([columns.mean(), rows.mean()]) - centre
@@ -324,7 +324,7 @@ def test_the_goal_lies_where_it_is() -> None:
     places = []
     for bearing in (0.0, np.pi / 2):
         goal = {"goal": np.array([6.0, bearing], np.float32)}
-        drawn = with_overlays(FRAME, scan | goal, LIDAR, []) != with_overlays(FRAME, scan, LIDAR, [])
+        drawn = draw_overlays(FRAME, scan | goal, LIDAR, []) != draw_overlays(FRAME, scan, LIDAR, [])
         rows, columns = np.nonzero(drawn.any(axis=-1))
         places.append((columns.mean() - (160 - 14 - SIDE / 2), rows.mean() - (120 - 14 - SIDE / 2)))
     np.testing.assert_allclose(places, [(0.0, -SIDE / 4), (-SIDE / 4, 0.0)], atol=1.5)
@@ -337,7 +337,7 @@ def test_the_goal_lies_where_it_is() -> None:
 def test_a_film_holds_the_frames_added(rate: float, tmp_path: Path) -> None:
     path = tmp_path / "film.mp4"
     shades = [20, 90, 160, 230]
-    with film(path, rate, 64, 48) as add:
+    with open_video(path, rate, 64, 48) as add:
         for shade in shades:
             add(np.full((48, 64, 3), shade, np.uint8))
         assert not path.exists()
@@ -351,7 +351,7 @@ def test_a_film_holds_the_frames_added(rate: float, tmp_path: Path) -> None:
 @pytest.mark.parametrize("size", [(63, 48), (64, 47)])
 def test_a_film_of_an_odd_size_is_refused(size: tuple[int, int], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"must be even \\(got {size[0]} by {size[1]}\\)"):
-        film(tmp_path / "film.mp4", 10.0, *size).__enter__()
+        open_video(tmp_path / "film.mp4", 10.0, *size).__enter__()
     assert not list(tmp_path.iterdir())
 
 
@@ -359,7 +359,7 @@ def test_a_film_of_an_odd_size_is_refused(size: tuple[int, int], tmp_path: Path)
 def test_a_film_that_fails_leaves_the_old_one_alone(error: type[BaseException], tmp_path: Path) -> None:
     path = tmp_path / "film.mp4"
     path.write_bytes(b"an older film")
-    with pytest.raises(error), film(path, 10.0, 64, 48) as add:
+    with pytest.raises(error), open_video(path, 10.0, 64, 48) as add:
         add(np.zeros((48, 64, 3), np.uint8))
         raise error
     assert path.read_bytes() == b"an older film"

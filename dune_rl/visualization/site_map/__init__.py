@@ -1,1 +1,1 @@
-"""The map of a site, from above."""
+"""Maps of a world from above."""

@@ -1,4 +1,4 @@
-"""The page that a map is on: places in inches, text, scale bars and arrows."""
+"""The page of a map: positions in inches, text, scale bars and arrows."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from dune_rl.visualization.site_map import colours
 
 WIDTH_IN, HEIGHT_IN = 13.0, 8.0
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
-# A panel narrower than that has no room above it for a scale bar, or for arrows beside that.
+# Narrower panels have no room above them for a scale bar, or for arrows besides.
 _SCALE_BAR_IN, _ARROWS_IN = 1.9, 3.4
 
 
 @dataclass(frozen=True)
-class Place:
-    """A rectangle on the page [in], from its lower left corner."""
+class PageRectangle:
+    """A rectangle on the page [in], given by its lower left corner and size."""
 
     left: float
     bottom: float
@@ -25,19 +25,19 @@ class Place:
 
     @property
     def top(self) -> float:
-        """The height of its upper side [in]."""
+        """The position of its upper side [in]."""
         return self.bottom + self.height
 
 
-def panel_axes(figure: Figure, place: Place) -> Axes:
-    """Axes at a place of the page."""
+def panel_axes(figure: Figure, place: PageRectangle) -> Axes:
+    """Axes in a rectangle of the page."""
     return figure.add_axes(
         (place.left / WIDTH_IN, place.bottom / HEIGHT_IN, place.width / WIDTH_IN, place.height / HEIGHT_IN)
     )
 
 
 def page_axes(figure: Figure) -> Axes:
-    """Axes over the whole page, in inches."""
+    """Axes over the whole page, with coordinates in inches; created at the first call."""
     for axes in figure.axes:
         if axes.get_label() == "page":
             return axes
@@ -48,16 +48,16 @@ def page_axes(figure: Figure) -> Axes:
     return axes
 
 
-def write(
+def draw_text(
     figure: Figure, x: float, y: float, text: str, size: float, *, weight: str = "normal",
     colour: str = colours.INK, ha: str = "left",
 ) -> None:  # fmt: skip
-    """Write a line from (x, y) [in] on, `size` in points."""
+    """Draw a line of text at (x, y) [in]; `size` is in points."""
     page_axes(figure).text(x, y, text, fontsize=size, fontweight=weight, color=colour, ha=ha, va="baseline")
 
 
-def scale_bar(figure: Figure, place: Place, per_m: float) -> None:
-    """A bar of a round length over the right end of a panel; `per_m` is the scale [in/m]."""
+def draw_scale_bar(figure: Figure, place: PageRectangle, per_m: float) -> None:
+    """Draw a bar of a round length above the right end of a panel; `per_m` is the scale [in/m]."""
     if place.width < _SCALE_BAR_IN:
         return
     longest = 0.24 * place.width / per_m
@@ -79,11 +79,11 @@ def scale_bar(figure: Figure, place: Place, per_m: float) -> None:
             linewidth=0.6,
         )
     )
-    write(figure, right + 0.06, y - 0.045, f"{length:g} m", 7.5)
+    draw_text(figure, right + 0.06, y - 0.045, f"{length:g} m", 7.5)
 
 
-def arrows(figure: Figure, place: Place) -> None:
-    """The directions of x and y, over the middle of a panel."""
+def draw_axis_arrows(figure: Figure, place: PageRectangle) -> None:
+    """Draw the directions of x and y above the middle of a panel."""
     if place.width < _ARROWS_IN:
         return
     page = page_axes(figure)
@@ -94,4 +94,4 @@ def arrows(figure: Figure, place: Place) -> None:
             arrowprops={"arrowstyle": "-|>,head_length=4,head_width=2", "color": colours.INK,
                         "mutation_scale": 1, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
-        write(figure, x + at[0], y + at[1], name, 7)
+        draw_text(figure, x + at[0], y + at[1], name, 7)

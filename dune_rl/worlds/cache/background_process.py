@@ -1,7 +1,7 @@
-"""`python -m dune_rl.worlds.cache.background_process PARENT`: builds the worlds whose settings come in into
-the cache.
+"""Builds worlds into the cache: `python -m dune_rl.worlds.cache.background_process PARENT`.
 
-A line of JSON each. It ends with its input, with the process PARENT, or after a minute without work.
+Standard input has the settings of one world per line (JSON). The process ends with its input, with the
+process PARENT, or after a minute without work.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Films: frames into an MP4 file."""
+"""Writing frames into an MP4 file."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,14 +15,15 @@ AddFrame = Callable[[NDArray[np.uint8]], None]
 
 
 @contextmanager
-def film(path: Path, frames_per_s: float, width: int, height: int) -> Iterator[AddFrame]:
-    """Gives a function that adds a frame (height, width, 3) to an MP4 file (H.264).
+def open_video(path: Path, frames_per_s: float, width: int, height: int) -> Iterator[AddFrame]:
+    """Open an MP4 file (H.264); yields a function that adds a frame (height, width, 3).
 
-    The file takes its name when the block is left, and only if nothing failed.
-    `width` and `height` [px] must be even: the codec halves the resolution of colours.
+    The file gets its name when the block ends, and only if it ends without an
+    exception. `width` and `height` [px] must be even, since the codec halves
+    the resolution of colours.
     """
     if width % 2 or height % 2:
-        raise ValueError(f"a film's width and height must be even (got {width} by {height})")
+        raise ValueError(f"a video's width and height must be even (got {width} by {height})")
     with write_atomically(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(frames_per_s).limit_denominator(1000))
         stream.width, stream.height = width, height
