@@ -28,7 +28,9 @@ def build_learner(conf: LearningConf, context: "LearnerContext") -> "Algorithm":
 
     learner = ALGORITHMS.build(conf, context)
     if not isinstance(learner, Algorithm):
-        raise ConfigError(f"the algorithm {conf.name!r} must be a class derived from Algorithm, and is {learner!r:.80}")
+        raise ConfigError(
+            f"the algorithm {conf.name!r} must be a class derived from Algorithm, and is {learner!r:.80}"
+        )
     return learner
 
 

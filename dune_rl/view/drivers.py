@@ -3,9 +3,12 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from torchrl.envs import EnvBase
+
 from dune_rl.config.schema import ViewConf
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.policies import GoToGoal, Policy, UniformRandom, load_policy
+from dune_rl.learning.group_policy import Policy
+from dune_rl.learning.policies import built_in_policy
+from dune_rl.learning.saved_policies import load_policy
 
 _ENDINGS = {
     "success": "goal reached",
@@ -17,14 +20,12 @@ _ENDINGS = {
 }
 
 
-def driver(conf: ViewConf, layout: Layout) -> Callable[[], Policy]:
+def driver(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:
     """Makes the policy that `conf` asks for, anew for each drive, so that none depends on those before it."""
     if conf.checkpoint is not None:
-        trained = load_policy(Path(conf.checkpoint), layout, more=True)[0]
+        trained = load_policy(Path(conf.checkpoint), env, allow_more=True)[0]
         return lambda: trained
-    if conf.policy == "random":
-        return lambda: UniformRandom(layout, conf.seed)
-    return lambda: GoToGoal(layout)
+    return lambda: built_in_policy(conf.policy or "go_to_goal", env, conf.seed)
 
 
 def ending(metrics: Mapping[str, float]) -> str:

@@ -12,7 +12,6 @@ from dune_rl.actors.actor import Actors
 from dune_rl.config.build import build_robot, build_world, make_torchrl_env
 from dune_rl.config.schema import ViewConf
 from dune_rl.files import write_atomically
-from dune_rl.learning.layout import Layout
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import Spawner
 from dune_rl.view.drivers import driver, ending
@@ -79,7 +78,7 @@ def drives(conf: ViewConf, console: Console) -> list[Drive]:
     batch = env.batch
     found: dict[int, Drive] = {}
     try:
-        policy = driver(conf, Layout.of(env))()
+        policy = driver(conf, env)()
         with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
             task = bar.add_task("driving", total=conf.episodes)
             env.set_seed(conf.seed)

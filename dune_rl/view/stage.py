@@ -10,7 +10,6 @@ from tensordict import TensorDictBase
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.schema import ViewConf
 from dune_rl.env.pictures import Pictures
-from dune_rl.learning.layout import Layout
 from dune_rl.view.drivers import driver, ending
 
 Picture = NDArray[np.uint8]
@@ -24,7 +23,7 @@ class Stage:
         self._env = make_torchrl_env(conf, 1, conf.seed)
         self.batch = self._env.batch
         self.pictures = Pictures(self.batch)
-        self._make_policy = driver(conf, Layout.of(self._env))
+        self._make_policy = driver(conf, self._env)
 
     def drive(self) -> Iterator[TensorDictBase]:
         """What is observed at the start of an episode and after each step, to its end."""

@@ -15,23 +15,21 @@ import torch
 from dune_rl.env.batch import Batch
 from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.env.variety import Variety
-from dune_rl.learning.layout import Layout
 from planted.puppets import puppet_batch
 from scenes import slope_stage
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
 
 import dune_rl
-from dune_rl.config.build import build_world, make_batch, make_torchrl_env
+from dune_rl.config.build import build_world, make_batch, make_learning_env
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.distributions import Choice, Integers, LogUniform, Normal, Uniform
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.policies import GoToGoal
+from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.run_log import RunLog
-from dune_rl.metrics.episode import METRICS
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.construction.build import ConstructionConf
@@ -392,8 +390,8 @@ def test_evaluation_tells_what_was_drawn_whatever_the_number_of_scenes() -> None
     }
     rows = []
     for scenes in (1, 3):
-        env = make_torchrl_env(compose_environment("island", (), settings), scenes, 4)
-        rows.append(evaluate(GoToGoal(Layout.of(env)), env, 4, 4))
+        env = make_learning_env(compose_environment("island", (), settings), scenes, 4)
+        rows.append(evaluate(built_in_policy("go_to_goal", env), env, 4, 4)["rover"])
         env.close()
     assert repr(rows[0]) == repr(rows[1])
     assert len({row["randomisation/friction"] for row in rows[0]}) == 4
@@ -401,11 +399,11 @@ def test_evaluation_tells_what_was_drawn_whatever_the_number_of_scenes() -> None
 
 def test_a_run_log_shows_the_mean_of_what_was_drawn(tmp_path: Path) -> None:
     names = ("success", "randomisation/friction")
-    log = RunLog(tmp_path, (*(name for name in METRICS if name != "success"), *names))
-    row = [0.0] * (len(METRICS) - 1)
-    metrics = torch.tensor([[[*row, 1.0, 0.5], [*row, 0.0, 0.7]]])
+    log = RunLog(tmp_path, {"rover": ("return", "steps", *names)})
+    metrics = torch.tensor([[[[0.0, 1.0, 1.0, 0.5]], [[0.0, 1.0, 0.0, 0.7]]]])
     done = torch.ones(1, 2, 1, dtype=torch.bool)
-    log.collected(TensorDict({"next": TensorDict({"done": done, "metrics": metrics}, (1, 2))}, (1, 2)), 64, 0)
+    after = TensorDict({"done": done, "rover": TensorDict({"metrics": metrics}, (1, 2, 1))}, (1, 2))
+    log.collected(TensorDict({"next": after}, (1, 2)), 64, {"rover": 0})
     log.close()
     events = EventAccumulator(str(tmp_path)).Reload()
     (scalar,) = events.Scalars("randomisation/friction")

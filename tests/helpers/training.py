@@ -61,7 +61,9 @@ def trainer(
     )
 
 
-def make_sac(spec: PolicySpec, folder: Path, *, total_frames: int = 1, agents: int = 1, **settings: Any) -> Sac:
+def make_sac(
+    spec: PolicySpec, folder: Path, *, total_frames: int = 1, agents: int = 1, **settings: Any
+) -> Sac:
     """A learner of the group `rover` by itself."""
     context = LearnerContext(
         group="rover",

@@ -1,7 +1,6 @@
 """The training loop on the point mass: that it continues, counts, saves, and learns."""
 
 import signal
-import statistics
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from point_mass import PointMass, make_point_mass
-from training import SMALL, assert_halves_make_a_whole, small, trainer, weights
+from training import assert_halves_make_a_whole, small, trainer, weights
 
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
@@ -118,7 +117,7 @@ def test_other_networks_do_not_resume(tmp_path: Path) -> None:
 def test_other_groups_do_not_resume(tmp_path: Path) -> None:
     trainer(tmp_path / "run").train(stop_after_frames=128)
     other = partial(PointMass, groups={"dog": 1})
-    with pytest.raises(CheckpointError, match="trains the groups rover; here are dog"):
+    with pytest.raises(CheckpointError, match="trains rover, and the groups here are dog"):
         trainer(tmp_path / "run", make_env=other, resume=tmp_path / "run")
 
 

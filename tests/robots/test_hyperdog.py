@@ -8,14 +8,13 @@ from batches import every_engine, metric
 from defusedxml.ElementTree import parse
 from dune_rl.engine_comparison.watched import watched_batch
 from dune_rl.env.bounds import rover_observation_bounds
-from dune_rl.learning.layout import Layout
 from scenes import STEP_S, every_backend, plane, quaternion_of
 from walking_robots import Walk
 
 from dune_rl.config.build import build_robot, make_batch, make_torchrl_env
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError
-from dune_rl.learning.policies import GoToGoal
+from dune_rl.learning.policies import built_in_policy
 from dune_rl.paths import assets_folder
 from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
 
@@ -262,8 +261,8 @@ def test_instruments_on_joints_read_twelve_and_odometry_is_refused():
 
 def test_who_goes_to_goals_by_speed_and_heading_says_that_joints_are_not_for_it():
     env = make_torchrl_env(_conf("robot.action=joints"), 1, 0)
-    with pytest.raises(ConfigError, match=r"takes 12 numbers; take policy=random, .*learning.warm_up=random"):
-        GoToGoal(Layout.of(env))
+    with pytest.raises(ConfigError, match=r"the action has 12 components; take policy=random"):
+        built_in_policy("go_to_goal", env)
     env.close()
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from batches import every_engine
 
-from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.learning.evaluation import Row, evaluate
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.policies import GoToGoal
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.measures import Row
+from dune_rl.learning.policies import built_in_policy
 from dune_rl.physics.interface import Engine
 
 pytestmark = pytest.mark.slow
@@ -27,10 +27,10 @@ def episodes(world: str, robot: str, engine: Engine, *settings: str) -> list[Row
             *settings,
         ],
     )
-    env = make_torchrl_env(conf, 16, 0)
-    rows = evaluate(GoToGoal(Layout.of(env)), env, 100, 0)
+    env = make_learning_env(conf, 16, 0)
+    rows = evaluate(built_in_policy("go_to_goal", env), env, 100, 0)
     env.close()
-    return rows
+    return next(iter(rows.values()))
 
 
 @every_engine
