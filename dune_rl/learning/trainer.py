@@ -214,9 +214,7 @@ class Trainer:
         return {group: policy for group, policy in policies.items() if policy is not None}
 
     def _make_collector(self) -> TransitionCollector:
-        """The collector that is due now: with warm-up policies in this process, then with the learners'
-        own.
-        """
+        """The collector that is due: with warm-up policies in this process, then with the learners' own."""
         policies: dict[str, TensorDictModuleBase] = {
             group: learner.make_policy() for group, learner in self._learners.items()
         }
@@ -285,9 +283,5 @@ class Trainer:
         if self._saved is None:
             return None
         then, now = self._saved["collector"], self._conf.collector
-        same = (then["mode"], then["scenes"], then["warming"]) == (
-            now.mode,
-            now.scenes,
-            bool(self._warming_up),
-        )
-        return then["state"] if same else None
+        here = (now.mode, now.scenes, bool(self._warming_up))
+        return then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None

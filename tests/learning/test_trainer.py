@@ -117,7 +117,7 @@ def test_other_networks_do_not_resume(tmp_path: Path) -> None:
 def test_other_groups_do_not_resume(tmp_path: Path) -> None:
     trainer(tmp_path / "run").train(stop_after_frames=128)
     other = partial(PointMass, groups={"dog": 1})
-    with pytest.raises(CheckpointError, match="trains the groups rover; here are dog"):
+    with pytest.raises(CheckpointError, match="trains rover, and the groups here are dog"):
         trainer(tmp_path / "run", make_env=other, resume=tmp_path / "run")
 
 

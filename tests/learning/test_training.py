@@ -11,9 +11,8 @@ from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
 from dune_rl.train import train
 
-MAKE_ENV = partial(
-    make_learning_env, compose(["+world=inspection", "task.terminations.time_limit.max_steps=40"])
-)
+CONF = compose(["+world=inspection", "task.terminations.time_limit.max_steps=40"])
+MAKE_ENV = partial(make_learning_env, CONF)
 
 
 def test_halves_make_a_whole_on_inspection(tmp_path: Path) -> None:
