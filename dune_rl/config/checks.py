@@ -16,6 +16,7 @@ from dune_rl.metrics.registry import METRICS, MetricTermConf
 from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.sensors.registry import SENSORS, SensorSettings
 from dune_rl.suggestions import closest
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTermConf, TerminationTermConf
 from dune_rl.worlds.registry import WORLDS
@@ -27,6 +28,7 @@ Model = TypeVar("Model", bound=BaseModel)
 _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     WorldSettings: WORLDS,
     RobotSettings: ROBOTS,
+    SensorSettings: SENSORS,
     BehaviourSettings: BEHAVIOURS,
     LearningConf: ALGORITHMS,
     RewardTermConf: REWARDS,

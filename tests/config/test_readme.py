@@ -15,7 +15,7 @@ from dune_rl.config.compose import (
     compose_evaluation,
     compose_resumed,
     compose_view,
-    given,
+    override_value,
 )
 from dune_rl.engine_comparison.command_line import parse_settings as engines_settings
 from dune_rl.errors import ConfigError
@@ -39,16 +39,16 @@ def compose_command(words: list[str]) -> None:
     parsed = parse_arguments(rest)
     overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
-    if program == "dune_rl.train" and given(overrides, "resume"):
+    if program == "dune_rl.train" and override_value(overrides, "resume"):
         compose_resumed(overrides, folders, saved)
     elif program == "dune_rl.train":
         check_sweep(overrides, folders) if parsed.multirun else compose(overrides, folders)
     elif program == "dune_rl.evaluate":
-        compose_evaluation(overrides, folders, saved if given(overrides, "checkpoint") else None)
+        compose_evaluation(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
     elif program == "dune_rl.view":
-        compose_view(overrides, folders, saved if given(overrides, "checkpoint") else None)
+        compose_view(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     else:
         assert program == "dune_rl.benchmark"
 

@@ -119,7 +119,7 @@ def test_a_folder_of_options_varies_any_world(user: Path) -> None:
         "rocks": 7,
     }
     env = dune_rl.make({"name": "deep", "rocks": 1}, 1, config_dirs=["my"], actors="none")
-    assert len(env.batch.world.props) == 2
+    assert len(env.simulation.worlds.worlds[0].props) == 2
     env.close()
 
 
