@@ -13,7 +13,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.interface import StaticBody
+from dune_rl.physics.interface import KinematicCapsule, StaticBody
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,8 @@ _MARGIN_M = 0.3
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
 # velocity and do not increase it.
 _MAX_ACCELERATION_MPS2 = 40.0
+# Distance below which engines begin to treat two shapes as in contact, and more.
+_CONTACT_MARGIN_M = 0.1
 _CELL_M, _MOST_CELLS = 0.25, 512
 # Triangles with larger bounding boxes are split before they are drawn into the grid.
 _LARGE_TRIANGLE_M = 2.0
@@ -46,8 +48,8 @@ class ObstacleGrid:
             return
         self._is_everywhere = False
         triangles = _split_large(triangles)
-        low = triangles.min(axis=1) - reach_m - _MARGIN_M
-        high = triangles.max(axis=1) + reach_m + _MARGIN_M
+        low = triangles.min(axis=1) - reach_m - _MARGIN_M - _CONTACT_MARGIN_M
+        high = triangles.max(axis=1) + reach_m + _MARGIN_M + _CONTACT_MARGIN_M
         corner, far_corner = low.min(axis=0), high.max(axis=0)
         size = max(_CELL_M, float((far_corner - corner).max()) / _MOST_CELLS)
         self._x, self._y, self._per_m = float(corner[0]), float(corner[1]), 1.0 / size
@@ -127,35 +129,53 @@ class GatedRobot(Protocol):
 
 
 class ContactGate:
-    """Tells which robots of a scene can touch a static obstacle or another robot within a control step."""
+    """Finds the bodies that can have contacts, other than with ground, in the next control step."""
 
-    def __init__(self, statics: tuple[StaticBody, ...]) -> None:
+    def __init__(self, statics: tuple[StaticBody, ...], kinematics: Sequence[KinematicCapsule]) -> None:
         self._statics = statics
+        self._rooms_m = [body.radius_m + _CONTACT_MARGIN_M for body in kinematics]
         self._grids: dict[float, ObstacleGrid] = {}
 
-    def find_exposed(
-        self, robots: Sequence[GatedRobot], duration_s: float, forces: Mapping[int, Sequence[float]]
-    ) -> list[bool]:
-        """Whether each robot can touch anything but ground and kinematic bodies in the next `duration_s` [s].
+    def find_contacts(
+        self,
+        robots: Sequence[GatedRobot],
+        duration_s: float,
+        forces: Mapping[int, Sequence[float]],
+        old_poses: Sequence[Sequence[float]],
+        new_poses: Sequence[Sequence[float]],
+    ) -> tuple[list[int], list[bool]]:
+        """Indices of the kinematic bodies that robots can touch, and whether each robot can touch anything.
 
-        `forces` [N] are the external ones, by index of the robot.
+        The step takes `duration_s` [s]. `forces` [N] are the external ones, by index of the robot. The K
+        kinematic bodies move from `old_poses` (x, y, ...) [m] to `new_poses`.
         """
         places = [robot.planar_motion() for robot in robots]
+        reaches = [robot.reach_m for robot in robots]
         exposed, motions = [], []
-        for index, (robot, (x, y, speed)) in enumerate(zip(robots, places, strict=True)):
+        for index, (x, y, speed) in enumerate(places):
             acceleration = _MAX_ACCELERATION_MPS2
             if index in forces:
-                acceleration += math.hypot(*forces[index]) / robot.base_mass_kg
+                acceleration += math.hypot(*forces[index]) / robots[index].base_mass_kg
             motion = (speed + acceleration * duration_s / 2) * duration_s
             motions.append(motion)
             # Written so that NaN, which compares false, counts as exposed.
-            exposed.append(not motion <= _MARGIN_M or self._grid(robot.reach_m).is_near(x, y))
+            exposed.append(not motion <= _MARGIN_M or self._grid(reaches[index]).is_near(x, y))
         for one, other in combinations(range(len(robots)), 2):
-            reach = robots[one].reach_m + robots[other].reach_m + motions[one] + motions[other]
+            reach = reaches[one] + reaches[other] + motions[one] + motions[other] + _CONTACT_MARGIN_M
             (x, y, _), (other_x, other_y, _) = places[one], places[other]
             if not (abs(x - other_x) > reach or abs(y - other_y) > reach):
                 exposed[one] = exposed[other] = True
-        return exposed
+        near = []
+        for body, (old, new, room) in enumerate(zip(old_poses, new_poses, self._rooms_m, strict=True)):
+            (x, y, *_), step = new, abs(new[0] - old[0]) + abs(new[1] - old[1])
+            is_near = False
+            for index, (robot_x, robot_y, _) in enumerate(places):
+                reach = reaches[index] + motions[index] + room + step
+                if not (abs(x - robot_x) > reach or abs(y - robot_y) > reach):
+                    is_near = exposed[index] = True
+            if is_near:
+                near.append(body)
+        return near, exposed
 
     def _grid(self, reach_m: float) -> ObstacleGrid:
         grid = self._grids.get(reach_m)

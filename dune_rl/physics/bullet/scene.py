@@ -65,7 +65,7 @@ class BulletScene:
         self._kinematics = BulletCapsules(self._client, spec.kinematics, OBSTACLE, HULL)
         for index, handle in enumerate(self._kinematics.handles):
             self._body_numbers[handle] = spec.kinematic_number(index)
-        self._gate = ContactGate(spec.statics)
+        self._gate = ContactGate(spec.statics, spec.kinematics)
         # The mask of a lone robot has no HULL: it is part of what makes runs bit-identical over versions.
         hull_mask = GROUND | OBSTACLE | (HULL if len(spec.robots) > 1 else 0)
         self.robots = [
@@ -125,16 +125,18 @@ class BulletScene:
             if force is not None:
                 forces[index] = force
             robot.begin_step(count)
-        near = self._kinematics.begin_step(kinematic_poses, robots)
-        duration_s = count * self._spec.timestep_s
-        exposed = [True] * len(robots) if near else self._gate.find_exposed(robots, duration_s, forces)
+        poses = kinematic_poses.tolist()
+        near, exposed = self._gate.find_contacts(
+            robots, count * self._spec.timestep_s, forces, self._kinematics.poses, poses
+        )
+        self._kinematics.begin_step(poses, near)
         watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
-        if not watched and not forces:
+        if not watched and not forces and not near:
             self.step_passive(count)
             return
         for substep in range(1, count + 1):
-            for index, old, new in near:
-                self._kinematics.move(index, old, new, substep / count)
+            for body in near:
+                self._kinematics.move(body, substep / count)
             for index, force in forces.items():
                 robots[index].act_force(force)
             self.step_passive(1)

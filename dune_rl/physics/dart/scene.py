@@ -19,11 +19,6 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.interface import SceneSpec
 
-# A body that ends a control step farther than this from all robots, and than they reach, is not near: it
-# cannot touch a robot before the next control step, and moves at once.
-_NEAR_M = 2.0
-_MARGIN_M = 0.5
-
 # A smaller tolerance needs more sweeps and changes no yaw rate by 1 %.
 _CONE_TOLERANCE = 1e-3
 
@@ -37,8 +32,7 @@ class DartScene:
         self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
-        self._radii = np.array([body.radius_m for body in spec.kinematics])
-        self._gate = ContactGate(spec.statics)
+        self._gate = ContactGate(spec.statics, spec.kinematics)
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
 
@@ -50,6 +44,7 @@ class DartScene:
         skeletons = [robot.load() for robot in self.robots]
         self._static_geometry.restore_friction()
         self._kinematics = KinematicBodies(spec, self.robots)
+        self._kinematic_poses = kinematic_poses.tolist()
         self._place_kinematics(self._centres(kinematic_poses))
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
@@ -97,33 +92,27 @@ class DartScene:
             if force is not None:
                 forces[index] = force
             robot.begin_step(count)
-        near = self._begin_kinematics(count, kinematic_poses)
-        exposed = [True] * len(self.robots)
-        if not near:
-            exposed = self._gate.find_exposed(self.robots, count * self._spec.timestep_s, forces)
+        duration_s = count * self._spec.timestep_s
+        near, exposed = self._gate.find_contacts(
+            self.robots, duration_s, forces, self._kinematic_poses, poses := kinematic_poses.tolist()
+        )
+        self._kinematic_poses = poses
+        centres = self._centres(kinematic_poses)
+        if near:
+            self._start_kinematics(centres, near, duration_s)
+        elif poses:
+            self._place_kinematics(centres)
         self._advance(count, forces, exposed)
         if near:
-            self._place_kinematics(self._centres(kinematic_poses))
-
-    def _begin_kinematics(self, count: int, kinematic_poses: NDArray[np.float64]) -> bool:
-        """Start the motion of kinematic bodies to `kinematic_poses` (K, 4); whether any is near a robot."""
-        if not len(kinematic_poses):
-            return False
-        centres = self._centres(kinematic_poses)
-        positions = np.array([robot.planar_motion()[:2] for robot in self.robots]).reshape(-1, 2)
-        reaches = np.array([robot.reach_m for robot in self.robots])
-        steps = np.abs(centres - self._kinematic_centres)[:, :2].sum(axis=1)
-        limits = np.maximum(_NEAR_M, (self._radii + _MARGIN_M + steps)[:, None] + reaches)
-        near = (np.abs(centres[:, None, :2] - positions) < limits[..., None]).all(axis=2).any(axis=1)
-        if not near.any():
             self._place_kinematics(centres)
-            return False
-        start = np.where(near[:, None], self._kinematic_centres, centres)
+
+    def _start_kinematics(self, centres: NDArray[np.float64], near: Sequence[int], duration_s: float) -> None:
+        """Start the motion of the bodies `near` to `centres` (K, 3) [m]; put the others there at once."""
+        start = centres.copy()
+        start[near] = self._kinematic_centres[near]
         self._kinematics.skeleton.setPositions(start.ravel())
         # The engine moves them at these speeds, and contacts take the speeds into account.
-        speeds = (centres - start).ravel() / (count * self._spec.timestep_s)
-        self._kinematics.skeleton.setCommands(speeds)
-        return True
+        self._kinematics.skeleton.setCommands((centres - start).ravel() / duration_s)
 
     def _clear_contact_cache(self) -> None:
         """Make the collision detector recompute all contacts in the next physics step.
