@@ -142,9 +142,7 @@ def test_values_of_a_users_term_are_checked() -> None:
 
 
 def test_only_classes_are_algorithms() -> None:
-    with pytest.raises(
-        RegistryError, match=r"class derived from .*Algorithm, and is <function slow"
-    ):
+    with pytest.raises(RegistryError, match=r"class derived from .*Algorithm, and is <function slow"):
         dune_rl.register_algorithm(slow)
 
 
