@@ -241,7 +241,7 @@ def test_a_scan_in_fog_passes_the_same_gate_as_faults():
     lidar = lidar_in(walls)
     sensor = Scanner(lidar, ("lidar",), 1, 1, in_haze(10.0))
     now = episode_state([3], [7])
-    now.position_w[:] = STANDING
+    now.motion.position_w[:] = STANDING
     sensor.measure(now, state_of(now))
     true = lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
     np.testing.assert_array_equal(sensor.read()["lidar"], lidar.segments(in_haze(10.0).applied(true, now)))
