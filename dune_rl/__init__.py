@@ -4,8 +4,8 @@
 batched TorchRL one. Each takes every setting that the command lines take.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from dune_rl.decorators import RegisterDecorator
 from dune_rl.env.registration import register_env, register_envs
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from dune_rl.env.gymnasium import GymnasiumEnv
     from dune_rl.env.pettingzoo import ParallelDuneEnv
     from dune_rl.env.torchrl import DuneEnv
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 __all__ = [
     "CheckpointError",
@@ -43,6 +45,7 @@ __all__ = [
     "register_sensor",
     "register_termination",
     "register_world",
+    "sensor_bounds",
 ]
 __version__ = "0.1.0"
 
@@ -116,6 +119,24 @@ def make(
 
     conf = compose_environment(world, overrides, settings, config_dirs=config_dirs)
     return make_torchrl_env(conf, num_scenes, seed)
+
+
+def sensor_bounds(
+    *, low: float | tuple[float, ...], high: float | tuple[float, ...], size: int = 1
+) -> Callable[[Function], Function]:
+    """Decorates a function of (state, group) as a sensor: what it returns, (N, size), lies in [low, high].
+
+    Both may have a number for each entry. Values beyond them are clipped.
+    """
+
+    def decorate(function: Function) -> Function:
+        # Only now: `dune_rl` itself must import fast.
+        from dune_rl.sensors.registry import ReadingBounds
+
+        function.sensor_bounds = ReadingBounds(low, high, size)  # type: ignore[attr-defined]
+        return function
+
+    return decorate
 
 
 register_world = RegisterDecorator("dune_rl.worlds.registry:WORLDS", then=register_env)

@@ -1,4 +1,4 @@
-"""What the command lines share: their arguments, and how they end."""
+"""What all command lines share: arguments, help, errors and exit codes."""
 
 import errno
 import logging
@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from dune_rl import plugins
-from dune_rl.config.compose import given
+from dune_rl.config.compose import override_value
+from dune_rl.config.options import REGISTRIES
 from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneError, DuneWarning
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
@@ -27,21 +27,21 @@ from dune_rl.paths import conf_folder
 
 _SHOW_WARNING = warnings.showwarning
 
-Lines = Sequence[tuple[str, str]]
-Settings = Mapping[str, Any]
+HelpRows = Sequence[tuple[str, str]]
+RawConfig = Mapping[str, Any]
 ConfT = TypeVar("ConfT", bound=EnvConf, covariant=True)
 
 
-class Compose(Protocol[ConfT]):
-    """What composes a command's settings: from overrides, folders of options, and a run's settings."""
+class ComposeSettings(Protocol[ConfT]):
+    """Composes a command's settings from overrides, folders of options and the settings of a run."""
 
     def __call__(
-        self, overrides: Sequence[str], config_dirs: Sequence[str], saved: Settings | None
+        self, overrides: Sequence[str], config_dirs: Sequence[str], saved: RawConfig | None
     ) -> ConfT: ...
 
 
-# What a user can mend about a folder or file; other operating system errors are faults of ours.
-_MENDABLE = {
+# Errors of the file system that a user can mend; others are faults of ours.
+_FILE_ERRORS = {
     errno.EACCES: "no permission",
     errno.EPERM: "no permission",
     errno.EEXIST: "a file of that name is in the way",
@@ -53,35 +53,35 @@ _MENDABLE = {
 
 
 class ReportedError(DuneError):
-    """A fault whose message has been shown already."""
+    """An error whose message has been printed already."""
 
 
 class Terminated(BaseException):
-    """SIGTERM, as an exception that runs every `finally` on its way out."""
+    """SIGTERM as an exception, so that every `finally` runs."""
 
 
 @dataclass(frozen=True)
-class Page:
-    """A page of help: what the command does, how it is called, what can be set, and a last word."""
+class HelpPage:
+    """The text of `--help`: what the command does, how it is called, what can be set, and a closing note."""
 
     title: str
-    usage: Lines
-    settings: Lines
+    usage: HelpRows
+    settings: HelpRows
     closing: str
 
 
-def run(page: Page, body: Callable[[Namespace], None], *, sweeps: bool = False) -> NoReturn:
-    """Call `body` with what the command line says and end the process.
+def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bool = False) -> NoReturn:
+    """Call `body` with the parsed command line and end the process.
 
-    It ends with 0, with 2 for what the user can mend, 130 for Ctrl-C and 143
-    for SIGTERM. `--help` shows the page; without `sweeps`, `-m` is refused.
+    The exit code is 0, 2 for errors that a user can mend, 130 for Ctrl-C and
+    143 for SIGTERM. `--help` prints the page; without `sweeps`, `-m` is refused.
     """
     signal.signal(signal.SIGTERM, _terminate)
     warnings.showwarning = _warn
-    # TorchRL tells of each buffer that it allocates.
+    # TorchRL logs each buffer that it allocates.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
-        parsed = arguments(sys.argv[1:])
+        parsed = parse_arguments(sys.argv[1:])
         if parsed.help:
             _show_help(page)
         elif parsed.multirun and not sweeps:
@@ -91,10 +91,10 @@ def run(page: Page, body: Callable[[Namespace], None], *, sweeps: bool = False) 
     except ReportedError:
         sys.exit(2)
     except (DuneError, OSError) as error:
-        message = mendable(error)
+        message = describe_user_error(error)
         if message is None:
             raise
-        fail(message)
+        exit_with_error(message)
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)
     except Terminated:
@@ -104,89 +104,91 @@ def run(page: Page, body: Callable[[Namespace], None], *, sweeps: bool = False) 
 
 def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
     if issubclass(category, DuneWarning):
-        say(f"warning: {message}")
+        print_error(f"warning: {message}")
     else:
         _SHOW_WARNING(message, category, *place, **more)
 
 
-def mendable(error: DuneError | OSError) -> str | None:
-    """What to tell a user about an error that can be mended; None for a fault of ours."""
+def describe_user_error(error: DuneError | OSError) -> str | None:
+    """The message of an error that a user can mend; None for a fault of ours."""
     if isinstance(error, DuneError):
         return str(error)
-    reason = _MENDABLE.get(error.errno or 0)
+    reason = _FILE_ERRORS.get(error.errno or 0)
     return f"cannot write {error.filename or 'a file'}: {reason}; choose another place" if reason else None
 
 
-def fail(message: str) -> NoReturn:
-    """Show a message on standard error and end with 2."""
-    say(message)
+def exit_with_error(message: str) -> NoReturn:
+    """Print a message on standard error and end the process with exit code 2."""
+    print_error(message)
     sys.exit(2)
 
 
-def say(message: str) -> None:
-    """Show a message on standard error."""
+def print_error(message: str) -> None:
+    """Print a message on standard error."""
     print(message, file=sys.stderr, flush=True)
 
 
-def arguments(words: Sequence[str]) -> Namespace:
+def parse_arguments(words: Sequence[str]) -> Namespace:
     """Hydra's flags and the overrides among the words of a command line; `ConfigError` for unknown flags."""
     parsed, unknown = get_args_parser().parse_known_args(list(words))
     flags = [word for word in unknown if word.startswith("-")]
     if flags:
         raise ConfigError(f"there is no flag {flags[0]}; settings are written key=value (see --help)")
-    # Overrides that stand behind a flag end up among the unknown.
+    # argparse takes overrides after a flag for unknown words.
     parsed.overrides += unknown
     return parsed
 
 
-def config_dirs(parsed: Namespace) -> list[str]:
+def config_folders(parsed: Namespace) -> list[str]:
     """Further folders of options, from `--config-dir`."""
     return [parsed.config_dir] if parsed.config_dir else []
 
 
-def settings_around_checkpoint(
-    parsed: Namespace, compose: Compose[ConfT], adapt: Callable[[Settings], Settings] = lambda saved: saved
+def compose_with_checkpoint(
+    parsed: Namespace,
+    compose: ComposeSettings[ConfT],
+    adapt: Callable[[RawConfig], RawConfig] = lambda saved: saved,
 ) -> ConfT | None:
-    """The settings of a command that may take `checkpoint=PATH`, which brings those of its run.
+    """The settings of a command that may take `checkpoint=PATH`, which are based on those of its run.
 
-    `adapt` changes the run's before the overrides change them. With `--cfg` the settings are shown, and
-    None is given: there is no more to do.
+    `adapt` changes the run's settings before the overrides do. With `--cfg` the settings are printed and
+    the result is None: there is no more to do.
     """
-    checkpoint = given(parsed.overrides, "checkpoint")
+    checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None
     if checkpoint is not None:
         file = find(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
         saved = adapt(read(file, "policy", "checkpoint")["config"])
-    conf = compose(parsed.overrides, config_dirs(parsed), saved)
+    conf = compose(parsed.overrides, config_folders(parsed), saved)
     if not parsed.cfg:
         return conf
     print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
     return None
 
 
-def console() -> Console:
-    """Where results are printed: as wide as the terminal, and wide enough for a table elsewhere."""
+def make_console() -> Console:
+    """A console for results: as wide as the terminal, and wide enough for a table elsewhere."""
     return Console() if Console().is_terminal else Console(width=120)
 
 
-def group_settings() -> list[tuple[str, str]]:
-    """A line of help for each group of options, with its options."""
-    found = []
-    brought = set(plugins.entry_points_by_name("dune_rl.worlds"))
+def option_group_rows() -> list[tuple[str, str]]:
+    """A row of help for each group of options, the world first; users' parts are among the options."""
+    rows = []
     for folder in sorted(path for path in conf_folder().iterdir() if path.is_dir()):
-        if folder.name != "experiment":
-            options = {path.stem for path in folder.glob("*.yaml")}
-            if folder.name == "world":
-                found.append(("+world=NAME", ", ".join(sorted(options | brought))))
-            else:
-                found.append((f"{folder.name}=NAME", ", ".join(sorted(options))))
-    return sorted(found, key=lambda item: not item[0].startswith("+"))
+        if folder.name == "experiment":
+            continue
+        options = {path.stem for path in folder.glob("*.yaml")}
+        if folder.name in REGISTRIES:
+            options |= set(REGISTRIES[folder.name].user_names())
+        name = "+world=NAME" if folder.name == "world" else f"{folder.name}=NAME"
+        rows.append((name, ", ".join(sorted(options))))
+    return sorted(rows, key=lambda row: not row[0].startswith("+"))
 
 
-def _show_help(page: Page) -> None:
+def _show_help(page: HelpPage) -> None:
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"[bold]{page.title}[/bold]")
-    for lines in (page.usage, [*group_settings(), *page.settings]):
+    for lines in (page.usage, [*option_group_rows(), *page.settings]):
         table = Table(box=None, show_header=False, padding=(0, 2))
         table.add_column(style="cyan", no_wrap=True, min_width=max(len(name) for name, _ in lines))
         table.add_column()

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from dune_rl import command
-from dune_rl.command import Page
+from dune_rl.command import HelpPage
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
@@ -42,25 +42,25 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(Page("Measure a policy on numbered episodes.", USAGE, SETTINGS, CLOSING), _main)
+    command.run_command(HelpPage("Measure a policy on numbered episodes.", USAGE, SETTINGS, CLOSING), _main)
 
 
 def _main(parsed: Namespace) -> None:
-    conf = command.settings_around_checkpoint(parsed, compose_evaluation)
+    conf = command.compose_with_checkpoint(parsed, compose_evaluation)
     if conf is not None:
         _evaluate(conf)
 
 
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
-    from dune_rl.config.build import make_torchrl_env
+    from dune_rl.config.build import make_learning_env
     from dune_rl.learning.evaluation import evaluate
     from dune_rl.learning.measures import write_csv
 
     out = Path(conf.out) if conf.out else _default_out(conf)
     _check_writable(out)
-    console = command.console()
-    env = make_torchrl_env(conf, min(conf.scenes, conf.episodes), conf.seed)
+    console = command.make_console()
+    env = make_learning_env(conf, min(conf.scenes, conf.episodes), conf.seed)
     agents: dict[str, list[str]] = env.group_map
     results: dict[str, dict[str, list[Row]]] = {}
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:

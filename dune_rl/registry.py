@@ -230,8 +230,6 @@ class Registry(Generic[ProductT]):
         assert part is not None and type(conf) is part.settings, conf
         return part
 
-    # -- inside -----------------------------------------------------------------------------------
-
     def find(self, name: str) -> RegisteredPart | None:
         """The part `name`, None where there is none; an error for a broken package."""
         if name in self.own:
@@ -257,6 +255,8 @@ class Registry(Generic[ProductT]):
                 ) from error
             self._remember(name, target, origin)
         return self._user_parts[name]
+
+    # -- inside -----------------------------------------------------------------------------------
 
     def _read_own(self, name: str) -> RegisteredPart:
         module, _, attribute = self.own[name].partition(":")

@@ -54,7 +54,10 @@ class ProximityQueries(Protocol):
 class BatteryModel(Protocol):
     """The battery of a robot: what terms read of its settings."""
 
-    capacity_wh: float
+    @property
+    def capacity_wh(self) -> float:
+        """Energy of a full battery [W h]."""
+        ...
 
     def drawn_wh(self, work_j: Array, time_s: float) -> Array:
         """Energy drawn [W h], (N,), while motors have done `work_j` (N,) [J] in `time_s`."""

@@ -18,8 +18,8 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from dune_rl import command, paths
-from dune_rl.command import Page
-from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, given
+from dune_rl.command import HelpPage
+from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find, read
@@ -44,7 +44,7 @@ SETTINGS = (
     ("total_frames=N", "control steps in all"),
     ("device=cpu|cuda", "of the learner"),
     ("run_dir=FOLDER", "where the run is kept"),
-    ("task.termination.max_steps=N", "length of an episode"),
+    ("task.terminations.time_limit.max_steps=N", "length of an episode"),
     ("learning.collector.workers=N", "processes that step environments"),
     ("learning.collector.scenes=N", "scenes in each process"),
     ("learning.batch_size=N", "transitions in an update"),
@@ -53,14 +53,16 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(
-        Page("Train a rover to drive to goals off the road.", USAGE, SETTINGS, CLOSING), _main, sweeps=True
+    command.run_command(
+        HelpPage("Train a rover to drive to goals off the road.", USAGE, SETTINGS, CLOSING),
+        _main,
+        sweeps=True,
     )
 
 
 def _main(parsed: Namespace) -> None:
-    folders = command.config_dirs(parsed)
-    source = given(parsed.overrides, "resume")
+    folders = command.config_folders(parsed)
+    source = override_value(parsed.overrides, "resume")
     if source is not None:
         if parsed.multirun:
             raise ConfigError("resume goes on with one run; leave -m out")
@@ -90,20 +92,20 @@ def _job(config: DictConfig) -> None:
         conf = from_hydra(config)
         train(conf.model_copy(update={"run_dir": engine.runtime.output_dir}))
     except (DuneError, OSError) as error:
-        message = command.mendable(error)
+        message = command.describe_user_error(error)
         if message is None:
             raise
         if engine.mode is not RunMode.MULTIRUN:
-            command.fail(message)
+            command.exit_with_error(message)
         # The other jobs of the sweep go on; Hydra raises this one's error after the last.
-        command.say(f"job {engine.job.num} failed: {message}")
+        command.print_error(f"job {engine.job.num} failed: {message}")
         raise command.ReportedError from error
 
 
 def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
     checkpoint = find(Path(source), CHECKPOINT_FILE)
     saved = dict(read(checkpoint, "checkpoint")["config"])
-    if given(overrides, "run_dir") is None:
+    if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
     conf = compose_resumed(overrides, folders, saved)
     train(conf, resume=checkpoint)
@@ -121,17 +123,17 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
     # Only now: these load PyTorch, the physics engine and more, which other commands and collector
     # processes, which import this module too, do without.
-    from dune_rl.config.build import make_torchrl_env
+    from dune_rl.config.build import make_learning_env
     from dune_rl.learning.progress import Bar, Lines
     from dune_rl.learning.trainer import Trainer
 
     _check_machine(conf)
-    console = command.console()
+    console = command.make_console()
     reporter = Bar(console) if console.is_terminal else Lines(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
     trainer = Trainer(
-        partial(make_torchrl_env, conf),
+        partial(make_learning_env, conf),
         run_dir,
         conf.learning,
         seed=conf.seed,
@@ -146,7 +148,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     result = trainer.train()
     if result.signal is not None:
-        command.say(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
+        command.print_error(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
         sys.exit(128 + result.signal)
     _show_end(console, conf, result)
     return result
@@ -159,7 +161,7 @@ def _check_machine(conf: Conf) -> None:
         raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
     processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
     if processes + (conf.learning.threads or 1) > cores:
-        command.say(
+        command.print_error(
             f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
             f"{cores} cores; fewer may be faster (learning.collector.workers, learning.threads)"
         )

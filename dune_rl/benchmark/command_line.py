@@ -12,7 +12,7 @@ from dune_rl.benchmark.groups import measure_groups
 from dune_rl.benchmark.new_world import measure_new_world
 from dune_rl.benchmark.sensors import measure_sensors
 from dune_rl.benchmark.terrain import measure_terrain
-from dune_rl.command import Page
+from dune_rl.command import HelpPage
 from dune_rl.config.compose import compose_benchmark
 
 USAGE = (
@@ -32,11 +32,11 @@ CLOSING = "Ratios compare times of one run, so they hold on a busy machine, too.
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(Page("Measure the cost of a step; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
+    command.run_command(HelpPage("Measure the cost of a step; JSON lines.", USAGE, SETTINGS, CLOSING), _main)
 
 
 def _main(parsed: Namespace) -> None:
-    conf = compose_benchmark(parsed.overrides, command.config_dirs(parsed))
+    conf = compose_benchmark(parsed.overrides, command.config_folders(parsed))
     setting = {"world": conf.world.name, "actors": len(conf.actors)}
     if "environment" in conf.parts:
         _emit(benchmark="environment", **setting, **measure_environment(conf))

@@ -3,14 +3,18 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 
+from torchrl.envs import TransformedEnv
+
 from dune_rl.bodies.person import PersonConf
+from dune_rl.config.agents import PATH
+from dune_rl.config.controllers import controller_factory
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.torchrl import DuneEnv
+from dune_rl.env.torchrl import DuneEnv, EpisodeMetrics
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
@@ -54,8 +58,9 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             group.name,
             group.count,
             group.body if isinstance(group.body, PersonConf) else partial(build_robot, group.body),
+            controller=controller_factory(group.controller),
             paths=group.path,
-            follows_paths=group.controller == "path",
+            follows_paths=group.controller == PATH,
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
@@ -97,6 +102,11 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, seen: bool = False) -> Non
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
     return DuneEnv(make_simulation(conf, num_scenes, seed))
+
+
+def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedEnv:
+    """A TorchRL environment with the metrics of its episodes, for training and evaluation."""
+    return TransformedEnv(make_torchrl_env(conf, num_scenes, seed), EpisodeMetrics())
 
 
 def make_parallel_env(conf: EnvConf, seed: int, render_mode: RenderMode = None) -> ParallelDuneEnv:

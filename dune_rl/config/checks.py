@@ -10,10 +10,13 @@ from pydantic_core import ErrorDetails
 
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.errors import ConfigError, DuneError
+from dune_rl.learning.registry import ALGORITHMS
+from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.registry import METRICS, MetricTermConf
 from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.sensors.registry import SENSORS, SensorSettings
 from dune_rl.suggestions import closest
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTermConf, TerminationTermConf
 from dune_rl.worlds.registry import WORLDS
@@ -25,7 +28,9 @@ Model = TypeVar("Model", bound=BaseModel)
 _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     WorldSettings: WORLDS,
     RobotSettings: ROBOTS,
+    SensorSettings: SENSORS,
     BehaviourSettings: BEHAVIOURS,
+    LearningConf: ALGORITHMS,
     RewardTermConf: REWARDS,
     TerminationTermConf: TERMINATIONS,
     MetricTermConf: METRICS,
@@ -51,23 +56,23 @@ _KINDS = {
 }
 
 
-def validated(model: type[Model], data: Mapping[str, Any], earlier: Sequence[str] = ()) -> Model:
+def validate(model: type[Model], data: Mapping[str, Any], earlier: Sequence[str] = ()) -> Model:
     """The settings in `data`, or a `ConfigError` with a line for each fault, the `earlier` ones first."""
     try:
         settings = model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError("\n".join(unique([*earlier, *faults(error, model, data)]))) from None
+        raise ConfigError("\n".join(unique_lines([*earlier, *describe_faults(error, model, data)]))) from None
     if earlier:
-        raise ConfigError("\n".join(unique(earlier)))
+        raise ConfigError("\n".join(unique_lines(earlier)))
     return settings
 
 
-def unique(lines: Iterable[str]) -> list[str]:
+def unique_lines(lines: Iterable[str]) -> list[str]:
     """The same lines in the same order, each once."""
     return list(dict.fromkeys(lines))
 
 
-def faults(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> list[str]:
+def describe_faults(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> list[str]:
     """One sentence for every setting at fault; the members of a union count as one."""
     by_path: dict[tuple[str | int, ...], list[ErrorDetails]] = {}
     for detail in error.errors():
@@ -128,13 +133,13 @@ def _sentence(
     if first["type"] in ("value_error", "assertion_error"):
         message = str(first["ctx"]["error"])
         return f"{name}: {message}" if name else message
-    wanted = [want for detail in details if (want := _wanted(detail)) is not None]
+    wanted = [want for detail in details if (want := _requirement(detail)) is not None]
     if not wanted:
         return f"{name}: {first['msg']}"
-    return f"{name} must be {' or '.join(unique(wanted))} (got {_shown(_value_at(path, data))})"
+    return f"{name} must be {' or '.join(unique_lines(wanted))} (got {_quoted(_value_at(path, data))})"
 
 
-def _wanted(detail: ErrorDetails) -> str | None:
+def _requirement(detail: ErrorDetails) -> str | None:
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in _RANGES:
         key, words = _RANGES[kind]
@@ -164,7 +169,7 @@ def _value_at(path: Iterable[str | int], data: Any) -> Any:
     return data
 
 
-def _shown(value: Any) -> str:
+def _quoted(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     return repr(value)

@@ -1,32 +1,21 @@
-"""Settings composed by Hydra from `conf/`, and checked as a whole."""
+"""Settings composed by Hydra from `conf/` and overrides, and validated as a whole."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
-from functools import lru_cache, partial
-from pathlib import Path
+from contextlib import suppress
 from typing import Any, TypeVar, overload
 
-import yaml
-from hydra import compose as hydra_compose
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.core.singleton import Singleton
 from hydra.errors import HydraException
-from hydra.version import setbase
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
-from dune_rl import paths
-from dune_rl.config import overrides as command_line
-from dune_rl.config.checks import unique, validated
+from dune_rl.config.checks import unique_lines, validate
 from dune_rl.config.expand import expand_options, merged
+from dune_rl.config.hydra_session import compose_config, hydra_session, present_groups, stated_keys, to_plain
 from dune_rl.config.migration import migrated, move_renamed
-from dune_rl.config.options import offer_user_parts
+from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
 from dune_rl.errors import ConfigError
 from dune_rl.suggestions import one_of
@@ -58,12 +47,12 @@ def compose_evaluation(
 def compose_view(
     overrides: Sequence[str] = (), config_dirs: Sequence[str] = (), saved: Mapping[str, Any] | None = None
 ) -> ViewConf:
-    """The settings of a look; where `saved` settings of a run are given, overrides change those."""
+    """The settings of a view; where `saved` settings of a run are given, overrides change those."""
     return _compose(ViewConf, "view", overrides, config_dirs, saved)
 
 
 def compose_benchmark(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> BenchmarkConf:
-    """The settings of a benchmark, which has a world of its own unless told otherwise."""
+    """The settings of a benchmark, which has a default world."""
     return _compose(BenchmarkConf, "benchmark", overrides, config_dirs)
 
 
@@ -99,18 +88,18 @@ def compose_environment(
 ) -> EnvConf:
     """The settings of an environment alone.
 
-    In `settings` a text chooses an option of a group (`actors="none"`) and
-    anything else changes values. They win over the overrides.
+    In `settings` a string chooses an option of a group (`actors="none"`), and
+    anything else changes values. They take precedence over the overrides.
     """
     words = list(overrides)
     changes: dict[str, Any] = {}
     for name, value in {"world": world, **(settings or {})}.items():
         if isinstance(value, Mapping) and "name" in value and name not in _GROUPS:
             words.append(f"{name}={value['name']}")
-            # The option states its own name, which need not be its file's.
-            changes[name] = {key: given for key, given in value.items() if key != "name"}
+            # The option states its own name, which need not be that of its file.
+            changes[name] = {key: each for key, each in value.items() if key != "name"}
         elif name == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
-            # As on the command line: a list is of sensors.
+            # As on the command line: a list has the enabled sensors.
             changes[name] = {"enabled": list(value)}
         elif isinstance(value, str):
             words.append(f"{name}={value}")
@@ -118,51 +107,51 @@ def compose_environment(
             changes[name] = list(value)
         else:
             changes[name] = value
-    with _hydra(config_dirs) as loader:
-        request = command_line.read(words, loader)
-        data = merged(_plain(_composed("environment", request, loader)), changes)
-        return _checked(model, data, request, loader, given=settings or {})
+    with hydra_session(config_dirs) as loader:
+        request = parse_overrides(words, loader)
+        data = merged(to_plain(compose_config("environment", request)), changes)
+        return _validate_all(model, data, request, loader, set_in_python=settings or {})
 
 
 def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> list[str]:
-    """The overrides as Hydra wants them, after every value of each swept one has been checked.
+    """The overrides in Hydra's own form, after every value of each sweep has been validated.
 
-    Each is tried beside the first values of the others; `ConfigError` names
-    the faults of all.
+    Each value is validated beside the first values of the other sweeps;
+    `ConfigError` names the faults of all.
     """
-    with _hydra(config_dirs) as loader:
-        request = command_line.read(overrides, loader)
+    with hydra_session(config_dirs) as loader:
+        request = parse_overrides(overrides, loader)
         faults = list(request.faults)
-        for variant in _variants(request):
-            data = _plain(_composed("train", variant, loader))
+        for variant in _sweep_variants(request):
+            data = to_plain(compose_config("train", variant))
             try:
-                _checked(Conf, data, request, loader)
+                _validate_all(Conf, data, request, loader)
             except ConfigError as error:
                 faults += str(error).splitlines()
         if faults:
-            raise ConfigError("\n".join(unique(faults)))
-        present = _present("train", request)
-        return request.words(present, stated=_stated(request, present))
+            raise ConfigError("\n".join(unique_lines(faults)))
+        present = present_groups("train", request)
+        return request.hydra_words(present, stated=stated_keys(request, present))
 
 
-def given(overrides: Sequence[str], key: str) -> Any | None:
-    """The value that the overrides give to a setting, None where they do not name it."""
-    found = None
+def override_value(overrides: Sequence[str], key: str) -> Any | None:
+    """The value of a setting in the overrides; None where they do not set it."""
+    value = None
     parser = OverridesParser.create()
     for text in overrides:
         if text.lstrip("+").startswith(f"{key}="):
             # What cannot be read is reported when all is composed.
             with suppress(HydraException):
-                found = parser.parse_override(text).value()
-    return found
+                value = parser.parse_override(text).value()
+    return value
 
 
 def from_hydra(config: DictConfig) -> Conf:
-    """The settings that Hydra composed for a job; they have been checked before."""
-    data = _plain(config)
+    """The settings that Hydra composed for a job, which have been validated before."""
+    data = to_plain(config)
     move_renamed(data, warn=False)
     faults = expand_options(data, GlobalHydra.instance().config_loader())
-    return validated(Conf, data, faults)
+    return validate(Conf, data, faults)
 
 
 def _compose(
@@ -172,152 +161,77 @@ def _compose(
     config_dirs: Sequence[str],
     saved: Mapping[str, Any] | None = None,
 ) -> Model:
-    with _hydra(config_dirs) as loader:
-        request = command_line.read(overrides, loader)
+    with hydra_session(config_dirs) as loader:
+        request = parse_overrides(overrides, loader)
         swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
         if swept:
             raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
-        config = _composed(name, request, loader)
-        data = _plain(config) if saved is None else _overlaid(migrated(saved), config, request, model)
-        return _checked(model, data, request, loader)
+        config = compose_config(name, request)
+        data = to_plain(config) if saved is None else _overlay_saved(migrated(saved), config, request, model)
+        return _validate_all(model, data, request, loader)
 
 
-def _checked(
+def _validate_all(
     model: type[Model],
     data: dict[str, Any],
-    request: command_line.Request,
+    request: ParsedOverrides,
     loader: ConfigLoader,
-    given: Iterable[str] = (),
+    set_in_python: Iterable[str] = (),
 ) -> Model:
-    """The settings in `data`, or a `ConfigError` that names all faults, those of the request too.
+    """The settings in `data`, or a `ConfigError` that names all faults, those of the overrides too.
 
-    `given` are the sections that were set beside the request.
+    `set_in_python` are the sections that were set beside the overrides.
     """
     move_renamed(data)
-    faults = [*_earlier(request, data, loader), *expand_options(data, loader)]
+    faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
     if data.get("agents") is not None:
         overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
         for name in _SHORTHANDS:
-            if name in overridden or name in given:
+            if name in overridden or name in set_in_python:
                 faults.append(f"agents takes the place of {name}; leave one of them out")
-    return validated(model, data, faults)
+    return validate(model, data, faults)
 
 
-@contextmanager
-def _hydra(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
-    for folder in config_dirs:
-        if not Path(folder).is_dir():
-            raise ConfigError(f"there is no folder {folder} to read configurations from (--config-dir)")
-    # Hydra is one per process; a caller may be inside a Hydra application of its own.
-    before = Singleton.get_state() if GlobalHydra.instance().is_initialized() else None
-    GlobalHydra.instance().clear()
-    try:
-        # Not `initialize_config_dir`, which knows no second folder to search.
-        setbase("1.3")
-        search_path = create_config_search_path(str(paths.conf_folder()))
-        offer_user_parts(config_dirs)
-        OmegaConf.register_new_resolver("config_dir", partial(_in_folders, tuple(config_dirs)), replace=True)
-        for folder in config_dirs:
-            search_path.prepend("command-line", f"file://{Path(folder).resolve()}")
-        yield Hydra.create_main_hydra2("dune_rl", search_path).config_loader
-    except yaml.YAMLError as error:
-        raise ConfigError(f"a file of settings is no valid YAML: {' '.join(str(error).split())}") from None
-    finally:
-        GlobalHydra.instance().clear()
-        if before is not None:
-            Singleton.set_state(before)
-
-
-def _in_folders(folders: Sequence[str], name: str) -> str:
-    """A file in the user's folder of options, absolute: what `${config_dir:name}` stands for."""
-    for folder in folders:
-        path = Path(folder).resolve() / name
-        if path.exists():
-            return str(path)
-    where = " or ".join(folders) or "a folder of options (--config-dir)"
-    raise ConfigError(f"there is no file {name} in {where}")
-
-
-def _composed(name: str, request: command_line.Request, loader: ConfigLoader) -> DictConfig:
-    try:
-        return hydra_compose(name, request.words(_present(name, request)))
-    except (HydraException, OmegaConfBaseException) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError("\n".join([*request.faults, f"cannot compose the settings: {reason}"])) from None
-
-
-def _present(name: str, request: command_line.Request) -> frozenset[str]:
-    """The groups that are in the defaults list already, an experiment's included."""
-    experiments = [o for o in request.groups if o.key_or_group == "experiment"]
-    words = tuple(f"+experiment={command_line.values_of(o)[0].value()}" for o in experiments)
-    return _present_for(name, words, str(GlobalHydra.instance().config_loader().get_search_path()))
-
-
-@lru_cache(maxsize=32)
-def _present_for(name: str, words: tuple[str, ...], _search_path: str) -> frozenset[str]:
-    config = hydra_compose(name, list(words), return_hydra_config=True)
-    choices = config.hydra.runtime.choices
-    return frozenset(group for group in choices if group != "experiment" and not group.startswith("hydra/"))
-
-
-def _stated(request: command_line.Request, present: frozenset[str]) -> set[str]:
-    """The settings among the overridden ones that the YAML files state, which need no `++`."""
-    config = hydra_compose(
-        "train", replace(request, values=(), engine=()).words(present, first_of_sweep=True)
-    )
-    keys = {override.key_or_group for override in request.values}
-    return {key for key in keys if OmegaConf.select(config, key, default=config) is not config}
-
-
-def _plain(config: DictConfig) -> dict[str, Any]:
-    try:
-        data = OmegaConf.to_container(config, resolve=True)
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"cannot resolve the settings: {str(error).splitlines()[0]}") from None
-    assert isinstance(data, dict)
-    return {str(key): value for key, value in data.items()}
-
-
-def _earlier(request: command_line.Request, data: dict[str, Any], loader: ConfigLoader) -> list[str]:
-    """The faults found so far; an absent world is one, and is stood in for, so that the rest is checked."""
-    found = list(request.faults)
+def _request_faults(request: ParsedOverrides, data: dict[str, Any], loader: ConfigLoader) -> list[str]:
+    """The faults of the overrides. A missing world is one; `data` gets another, to validate the rest."""
+    faults = list(request.faults)
     world = data.get("world")
     if not isinstance(world, dict) or "name" not in world:
         if "world" not in request.faulty_groups:
-            options = command_line.option_names(loader, "world")
-            found.append(f"choose a world: +world=NAME with {one_of(options)}")
+            options = option_names(loader, "world")
+            faults.append(f"choose a world: +world=NAME with {one_of(options)}")
         data["world"] = {"name": "flat"}
-    return found
+    return faults
 
 
-def _overlaid(
-    saved: Mapping[str, Any], config: DictConfig, request: command_line.Request, model: type[EnvConf]
+def _overlay_saved(
+    saved: Mapping[str, Any], config: DictConfig, request: ParsedOverrides, model: type[EnvConf]
 ) -> dict[str, Any]:
-    """Saved settings with what was asked for put over them, and the rest of a newer schema from `config`."""
+    """Saved settings, changed by the overrides; sections that they do not have are those of `config`."""
     if any(override.key_or_group == "experiment" for override in request.groups):
         raise ConfigError("a saved run brings its own settings; leave +experiment out")
-    fresh = _plain(config)
-    kept = model.model_fields if model is Conf else EnvConf.model_fields
+    fresh = to_plain(config)
+    names = model.model_fields if model is Conf else EnvConf.model_fields
     chosen = {override.key_or_group for override in request.groups}
-    stays = {name: saved[name] for name in kept if name in saved and name not in chosen}
-    merged = OmegaConf.create({**fresh, **stays})
+    kept_sections = {name: saved[name] for name in names if name in saved and name not in chosen}
+    overlaid = OmegaConf.create({**fresh, **kept_sections})
     for override in request.values:
         if not override.is_delete():
             key = override.key_or_group
-            OmegaConf.update(merged, key, OmegaConf.select(config, key), merge=False, force_add=True)
-    return _plain(merged)
+            OmegaConf.update(overlaid, key, OmegaConf.select(config, key), merge=False, force_add=True)
+    return to_plain(overlaid)
 
 
-def _variants(request: command_line.Request) -> Iterator[command_line.Request]:
-    """The request with the first value of each sweep, and then with each other value in turn."""
+def _sweep_variants(request: ParsedOverrides) -> Iterator[ParsedOverrides]:
+    """The overrides with the first value of each sweep, then with each other value in turn."""
     everything = (*request.groups, *request.values)
-    singles = {id(o): command_line.values_of(o) for o in everything}
+    singles = {id(o): sweep_values(o) for o in everything}
 
-    def choose(picked: Override | None, index: int) -> command_line.Request:
+    def choose(picked: Override | None, index: int) -> ParsedOverrides:
         def pick(override: Override) -> Override:
             return singles[id(override)][index if override is picked else 0]
 
-        return command_line.Request(
+        return ParsedOverrides(
             groups=tuple(map(pick, request.groups)),
             values=tuple(map(pick, request.values)),
             engine=(),

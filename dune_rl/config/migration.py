@@ -102,6 +102,8 @@ def migrated(saved: Mapping[str, Any]) -> dict[str, Any]:
         data["metrics"] = merged(MetricsConf().model_dump(mode="json"), metrics)
     if isinstance(data.get("actors"), list):
         data["actors"] = groups_of_list(data["actors"])
+    if isinstance(data.get("learning"), dict):
+        data["learning"].setdefault("name", "sac")
     move_renamed(data, warn=False)
     return data
 

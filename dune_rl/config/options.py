@@ -8,12 +8,13 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 
 from dune_rl.errors import DuneError
+from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.worlds.registry import WORLDS
 
 # The groups of options (folders of conf/) whose options are the parts of a registry.
-REGISTRIES: Mapping[str, Registry[Any]] = {"world": WORLDS, "robot": ROBOTS}
+REGISTRIES: Mapping[str, Registry[Any]] = {"world": WORLDS, "robot": ROBOTS, "learning": ALGORITHMS}
 _PROVIDER = "dune_rl"
 
 

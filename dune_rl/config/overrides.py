@@ -1,4 +1,4 @@
-"""What a user asks for on the command line: read, checked and made right before Hydra sees it."""
+"""Overrides of the command line: parsed, checked, and put into the form that Hydra accepts."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ _SENSORS = "sensors"
 
 
 @dataclass(frozen=True)
-class Request:
-    """Overrides by what they do, with the faults that can be told before anything is composed.
+class ParsedOverrides:
+    """Overrides by what they do, with the faults that are found before anything is composed.
 
     `groups` choose options ("world" to "flat"), `values` change settings, and
     `engine` are Hydra's own. A faulty override is in none of them.
@@ -30,22 +30,23 @@ class Request:
     faults: tuple[str, ...]
     faulty_groups: frozenset[str]
 
-    def words(
+    def hydra_words(
         self, present: Iterable[str], *, stated: Iterable[str] = (), first_of_sweep: bool = False
     ) -> list[str]:
-        """The overrides as Hydra wants them, given the groups that are `present` in its defaults list.
+        """The overrides in Hydra's own form, with the groups that are `present` in its defaults list.
 
-        Settings that are not `stated` in YAML are forced in with `++`: Hydra's
-        refusals come one at a time, while the schema reports all unknown
-        settings together. A swept override is kept, or stands for its first
-        value.
+        Settings that are not `stated` in YAML get the prefix `++`: Hydra reports
+        one unknown setting at a time, and the schema reports all of them
+        together. A sweep is kept, or replaced by its first value.
         """
-        words = [_text(override, "", first_of_sweep) for override in self.engine]
+        words = [_hydra_word(override, "", first_of_sweep) for override in self.engine]
         for override in self.groups:
             prefix = "" if override.get_key_element().lstrip("+~") in present else "+"
-            words.append(_text(override, prefix, first_of_sweep))
+            words.append(_hydra_word(override, prefix, first_of_sweep))
         for override in self.values:
-            words.append(_text(override, "" if override.key_or_group in stated else "++", first_of_sweep))
+            words.append(
+                _hydra_word(override, "" if override.key_or_group in stated else "++", first_of_sweep)
+            )
         return words
 
     def has_sweep(self) -> bool:
@@ -53,8 +54,8 @@ class Request:
         return any(override.is_sweep_override() for override in (*self.groups, *self.values, *self.engine))
 
 
-def read(overrides: Sequence[str], loader: ConfigLoader) -> Request:
-    """Sort overrides into what they do, and say what is wrong with those that do nothing."""
+def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
+    """Parse overrides and sort them by what they do; unreadable and unknown ones become faults."""
     parser = OverridesParser.create(config_loader=loader)
     groups: list[Override] = []
     values: list[Override] = []
@@ -65,7 +66,7 @@ def read(overrides: Sequence[str], loader: ConfigLoader) -> Request:
         try:
             override = parser.parse_override(text)
         except HydraException:
-            faults.append(_unreadable(text))
+            faults.append(_describe_unreadable(text))
             continue
         key = override.key_or_group
         if key == _SENSORS and text.partition("=")[2].startswith("["):
@@ -75,14 +76,16 @@ def read(overrides: Sequence[str], loader: ConfigLoader) -> Request:
         if override.is_hydra_override() or key.startswith("hydra."):
             engine.append(override)
         elif _is_group(loader, key) and not isinstance(override.value(), dict):
-            found = _unknown_options(override, loader)
+            found = _option_faults(override, loader)
             faults += found
             (faulty_groups.add(key) if found else groups.append(override))
         elif "/" in key:
             faults.append(f"there is no group {key!r}; choose from {', '.join(group_names(loader))}")
         else:
             values.append(override)
-    return Request(tuple(groups), tuple(values), tuple(engine), tuple(faults), frozenset(faulty_groups))
+    return ParsedOverrides(
+        tuple(groups), tuple(values), tuple(engine), tuple(faults), frozenset(faulty_groups)
+    )
 
 
 def group_names(loader: ConfigLoader) -> list[str]:
@@ -95,7 +98,7 @@ def option_names(loader: ConfigLoader, group: str) -> list[str]:
     return sorted(loader.get_group_options(group))
 
 
-def values_of(override: Override) -> list[Override]:
+def sweep_values(override: Override) -> list[Override]:
     """An override for each value of a swept one; the override itself where it has one value."""
     if not override.is_sweep_override():
         return [override]
@@ -108,13 +111,13 @@ def _is_group(loader: ConfigLoader, key: str) -> bool:
     return key in group_names(loader)
 
 
-def _unknown_options(override: Override, loader: ConfigLoader) -> list[str]:
+def _option_faults(override: Override, loader: ConfigLoader) -> list[str]:
     group = override.key_or_group
     if override.is_delete():
         return []
     options = option_names(loader, group)
     chosen: list[object] = []
-    for single in values_of(override):
+    for single in sweep_values(override):
         value = single.value()
         chosen += value if isinstance(value, list) else [value]
     found = []
@@ -127,7 +130,7 @@ def _unknown_options(override: Override, loader: ConfigLoader) -> list[str]:
     return found
 
 
-def _unreadable(text: str) -> str:
+def _describe_unreadable(text: str) -> str:
     if "=" not in text:
         where = f"; a file or folder goes behind a key, such as resume={text}" if Path(text).exists() else ""
         return f"cannot read {text!r}; write key=value{where}"
@@ -137,9 +140,9 @@ def _unreadable(text: str) -> str:
     )
 
 
-def _text(override: Override, prefix: str, first_of_sweep: bool) -> str:
+def _hydra_word(override: Override, prefix: str, first_of_sweep: bool) -> str:
     if first_of_sweep:
-        override = values_of(override)[0]
+        override = sweep_values(override)[0]
     if override.type is OverrideType.DEL or override.is_hydra_override():
         return override.input_line or ""
     key = override.get_key_element().lstrip("+")

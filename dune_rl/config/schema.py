@@ -7,7 +7,9 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import AgentGroups, GroupDefaults, ResolvedGroup, resolve_groups, robot_groups
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.sac.settings import SacConf
+from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
@@ -22,6 +24,7 @@ from dune_rl.worlds.settings import WorldSettings
 
 WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(WORLDS.parse_settings)]
 RobotConf = Annotated[SerializeAsAny[RobotSettings], BeforeValidator(ROBOTS.parse_settings)]
+AlgorithmConf = Annotated[SerializeAsAny[LearningConf], BeforeValidator(ALGORITHMS.parse_settings)]
 
 
 def _groups(actors: object) -> object:
@@ -81,7 +84,7 @@ class EnvConf(Settings):
     def _rates_fit(self) -> Self:
         for path, group in self._sensing_groups():
             try:
-                group.realism.check(self.physics.control_step_s)
+                group.check_timing(self.physics.control_step_s)
             except ValueError as error:
                 raise ValueError(str(error).replace("sensors", path, 1)) from None
         return self
@@ -133,7 +136,7 @@ class SingleAgentConf(OneGroupConf):
 class Conf(OneGroupConf):
     """A training run."""
 
-    learning: SacConf = SacConf()
+    learning: AlgorithmConf = SacConf()
     seed: int = Field(1, ge=0)
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
@@ -200,7 +203,7 @@ class ViewConf(EnvConf):
         return self
 
 
-class EvaluateConf(OneGroupConf):
+class EvaluateConf(EnvConf):
     """An evaluation of a checkpoint or of a built-in policy."""
 
     checkpoint: str | None = None

@@ -9,8 +9,8 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
 from dune_rl import command
-from dune_rl.command import Page
-from dune_rl.config.checks import validated
+from dune_rl.command import HelpPage
+from dune_rl.config.checks import validate
 from dune_rl.engine_comparison.agreement import agreement_tables
 from dune_rl.engine_comparison.stability import count_faults
 from dune_rl.errors import ConfigError
@@ -33,7 +33,7 @@ class EnginesConf(Settings):
     seed: int = Field(0, ge=0)
 
 
-PAGE = Page(
+PAGE = HelpPage(
     "Compare the physics engines; Markdown tables.",
     (
         ("python -m dune_rl.engines", "equal commands in both, then minutes of random driving"),
@@ -58,7 +58,7 @@ PAGE = Page(
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(PAGE, _main)
+    command.run_command(PAGE, _main)
 
 
 def _main(parsed: Namespace) -> None:
@@ -87,7 +87,7 @@ def parse_settings(words: list[str]) -> EnginesConf:
         data = OmegaConf.to_object(OmegaConf.from_dotlist(words))
     except (OmegaConfBaseException, ValueError) as error:
         raise ConfigError(f"{error}\nsee python -m dune_rl.engines --help") from error
-    return validated(EnginesConf, cast("dict[str, Any]", data))
+    return validate(EnginesConf, cast("dict[str, Any]", data))
 
 
 def _print(text: str) -> None:

@@ -55,10 +55,6 @@ class GroupSetup:
     metrics: MetricsConf | None = None
 
     @property
-    def _reads_goals(self) -> bool:
-        return self.task is not None or self.suite is not None or self.setup.controller is not None
-
-    @property
     def is_external(self) -> bool:
         """Whether its actions come from outside."""
         return self.controller is None and not self.follows_paths

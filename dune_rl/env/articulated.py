@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dune_rl.env.drag import drag_forces
 from dune_rl.env.latency import Latency
 from dune_rl.env.traction import Traction
-from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices, to_body
+from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import BodyMotion, Robot
 from dune_rl.state import JointState, Motion
@@ -19,10 +19,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Engines = Sequence[PhysicsRobot]
 
-# No robot of ours moves or falls this fast, and no world reaches so far: beyond, physics has diverged.
-_MAX_SPEED_MPS = 50.0
-_MAX_TURN_RADPS = 200.0
-_FARTHEST_M = 1e5
+# No robot of ours moves or falls this fast, no world reaches so far, and no component of a unit quaternion is
+# above 1: beyond these limits of position, quaternion, velocity and angular velocity physics has diverged.
+_STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
 
 class ArticulatedBody:
@@ -142,13 +141,8 @@ class ArticulatedBody:
 
     def _take(self, states: Array, drives: Array | None) -> Flags:
         """Keep what is possible of new `states` (N, 13) and `drives`; gives which rows have diverged."""
-        speed = np.abs(states[:, 7:10]).max(axis=1)
-        turn = np.abs(states[:, 10:13]).max(axis=1)
-        far = np.abs(states[:, :3]).max(axis=1)
-        # No component of a unit quaternion is above 1.
-        turned = np.abs(states[:, 3:7]).max(axis=1)
         # Written so that NaN, which compares false, counts as bad.
-        good = (speed < _MAX_SPEED_MPS) & (turn < _MAX_TURN_RADPS) & (far < _FARTHEST_M) & (turned < 1.01)
+        good: Flags = np.logical_and.reduce(np.abs(states) < _STATE_LIMITS, axis=1)
         self._states = states if good.all() else np.where(good[:, None], states, self._states)
         if drives is not None:
             sound = good & np.isfinite(drives).all(axis=1)
@@ -160,24 +154,27 @@ class ArticulatedBody:
         self, diverged: Flags, acceleration_b: Array | None, acceleration_w: Array | None = None
     ) -> Motion:
         states = self._states
-        velocity = states[:, 7:10]
         rotation = rotation_matrices(states[:, 3:7])
-        if acceleration_w is not None:
-            acceleration_b = to_body(rotation, acceleration_w)
-        assert acceleration_b is not None
+        vectors_w = np.empty((len(states), 3, 3))
+        vectors_w[:, 0], vectors_w[:, 1] = states[:, 7:10], states[:, 10:13]
+        vectors_w[:, 2] = 0.0 if acceleration_w is None else acceleration_w
+        # World vectors in the body frame, all three at once.
+        vectors_b = np.einsum("nji,nkj->nki", rotation, vectors_w)
+        if acceleration_b is None:
+            acceleration_b = vectors_b[:, 2]
         joints = None
         if self._drives is not None:
             joints = JointState(*np.split(self._drives, 3, axis=1))
         return Motion(
             states[:, 0:3],
             roll_pitch_yaw(rotation),
-            velocity,
+            states[:, 7:10],
             states[:, 10:13],
             diverged,
             joints,
             rotation=rotation,
-            velocity_b=to_body(rotation, velocity),
-            angular_b=to_body(rotation, states[:, 10:13]),
+            velocity_b=vectors_b[:, 0],
+            angular_b=vectors_b[:, 1],
             acceleration_b=acceleration_b,
         )
 

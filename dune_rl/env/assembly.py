@@ -22,14 +22,14 @@ _COLLISION_GAP_S = 1.0
 
 def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager, seed: int) -> tuple[AgentGroup, ...]:
     """The groups of M scenes, without their sensors, which see each other's groups: see `add_sensors`."""
-    groups, robots = [], 0
+    groups: list[AgentGroup] = []
+    robots: list[RegionGoals] = []
     for setup in setups:
         rows = len(scenes.worlds) * setup.count
         if isinstance(setup.body, PersonConf):
             group = _kinematic_group(setup, setup.body, scenes, rows)
         else:
             group = _robot_group(setup, scenes, rows, robots)
-            robots += setup.count
         groups.append(group)
     return tuple(groups)
 
@@ -38,7 +38,7 @@ def _gap_steps(scenes: SceneManager) -> int:
     return round(_COLLISION_GAP_S * scenes.conf.control_hz)
 
 
-def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, first: int) -> AgentGroup:
+def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, robots: list[RegionGoals]) -> AgentGroup:
     assert not isinstance(setup.body, PersonConf)
     robot = setup.body(rows)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
@@ -51,7 +51,15 @@ def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, first: int)
         measures_work=setup.metrics is not None and setup.metrics.energy,
     )
     spawners = Spawners(spawn, robot.footprint_radius_m, scenes.worlds.worlds)
-    goals = RegionGoals(spawn, robot.footprint_radius_m, spawners, len(scenes.worlds), setup.count, first)
+    goals = RegionGoals(
+        spawn,
+        robot.footprint_radius_m,
+        spawners,
+        len(scenes.worlds),
+        setup.count,
+        lambda: body.motion.position_w,
+        robots,
+    )
     return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
 
 

@@ -60,6 +60,10 @@ class EpisodeStart:
         """Put a scene at the start of an episode."""
         scenes = self._scenes
         world = scenes.enter(scene, seed, episode, partial(self.check_room, seed))
+        if scenes.randomizer.randomizes_worlds:
+            used = scenes.used_worlds()
+            for group in self._groups:
+                group.spawners.keep(used)
         starts = self._place_robots(scene, world, seed, episode)
         avoid = np.array([position[:2] for poses in starts for position, _ in poses]).reshape(-1, 2)
         draws = stream(seed, "actors", episode)

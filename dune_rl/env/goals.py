@@ -1,8 +1,7 @@
 """Where the agents of a group start and where they are to go."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +17,27 @@ from dune_rl.worlds.world import World
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_GOAL_TRIES = 16
-
 
 class GoalSource(Protocol):
     """Gives each of N agents a goal, and another one when it is reached."""
 
-    goals_w: Array
+    @property
+    def goals_w(self) -> Array:
+        """Goals (N, 2) [m]."""
+        ...
 
-    def renew(self, mask: Flags, position_w: Array) -> None:
-        """Give the agents in `mask` (N,), at `position_w` (N, 3), another goal."""
+    def renew(self, mask: Flags) -> None:
+        """Give the agents in `mask` (N,) another goal."""
         ...
 
 
 class Spawners:
-    """The `Spawner` of a footprint of `radius_m` in each world, kept for as long as the world is used."""
+    """The `Spawner` of a footprint of `radius_m` in each world."""
 
     def __init__(self, conf: SpawnConf, radius_m: float, worlds: SharedPerScene[World]) -> None:
         self._conf, self._radius_m, self._worlds = conf, radius_m, worlds
-        self._known: WeakKeyDictionary[World, Spawner] = WeakKeyDictionary()
+        # Not by weak references: a spawner keeps its world.
+        self._known: dict[World, Spawner] = {}
 
     def of(self, world: World) -> Spawner:
         """The spawner of a world; raises `WorldError` where it has no room."""
@@ -48,11 +49,16 @@ class Spawners:
         """The spawner of the world that a scene is in."""
         return self.of(self._worlds[scene])
 
+    def keep(self, worlds: Collection[World]) -> None:
+        """Forget the spawners of all worlds but these."""
+        self._known = {world: spawner for world, spawner in self._known.items() if world in worlds}
+
 
 class RegionGoals:
     """Starts and goals in a region of the world, drawn by a `Spawner` for each of M * G robots.
 
-    `first` is the number of the group's first robot among all robots of a scene: each robot has its own
+    `position` gives the robots' positions (N, 3). `robots` lists the goals of all groups of robots so far, in
+    the order of the groups; this one is added. A robot's number among all robots of a scene names its own
     stream of draws, so that robots behind it leave its starts and goals as they are.
     """
 
@@ -63,10 +69,14 @@ class RegionGoals:
         spawners: Spawners,
         num_scenes: int,
         count: int,
-        first: int,
+        position: Callable[[], Array],
+        robots: "list[RegionGoals]",
     ) -> None:
         self.conf, self.footprint_radius_m = conf, footprint_radius_m
-        self._spawners, self._count, self._first = spawners, count, first
+        self._spawners, self._count, self._position = spawners, count, position
+        self._first = sum(other._count for other in robots)
+        self._robots = robots
+        robots.append(self)
         self.goals_w = np.zeros((num_scenes * count, 2))
         self._streams: list[np.random.Generator | None] = [None] * (num_scenes * count)
 
@@ -89,20 +99,30 @@ class RegionGoals:
             self.goals_w[row] = placement.goal_x, placement.goal_y
         return [placement for placement, _ in found[len(taken) :]]
 
-    def renew(self, mask: Flags, position_w: Array) -> None:
-        """Draw new goals for the agents in `mask` (N,), at least the least goal distance from where
-        they are.
+    def renew(self, mask: Flags) -> None:
+        """Draw new goals for the agents in `mask` (N,): away from where they are, from the other robots and
+        from their goals.
         """
-        goals = self.goals_w.copy()
+        self.goals_w = self.goals_w.copy()
+        position_w = self._position()
         for row in np.flatnonzero(mask).tolist():
             draws = self._streams[row]
             assert draws is not None, "an agent is placed before its goal is renewed"
-            for _ in range(_GOAL_TRIES):
-                goal = self._spawners.of_scene(row // self._count).sample(draws)
-                goals[row] = goal.goal_x, goal.goal_y
-                if np.hypot(*(goals[row] - position_w[row, :2])) >= self.conf.min_goal_distance_m:
-                    break
-        self.goals_w = goals
+            taken, apart_m = self._taken_by_others(row)
+            spawner = self._spawners.of_scene(row // self._count)
+            self.goals_w[row] = spawner.sample_goal(draws, position_w[row, :2], taken, apart_m)
+
+    def _taken_by_others(self, row: int) -> tuple[Array, Array]:
+        """Positions and goals (K, 2) of a scene's other robots, and the distance to keep from each [m]."""
+        scene, points, apart = row // self._count, [np.zeros((0, 2))], [np.zeros(0)]
+        for robots in self._robots:
+            rows = np.arange(scene * robots._count, (scene + 1) * robots._count)
+            if robots is self:
+                rows = rows[rows != row]
+            points += [robots._position()[rows, :2], robots.goals_w[rows]]
+            reach = self.footprint_radius_m + self.conf.robots_apart_m + robots.footprint_radius_m
+            apart.append(np.full(2 * len(rows), reach))
+        return np.concatenate(points), np.concatenate(apart)
 
 
 class PathGoals:
@@ -116,7 +136,7 @@ class PathGoals:
         """Goals (N, 2) [m]."""
         return self.follower.goals_w
 
-    def renew(self, mask: Flags, position_w: Array) -> None:
+    def renew(self, mask: Flags) -> None:
         """Send the agents in `mask` (N,) to the other end of their path."""
         self.follower.renew(mask)
 
@@ -147,7 +167,7 @@ class GoalTracker:
         """Draw new goals for the agents in `mask` (N,); the goals as they are then."""
         if not mask.any():
             return now
-        self.source.renew(mask, motion.position_w)
+        self.source.renew(mask)
         self._distance, bearing = self._polar(motion)
         return GoalState(self.source.goals_w, self._distance, now.previous_distance, bearing)
 

@@ -82,7 +82,7 @@ class Pictures:
         motion = group.body.motion
         if group.name in self._robots:
             angles = self._simulation.joint_angles(group.name, row)
-            return self._robots[group.name].bodies(motion.position_w[row], motion.rotation[row], angles)
+            return self._robots[group.name].posed_meshes(motion.position_w[row], motion.rotation[row], angles)
         yaw = float(motion.yaw[row])
         turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
         return [PosedMesh(self._meshes[group.name], motion.position_w[row].copy(), turn)]

@@ -121,8 +121,8 @@ class Proximity:
         """
         count, number = self._each[group].count, self._each[other].count
         scenes = len(points) // count
-        mine = points.reshape(scenes, 1, count * points.shape[1], 2)
-        mine = np.broadcast_to(mine, (scenes, number, *mine.shape[2:])).reshape(scenes * number, -1, 2)
+        mine = points.reshape(scenes, count * points.shape[1], 2)
+        mine = np.repeat(mine, number, axis=0)
         apart = self._from_outline(other, mine).reshape(scenes, number, count, -1).min(axis=3)
         return np.moveaxis(apart, 1, 2).reshape(-1, number)
 

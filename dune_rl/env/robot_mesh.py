@@ -16,7 +16,7 @@ def robot_mesh(body: RobotBody) -> MovingMesh:
 
     As every `MovingMesh` it stands upright: other robots do not see it roll and pitch.
     """
-    parts = RobotVisual(body.look or body.urdf).bodies(np.zeros(3), np.eye(3))
+    parts = RobotVisual(body.look or body.urdf).posed_meshes(np.zeros(3), np.eye(3))
     shapes = [
         ColouredMesh(
             part.shape.vertices @ part.rotation.T + part.position,

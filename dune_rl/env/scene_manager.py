@@ -183,6 +183,11 @@ class SceneManager:
         """The robots of a scene that is built."""
         return self._scene(scene).robots
 
+    @property
+    def built(self) -> list[PhysicsScene]:
+        """The physics of the scenes that have any, in their order."""
+        return [scene for scene in self._physics if scene is not None]
+
     def is_built(self, scene: int) -> bool:
         """Whether a scene has physics: where worlds differ, it has none before its first episode."""
         return self._physics[scene] is not None

@@ -11,7 +11,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
-from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.robot import Robot

@@ -202,7 +202,10 @@ class VectorSimulation:
 
     def _all(self, group: AgentGroup, flags: Flags) -> Flags:
         """Which scenes have the flag (N,) set for all of a group's agents, (M,)."""
-        return flags if group.count == 1 else flags.reshape(self.num_scenes, -1).all(axis=1)
+        if group.count == 1:
+            return flags
+        every: Flags = np.logical_and.reduce(flags.reshape(self.num_scenes, -1), axis=1)
+        return every
 
     def step_passive(self) -> None:
         """Advance physics alone by a control step, with the last commands and nothing moved; for

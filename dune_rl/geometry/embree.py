@@ -12,8 +12,10 @@ from typing import Any
 import embreex.rtcore_scene
 import llvmlite.binding
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
+
+from dune_rl.compiled import compile_function
 
 _WIDTH = 16
 # A packet has rows of 16 words: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask, id and flags 9-11;
@@ -143,15 +145,7 @@ def _contiguous(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return values if values.flags.writeable else values.copy()
 
 
-def _compile(function: Any) -> Any:
-    """`function`, compiled at its first call; cached on disk for later processes if a folder is writable."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:
-        return njit(nogil=True)(function)
-
-
-@_compile
+@compile_function
 def _packet() -> Any:
     # Embree requires packets, and the mask of valid rays, at multiples of 64 bytes.
     room = np.empty((_ROWS + 2) * _WIDTH, np.uint32)
@@ -169,7 +163,7 @@ def _packet() -> Any:
     return words, numbers
 
 
-@_compile
+@compile_function
 def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: int, first: int) -> int:
     # Copies up to 16 rays from index `first` into the packet; returns their number.
     count = min(_WIDTH, len(directions) - first)
@@ -184,7 +178,7 @@ def _load(words: Any, numbers: Any, origins: Any, directions: Any, per_origin: i
     return count
 
 
-@_compile
+@compile_function
 def _intersect(
     scene: int, arguments: int, origins: Any, directions: Any, ranges: Any, faces: Any, normals: Any
 ) -> None:
@@ -207,7 +201,7 @@ def _intersect(
                     normals[first + k, axis] = numbers[_NORMAL + axis, k] if hit else np.float32(0.0)
 
 
-@_compile
+@compile_function
 def _occluded(scene: int, arguments: int, origins: Any, directions: Any, blocked: Any) -> None:
     words, numbers = _packet()
     per_origin = len(directions) // max(1, len(origins))

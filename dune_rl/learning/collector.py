@@ -70,7 +70,7 @@ def _blocked_signals() -> Iterator[None]:
 
 
 class TransitionCollector:
-    """Batches of transitions (scenes, steps) from the policies of all groups, whose weights are sent at times.
+    """Collects batches (scenes, steps) with policies of all groups, whose weights are sent now and then.
 
     `policies` (by group) must be on the CPU; they are this object's own copies.
     Until `random_frames` more frames are in, actions are drawn uniformly. In

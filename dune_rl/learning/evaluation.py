@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 from torchrl.envs import EnvBase
 
+from dune_rl.errors import ConfigError
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.measures import Row
 from dune_rl.learning.random_state import undisturbed
@@ -23,12 +24,15 @@ def evaluate(
     """By group, the metrics of each agent in episodes 0 to `episodes` - 1 of `seed`, in that order.
 
     A row has the metrics by name and "agent", the agent's number in its group.
-    `env` is a batch of scenes, seeded anew here; how many there are changes
-    no row. The process's random states are left as they were. When `stop`
+    `env` is a batch of scenes with metrics (`EpisodeMetrics`), seeded anew here;
+    how many there are changes no row. The process's random states are left as they were. When `stop`
     returns true, the rows finished by then are returned. `progress` is called
-    with the number of finished episodes.
+    with the number of finished episodes. Groups without metrics are left out;
+    raises ConfigError if none has any.
     """
-    finished: dict[str, dict[int, list[Row]]] = {group: {} for group in env.group_map}
+    finished: dict[str, dict[int, list[Row]]] = {group: {} for group in env.metric_names}
+    if not finished:
+        raise ConfigError("no group of agents has metrics, so there is nothing to evaluate: give one a task")
     count = 0
     with undisturbed():
         env.set_seed(seed)

@@ -52,9 +52,10 @@ class JointPolicy(TensorDictModuleBase):
 
     def __init__(self, policies: Iterable[TensorDictModuleBase]) -> None:
         super().__init__()
-        self.policies = torch.nn.ModuleList(policies)
-        self.in_keys = [key for policy in self.policies for key in policy.in_keys]
-        self.out_keys = [key for policy in self.policies for key in policy.out_keys]
+        members = list(policies)
+        self.policies = torch.nn.ModuleList(members)
+        self.in_keys = [key for policy in members for key in policy.in_keys]
+        self.out_keys = [key for policy in members for key in policy.out_keys]
 
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
         """Writes the actions of all groups."""

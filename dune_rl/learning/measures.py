@@ -72,7 +72,7 @@ def averages(rows: Sequence[Mapping[str, float]]) -> Row:
 
 
 def score(figures: Mapping[str, float]) -> float:
-    """By which of two policies the better one is kept: the success rate, or where there is none the return."""
+    """What tells which of two policies is better: the success rate, or where there is none the return."""
     return figures["SR"] if "SR" in figures else figures["return"]
 
 

@@ -27,10 +27,12 @@ def go_to_goal_fault(spec: PolicySpec) -> str | None:
 
 
 def built_in_policy(name: str, env: EnvBase, seed: int = 0) -> Policy:
-    """The policy `go_to_goal` or `random` for every group of `env`; raises ConfigError where it cannot act."""
+    """`go_to_goal` or `random` for every group of `env`; raises ConfigError where it cannot act."""
     specs = {group: PolicySpec.of(env, group) for group in env.group_map}
     if name == "random":
-        return AllGroups([UniformRandom(group, spec, seed + k) for k, (group, spec) in enumerate(specs.items())])
+        return AllGroups(
+            [UniformRandom(group, spec, seed + index) for index, (group, spec) in enumerate(specs.items())]
+        )
     return AllGroups([GoToGoal(group, spec) for group, spec in specs.items()])
 
 

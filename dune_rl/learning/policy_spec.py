@@ -5,7 +5,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -14,6 +16,9 @@ from dune_rl.errors import CheckpointError
 if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase
+
+
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,24 @@ class PolicySpec:
             tuple(key for key in sizes if _is_positive(parts[key])),
             images,
         )
+
+    @classmethod
+    def of_bounds(
+        cls, observation: Mapping[str, tuple[Array, Array]], action: tuple[Array, Array]
+    ) -> "PolicySpec":
+        """The spec of what has these lowest and highest values: parts of an observation, and an action."""
+        parts = dict(sorted(observation.items()))
+        sizes = {
+            key: low.shape[-1] for key, (low, _) in parts.items() if low.ndim == 1 and low.dtype.kind == "f"
+        }
+        images = {
+            key: ImageSpec(tuple(low.shape), low.dtype == np.uint8, float(low.min()), float(high.max()))
+            for key, (low, high) in parts.items()
+            if low.ndim == 3
+        }
+        ranges = tuple(key for key in sizes if (parts[key][0] > 0).all())
+        low, high = action
+        return cls(sizes, tuple(low.tolist()), tuple(high.tolist()), ranges, images)
 
     @property
     def keys(self) -> list[str]:

@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
-from dune_rl.errors import CheckpointError
+from dune_rl.errors import CheckpointError, ConfigError
 from dune_rl.learning.settings import LearningConf
 from dune_rl.registry import Registry
 
 if TYPE_CHECKING:
-    from dune_rl.learning.algorithm import Algorithm
+    from dune_rl.learning.algorithm import Algorithm, LearnerContext
 
 ALGORITHMS: Registry[Any] = Registry(
     "algorithm",
@@ -19,6 +19,19 @@ ALGORITHMS: Registry[Any] = Registry(
     function_leading=None,
     class_leading=("context",),
 )
+
+
+def build_learner(conf: LearningConf, context: "LearnerContext") -> "Algorithm":
+    """The learner of one group by the algorithm that `conf` is of; raises ConfigError for what is none."""
+    # Only now: the command lines read settings without PyTorch.
+    from dune_rl.learning.algorithm import Algorithm
+
+    learner = ALGORITHMS.build(conf, context)
+    if not isinstance(learner, Algorithm):
+        raise ConfigError(
+            f"the algorithm {conf.name!r} must be a class derived from Algorithm, and is {learner!r:.80}"
+        )
+    return learner
 
 
 def algorithm_class(name: str, source: str) -> "type[Algorithm]":

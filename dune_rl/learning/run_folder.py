@@ -75,10 +75,11 @@ class RunFolder:
 def restore_learners(
     learners: Mapping[str, Algorithm], saved: Mapping[str, Mapping[str, Any]], source: Path
 ) -> None:
-    """Continue learners from the groups `saved` in the checkpoint `source`; CheckpointError if they differ."""
+    """Continue from the groups `saved` in the checkpoint `source`; raises CheckpointError if they differ."""
     if saved.keys() != learners.keys():
         raise CheckpointError(
-            f"{source} trains the groups {', '.join(sorted(saved))}; here are {', '.join(sorted(learners))}.\n"
+            f"{source} trains {', '.join(sorted(saved))}, and the groups here are "
+            f"{', '.join(sorted(learners))}.\n"
             "Resume with the agents that it was started with, or train anew."
         )
     for group, learner in learners.items():

@@ -121,9 +121,7 @@ class RunLog:
             columns = {name: "" for row in self.history for name in row}
             write_csv(self._folder / METRICS_FILE, [columns | row for row in self.history])
 
-    def _record(
-        self, group: str, kind: str, episodes: int, figures: Row, frames: int, updates: int
-    ) -> None:
+    def _record(self, group: str, kind: str, episodes: int, figures: Row, frames: int, updates: int) -> None:
         row = {"kind": kind, "frames": frames, "updates": updates, "episodes": episodes, **figures}
         self.history.append({"group": group, **row} if self._several else row)
 

@@ -23,7 +23,7 @@ from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.progress import Reporter, Silent, Status
 from dune_rl.learning.random_state import random_state, set_random_state
-from dune_rl.learning.registry import ALGORITHMS
+from dune_rl.learning.registry import build_learner
 from dune_rl.learning.run_folder import RunFolder, restore_learners
 from dune_rl.learning.run_log import RunLog
 from dune_rl.learning.settings import LearningConf
@@ -108,7 +108,7 @@ class Trainer:
 
     def _make_learners(self, env: EnvBase, device: torch.device) -> dict[str, Algorithm]:
         return {
-            group: ALGORITHMS.build(
+            group: build_learner(
                 self._conf,
                 LearnerContext(
                     group=group,
@@ -214,7 +214,7 @@ class Trainer:
         return {group: policy for group, policy in policies.items() if policy is not None}
 
     def _make_collector(self) -> TransitionCollector:
-        """The collector that is due now: with warm-up policies in this process, then with the learners' own."""
+        """The collector that is due: with warm-up policies in this process, then with the learners' own."""
         policies: dict[str, TensorDictModuleBase] = {
             group: learner.make_policy() for group, learner in self._learners.items()
         }
@@ -283,5 +283,5 @@ class Trainer:
         if self._saved is None:
             return None
         then, now = self._saved["collector"], self._conf.collector
-        same = (then["mode"], then["scenes"], then["warming"]) == (now.mode, now.scenes, bool(self._warming_up))
-        return then["state"] if same else None
+        here = (now.mode, now.scenes, bool(self._warming_up))
+        return then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None

@@ -5,9 +5,10 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from dune_rl.compiled import compile_function
 from dune_rl.metrics.registry import METRICS, MetricTermConf, MetricTerms, Reduction
 from dune_rl.settings import Settings
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.state import Array, Counts, Flags, GroupState, State
 from dune_rl.terms import bind_terms
 
 BUILT_IN = ("episode", "steps", "return")
@@ -71,79 +72,77 @@ class MetricSet:
     def __init__(self, conf: MetricsConf, num_rows: int) -> None:
         confs = conf.all_terms
         self.names = (*BUILT_IN, *confs)
-        reductions = {"return": "sum", "steps": "last", **{name: term.reduce for name, term in confs.items()}}
-        # A row for each metric, by reduction, so that each reduction is one operation.
-        rows = sorted(reductions, key=lambda name: _REDUCTIONS.index(reductions[name]))
-        kinds = [reductions[name] for name in rows]
-        ends = np.cumsum([kinds.count(kind) for kind in _REDUCTIONS]).tolist()
-        self._rows = dict(zip(_REDUCTIONS, map(slice, [0, *ends], ends), strict=False))
-        self._added = slice(0, ends[1])
-        # What a step gives, and what is kept of an episode: of a mean the sum, and beside it the count.
-        self._new = np.zeros((len(rows), num_rows))
-        self._kept = np.zeros((len(rows), num_rows))
-        self._counts = np.zeros((kinds.count("mean"), num_rows))
-        self._ids = np.zeros(num_rows)
-        self._initial = np.array([[_initial(confs.get(name))] for name in rows])
-        self._order = np.array([rows.index(name) for name in self.names[1:]])
-        self._steps, self._returns = self._new[rows.index("steps")], self._new[rows.index("return")]
+        reductions: list[Reduction] = ["last", "last", "sum", *(term.reduce for term in confs.values())]
+        self._reductions = np.array([_REDUCTIONS.index(reduction) for reduction in reductions])
+        self._initial = np.array([[0.0]] * len(BUILT_IN) + [[_initial(term)] for term in confs.values()])
+        # What a step gives and what it is reduced into, a row for each name; of means also sums and counts.
+        self._new, self._values, self._sums, self._counts = np.zeros((4, len(self.names), num_rows))
+        self._ids, self._steps, self._returns = self._new[: len(BUILT_IN)]
         shared = _names_by_term(confs)
         terms, self._stateful = bind_terms(METRICS, [confs[names[0]] for names in shared], num_rows)
-        places = [[self._new[rows.index(name)] for name in names] for names in shared]
-        self._terms = list(zip(terms, places, strict=True))
+        rows = [[self._new[self.names.index(name)] for name in names] for names in shared]
+        self._terms = list(zip(terms, rows, strict=True))
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Begin the episodes of the agents in `mask` (N,)."""
-        self._ids[mask] = group.episode.ids[mask]
-        self._kept[:, mask] = self._initial
-        self._kept[self._rows["mean"], mask] = 0.0
+        self._values[:, mask] = self._initial
+        self._values[0, mask] = group.episode.ids[mask]
+        self._sums[:, mask] = 0.0
         self._counts[:, mask] = 0.0
         for term in self._stateful:
             term.reset(mask, group)
 
     def update(self, state: State, group: GroupState, reward: Array) -> None:
         """Add one control step with its `reward` (N,); agents that are done keep their values."""
+        self._ids[:] = group.episode.ids
         self._steps[:] = group.episode.steps
         self._returns[:] = reward
         for term, rows in self._terms:
             values = term(state, group)
             for row in rows:
                 row[:] = values
-        if np.count_nonzero(group.done):
-            self._new[:, group.done] = np.nan
-        self._reduce()
-
-    def _reduce(self) -> None:
-        new, kept, rows = self._new, self._kept, self._rows
-        given = ~np.isnan(new)
-        if np.count_nonzero(given) == given.size:
-            kept[self._added] += new[self._added]
-            kept[rows["last"]] = new[rows["last"]]
-        else:
-            kept[self._added] += np.where(given[self._added], new[self._added], 0.0)
-            np.copyto(kept[rows["last"]], new[rows["last"]], where=given[rows["last"]])
-        self._counts += given[rows["mean"]]
-        kept[rows["min"]] = np.fmin(kept[rows["min"]], new[rows["min"]])
-        kept[rows["max"]] = np.fmax(kept[rows["max"]], new[rows["max"]])
-        first = kept[rows["first"]]
-        np.copyto(first, new[rows["first"]], where=np.isnan(first))
+        _reduce(self._reductions, self._new, group.done, self._values, self._sums, self._counts)
 
     @property
     def values(self) -> Array:
         """Values (N, K) of the present episodes."""
-        values, means = self._kept.copy(), self._rows["mean"]
-        values[means] = self._initial[means]
-        np.divide(self._kept[means], self._counts, out=values[means], where=self._counts > 0.0)
-        return np.concatenate([self._ids[None], values.take(self._order, axis=0)]).T
+        return self._values.T.copy()
 
 
-# Sums and means come first: both are added up.
-_REDUCTIONS: tuple[Reduction, ...] = ("sum", "mean", "min", "max", "first", "last")
+_REDUCTIONS: tuple[Reduction, ...] = ("mean", "sum", "min", "max", "last", "first")
+_MEAN, _SUM, _MIN, _MAX, _LAST, _FIRST = range(len(_REDUCTIONS))
 
 
-def _initial(conf: MetricTermConf | None) -> float:
-    """The value before the first one; without settings, that of the built-in columns."""
-    if conf is None:
-        return 0.0
+@compile_function
+def _reduce(reductions: Counts, new: Array, done: Flags, values: Array, sums: Array, counts: Array) -> None:
+    """Reduce the values of a step, `new` (K, N), into those of the episodes, `values` (K, N).
+
+    `reductions` (K,) are the indices in `_REDUCTIONS`. NaN is no value; agents that are `done` (N,) get none.
+    `sums` and `counts` (K, N) are those of means.
+    """
+    rows, agents = new.shape
+    for row in range(rows):
+        how = reductions[row]
+        for agent in range(agents):
+            value, before = new[row, agent], values[row, agent]
+            if done[agent] or np.isnan(value):
+                continue
+            if how == _MEAN:
+                sums[row, agent] += value
+                counts[row, agent] += 1.0
+                values[row, agent] = sums[row, agent] / counts[row, agent]
+            elif how == _SUM:
+                values[row, agent] = before + value
+            elif (
+                how == _LAST
+                or np.isnan(before)
+                or (how == _MIN and value < before)
+                or (how == _MAX and value > before)
+            ):
+                values[row, agent] = value
+
+
+def _initial(conf: MetricTermConf) -> float:
     if conf.initial is not None:
         return conf.initial
     return 0.0 if conf.reduce == "sum" else np.nan

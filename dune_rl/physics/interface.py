@@ -257,7 +257,10 @@ class PhysicsRobot(Protocol):
         ...
 
     def contacts(self) -> Sequence[int]:
-        """Numbers of the bodies that the robot touches now, without ground; may contain duplicates."""
+        """Numbers of the bodies, without ground, that it touched in any physics step of the last `step`.
+
+        In ascending order; none after `reset`.
+        """
         ...
 
 

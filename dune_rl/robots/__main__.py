@@ -1,4 +1,4 @@
-"""What a URDF gives for a robot: `python -m dune_rl.robots FILE` prints what is derived, or what is wrong."""
+"""Check of a URDF: `python -m dune_rl.robots FILE` prints the robot's derived values, or what is wrong."""
 
 import sys
 
@@ -7,7 +7,7 @@ from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
 
 
 def main(words: list[str]) -> int:
-    """Print the summary of the URDF that `words` name; 2 where it cannot be used."""
+    """Print a summary of the URDF in `words`; returns 2 if it cannot be used."""
     if len(words) != 1:
         print("usage: python -m dune_rl.robots FILE.urdf", file=sys.stderr)
         return 2

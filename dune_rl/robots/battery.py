@@ -1,4 +1,4 @@
-"""What a robot takes from its battery."""
+"""Energy that a robot draws from its battery."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ _JOULES_PER_WH = 3600.0
 
 
 class BatteryConf(Settings):
-    """Capacity, what is drawn with the motors still, and the share of what motors draw that turns joints.
+    """Capacity, power at rest, and efficiency of the motors: mechanical over electrical work.
 
-    Braking gives nothing back.
+    Braking recovers nothing.
     """
 
     capacity_wh: float = Field(gt=0.0)
@@ -21,5 +21,5 @@ class BatteryConf(Settings):
     efficiency: float = Field(0.7, gt=0.0, le=1.0)
 
     def drawn_wh(self, work_j: Array, time_s: float) -> Array:
-        """Energy drawn [W h], (M,), while motors have done `work_j` (M,) [J] in `time_s`."""
+        """Energy drawn [W h], (N,), in `time_s` in which the motors do mechanical work `work_j` (N,) [J]."""
         return (self.idle_w * time_s + work_j / self.efficiency) / _JOULES_PER_WH

@@ -1,4 +1,4 @@
-"""Simple solids that robots are drawn of, in metres."""
+"""Simple solids for visual meshes of robots, in metres."""
 
 from collections.abc import Iterable
 from typing import cast
@@ -15,13 +15,13 @@ Triple = tuple[float, float, float]
 ACROSS = (0.0, 1.0, 0.0)
 
 
-def joined(parts: Iterable[Mesh]) -> Mesh:
-    """All parts as one."""
+def join_meshes(parts: Iterable[Mesh]) -> Mesh:
+    """All parts as one mesh."""
     return cast(Mesh, trimesh.util.concatenate(list(parts)))
 
 
 def box(centre: Triple, size: Triple, pitch: float = 0.0) -> Mesh:
-    """A box, its front down by `pitch` [rad]."""
+    """A box with its front turned down by `pitch` [rad]."""
     mesh = trimesh.creation.box(size)
     mesh.apply_transform(rotation_matrix(pitch, ACROSS))
     mesh.apply_translation(centre)
@@ -38,16 +38,16 @@ def cylinder(radius: float, length: float, centre: Triple, axis: Triple = ACROSS
     return mesh
 
 
-def bevelled(centre: Triple, size: Triple, bevel: float) -> Mesh:
-    """A box whose edges are cut off at 45 degrees."""
+def bevelled_box(centre: Triple, size: Triple, bevel: float) -> Mesh:
+    """A box with edges cut off at 45 degrees, by `bevel` [m]."""
     half = np.array(size) / 2
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     corners = np.concatenate([signs * (half - bevel * np.eye(3)[axis]) for axis in range(3)])
     return Mesh(corners + centre).convex_hull
 
 
-def plate(start: Array, end: Array, radii: tuple[float, float], width: float, y: float = 0.0) -> Mesh:
-    """A plate round two points (x, z), as wide as a disc at each."""
+def rounded_plate(start: Array, end: Array, radii: tuple[float, float], width: float, y: float = 0.0) -> Mesh:
+    """Convex hull of two discs about y, at points (x, z), extruded by `width`."""
     angle = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     points = [
@@ -59,7 +59,7 @@ def plate(start: Array, end: Array, radii: tuple[float, float], width: float, y:
 
 
 def tyre(radius: float, width: float, rim: float, lugs: int, tread: float, y: float = 0.0) -> Mesh:
-    """A tyre about the y axis, its middle at `y`: `lugs` chevrons, `tread` high, reach out to `radius`."""
+    """A tyre about the y axis, centred at `y`, with `lugs` chevrons of height `tread` up to `radius`."""
     half, ground = width / 2, radius - tread
     shoulder, side = 0.45 * (ground - rim), 0.07 * width
     profile = [
@@ -78,7 +78,7 @@ def tyre(radius: float, width: float, rim: float, lugs: int, tread: float, y: fl
     carcass.apply_translation((0.0, y, 0.0))
     parts = [carcass]
     for number in range(2 * lugs):
-        # A lug on either side in turn, slanting to the middle.
+        # Lugs alternate between the sides and slant to the middle.
         end = 1 if number % 2 else -1
         lug = trimesh.creation.box((0.38 * 2 * np.pi * radius / (2 * lugs) * 1.9, 0.43 * width, 2 * tread))
         lug.apply_transform(rotation_matrix(end * 0.45, (0.0, 0.0, 1.0)))
@@ -86,4 +86,4 @@ def tyre(radius: float, width: float, rim: float, lugs: int, tread: float, y: fl
         lug.apply_transform(rotation_matrix(np.pi * number / lugs, ACROSS))
         lug.apply_translation((0.0, y, 0.0))
         parts.append(lug)
-    return joined(parts)
+    return join_meshes(parts)

@@ -1,4 +1,4 @@
-"""The PID controller that turns a heading command into a yaw rate."""
+"""PID controller from a commanded heading to a yaw rate."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +19,25 @@ class HeadingConf(Settings):
 
 
 class HeadingController:
-    """A PID loop over the heading error for each of M scenes."""
+    """PID controller on the heading errors of N robots; its yaw rate is limited both ways."""
 
-    def __init__(self, conf: HeadingConf, max_yaw_rate_radps: float, num_scenes: int) -> None:
+    def __init__(self, conf: HeadingConf, max_yaw_rate_radps: float, num_robots: int) -> None:
         self._conf = conf
         self._limit = max_yaw_rate_radps
-        self._integral = np.zeros(num_scenes)
-        self._previous = np.full(num_scenes, np.nan)
+        self._integral = np.zeros(num_robots)
+        self._previous = np.full(num_robots, np.nan)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Forget the past of the scenes in `mask` (M,)."""
+        """Clear integral and previous error of the robots in `mask` (N,)."""
         self._integral[mask] = 0.0
         self._previous[mask] = np.nan
 
     def yaw_rate(self, heading_error: Array, step_s: float) -> Array:
-        """Commanded yaw rate [rad/s], (M,), for the shortest angle to the desired heading [rad], (M,)."""
+        """Commanded yaw rate [rad/s], (N,), for the heading errors (N,) [rad], in [-pi, pi]."""
         conf = self._conf
         previous = np.where(np.isnan(self._previous), heading_error, self._previous)
         change = wrap_angle(heading_error - previous) / step_s
         self._previous = heading_error.copy()
         self._integral += heading_error * step_s
-        wanted = conf.kp * heading_error + conf.ki * self._integral + conf.kd * change
-        return clip(wanted, -self._limit, self._limit)
+        target = conf.kp * heading_error + conf.ki * self._integral + conf.kd * change
+        return clip(target, -self._limit, self._limit)

@@ -1,4 +1,4 @@
-"""Where robots carry their sensors."""
+"""Default poses of the sensors on a robot."""
 
 import numpy as np
 from pydantic import Field
@@ -9,9 +9,9 @@ Triple = tuple[float, float, float]
 
 
 class MountsConf(Settings):
-    """Forward, left and up of the robot's origin [m]: scanners and depth strip, camera, and inertial unit.
+    """Positions of the sensors in the robot's frame [m]: scanners and depth strip, camera, and IMU.
 
-    A sensor whose own `mount_b` is null stands here.
+    They apply to sensors whose own `mount_b` is null. `camera_pitch_rad` is positive downward.
     """
 
     scanner_b: Triple = (0.174, 0.0, 0.196)

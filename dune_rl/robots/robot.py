@@ -1,4 +1,4 @@
-"""What a robot is to everything above physics: its size, its actions, and what its motors are told."""
+"""Interface of a robot: its size, its actions, and the motor commands that its controller computes."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -15,22 +15,31 @@ Flags = NDArray[np.bool_]
 
 
 class BodyMotion(Protocol):
-    """What a robot's own controller may know of its M bodies at a step: twist and attitude, no place.
+    """Input of a robot's own controller: twist and attitude of N bodies, without their positions.
 
-    `velocity_b` and `angular_b` (M, 3) [m/s, rad/s] in the body frame, and
-    `roll_pitch_yaw` (M, 3) [rad].
+    `velocity_b` and `angular_b` (N, 3) [m/s, rad/s] are in the body frame, `roll_pitch_yaw` (N, 3) [rad].
+
+    A controller uses nothing else of a robot's motion. The environment passes the true motion or, with
+    `sensors.realism`, the readings of odometry and IMU, with their faults, so that no controller has a
+    channel that a real one lacks.
     """
 
-    velocity_b: Array
-    angular_b: Array
-    roll_pitch_yaw: Array
+    @property
+    def velocity_b(self) -> Array: ...
+
+    @property
+    def angular_b(self) -> Array: ...
+
+    @property
+    def roll_pitch_yaw(self) -> Array: ...
 
 
 @dataclass(frozen=True)
 class WheelLayout:
-    """Rolling radius [m], the track that tells a difference of wheels as a turn [m], and which are where.
+    """Odometry's model of the wheels: rolling radius [m], effective track [m], and motors of each side.
 
-    `left` and `right` are indices of motors.
+    `track_m` is the difference of the sides' speeds [m/s] over the yaw rate [rad/s]. `left` and `right` are
+    indices of motors.
     """
 
     radius_m: float
@@ -40,15 +49,14 @@ class WheelLayout:
 
 
 class Robot(Protocol):
-    """M robots of a kind, driven by actions.
+    """N robots of one kind that are driven by actions: N = number of scenes * agents of a group.
 
-    Frame: x forward, y left, z up; the origin is that of the URDF's base link,
-    `standing_height_m` above level ground. `length_m`, `width_m` and
-    `height_m` are those of the box round it, which the origin is amid, seen
-    from above. `contact_centres_b` (N, 3) [m] are the middles of the balls of
-    `contact_radius_m` that it stands on, wheels or feet `contact_width_m` wide,
-    in the order of `body.ground_links`; wheels are those of the first motors. `wheels` is None for
-    what walks; `mounts` is where sensors stand, `battery` what feeds the motors.
+    Frame: x forward, y left, z up; the origin is that of the URDF's base link, `standing_height_m` above
+    level ground. `length_m`, `width_m` and `height_m` are the sizes of the bounding box of hull and wheels
+    or feet; seen from above, the origin is its centre. `contact_centres_b` (W, 3) [m] are the centres of the
+    wheels or feet, of `contact_radius_m` and `contact_width_m`, in the order of `body.ground_links`; wheels
+    belong to the first motors. `wheels` is None for a robot with legs. `mounts` are the default poses of its
+    sensors; `battery` supplies the motors.
     """
 
     length_m: float
@@ -64,12 +72,12 @@ class Robot(Protocol):
 
     @property
     def contact_centres_b(self) -> Array:
-        """Middles (N, 3) [m] of the wheels or feet, where it is put down."""
+        """Centres (W, 3) [m] of wheels or feet at the start of an episode."""
         ...
 
     @property
     def wheels(self) -> WheelLayout | None:
-        """How its wheels' turns are told as a motion; None where it has no wheels."""
+        """Model of the wheels for odometry; None without wheels."""
         ...
 
     @property
@@ -79,30 +87,33 @@ class Robot(Protocol):
 
     @property
     def footprint_radius_m(self) -> float:
-        """Radius of the circle round the origin that holds the robot at any yaw."""
+        """Radius of a circle about the origin that contains the outline."""
         ...
 
     def outline(self) -> Array:
-        """Points (P, 2) round the hull in the body frame [m], at most 0.16 m apart, seen from above."""
+        """Points (P, 2) [m] on the outline of hull and wheels, seen from above, in the body frame.
+
+        Neighbours are at most 0.16 m apart.
+        """
         ...
 
     def action_bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest action, each (A,); `speed_and_heading_bounds` are those of most."""
+        """Lowest and highest action, each (A,)."""
         ...
 
     def rest_action(self) -> Array:
-        """The action (A,) that has it stand still."""
+        """Action (A,) at which the robot stands still."""
         ...
 
     def reset(self, mask: Flags) -> None:
-        """Stand still and forget the past in the scenes in `mask` (M,)."""
+        """Reset the controllers of the robots in `mask` (N,)."""
         ...
 
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
-        """A command for each motor, (M, J): a speed [rad/s] or an angle [rad], as `Motor.mode` says.
+        """Command of each motor, (N, J): a speed [rad/s] or an angle [rad], by `Motor.mode`.
 
-        `action` (M, A); what exceeds the bounds is clipped. It is called once a
-        control step of `step_s`, in order.
+        `action` (N, A) is clipped to the bounds. To be called once per control step of `step_s`, in order:
+        controllers have state.
         """
         ...
 
@@ -114,26 +125,26 @@ def speed_and_heading_bounds(max_speed_mps: float) -> tuple[Array, Array]:
 
 
 class RectangularHull:
-    """What follows of a hull that is a rectangle about the origin, seen from above."""
+    """Footprint and outline of a robot whose hull, seen from above, is a rectangle about the origin."""
 
     length_m: float
     width_m: float
 
     @property
     def footprint_radius_m(self) -> float:
-        """Radius of the circle round the origin that holds the robot at any yaw."""
+        """Radius of a circle about the origin that contains the outline."""
         return float(np.hypot(self.length_m / 2, self.width_m / 2))
 
     def outline(self) -> Array:
-        """Points (P, 2) round the hull in the body frame [m], at most 0.16 m apart, seen from above."""
+        """Points (P, 2) [m] on the outline, seen from above, in the body frame, at most 0.16 m apart."""
         return rectangle_outline(self.length_m, self.width_m)
 
 
-def rectangle_outline(length_m: float, width_m: float, apart_m: float = 0.16) -> Array:
-    """Points (P, 2) [m] round a rectangle about the origin, at most `apart_m` from their neighbours."""
+def rectangle_outline(length_m: float, width_m: float, spacing_m: float = 0.16) -> Array:
+    """Points (P, 2) [m] on a rectangle about the origin, neighbours at most `spacing_m` apart."""
     x, y = length_m / 2, width_m / 2
-    ahead = np.linspace(-x, x, max(5, int(np.ceil(length_m / apart_m)) + 1))
-    across = np.linspace(-y, y, max(5, int(np.ceil(width_m / apart_m)) + 1))[1:-1]
+    ahead = np.linspace(-x, x, max(5, int(np.ceil(length_m / spacing_m)) + 1))
+    across = np.linspace(-y, y, max(5, int(np.ceil(width_m / spacing_m)) + 1))[1:-1]
     sides = [np.column_stack([ahead, np.full(len(ahead), side)]) for side in (-y, y)]
     ends = [np.column_stack([np.full(len(across), end), across]) for end in (-x, x)]
     return np.concatenate([*sides, *ends])

@@ -1,4 +1,4 @@
-"""Skid-steer drive: from a commanded twist to wheel speeds, within the platform's limits."""
+"""Skid-steer drive: wheel speeds for a commanded twist, within the platform's limits."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,22 +9,20 @@ from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 
-# A rover held fast must not wind the loop up.
+# Limit of the integral, so that a rover that cannot turn does not wind it up.
 _MAX_CORRECTION_RADPS = 2.0
 
 
 class SkidSteerConf(Settings):
-    """Limits and geometry of the drive.
+    """Geometry and limits of the drive, and its motors.
 
-    Wheels that scrub sideways turn the body less than plain kinematics says,
-    so the track that makes commands come true on the average is wider than the
-    real one. How much less depends on the ground; a loop on the gyroscope's
-    yaw rate makes up the rest.
+    Wheels that scrub sideways turn the body less than plain kinematics says. `effective_track_m` is the
+    track that gives the commanded yaw rates on average, wider than the real one; how much wider depends on
+    the ground. A PI loop on the gyroscope's yaw rate corrects the rest.
 
-    A wheel's motor gives `max_torque_nm` at rest and, where `no_load_speed_radps`
-    is given, in a straight line nothing at that speed; `gear_friction_nm` comes
-    off it, and `rotor_inertia_kgm2` is the rotor's as felt at the wheel. A wheel
-    is told to turn at `max_wheel_speed_radps` at the most.
+    A wheel's motor has `max_torque_nm` at rest and, if `no_load_speed_radps` is set, linearly less up to
+    that speed, minus `gear_friction_nm`; `rotor_inertia_kgm2` is the rotor's inertia reflected to the wheel.
+    `max_wheel_speed_radps` limits the target speed of a wheel.
     """
 
     wheel_radius_m: float = Field(0.125, gt=0.0)
@@ -43,16 +41,16 @@ class SkidSteerConf(Settings):
 
 
 class SkidSteerDrive:
-    """Rate-limited twist of each of M scenes, as speeds of left and right wheels."""
+    """Converts commanded twists of N robots, with limited rates of change, to speeds of their wheels."""
 
-    def __init__(self, conf: SkidSteerConf, num_scenes: int) -> None:
+    def __init__(self, conf: SkidSteerConf, num_robots: int) -> None:
         self._conf = conf
-        self._speed = np.zeros(num_scenes)
-        self._yaw_rate = np.zeros(num_scenes)
-        self._correction = np.zeros(num_scenes)
+        self._speed = np.zeros(num_robots)
+        self._yaw_rate = np.zeros(num_robots)
+        self._correction = np.zeros(num_robots)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Stand still in the scenes in `mask` (M,)."""
+        """Set the twist to zero and clear the yaw rate's loop for the robots in `mask` (N,)."""
         self._speed[mask] = 0.0
         self._yaw_rate[mask] = 0.0
         self._correction[mask] = 0.0
@@ -60,9 +58,9 @@ class SkidSteerDrive:
     def wheel_speeds(
         self, speed: Array, yaw_rate: Array, measured_yaw_rate: Array, step_s: float
     ) -> tuple[Array, Array]:
-        """Left and right wheel speed [rad/s], each (M,), toward a commanded twist [m/s, rad/s], each (M,).
+        """Speeds of left and right wheels [rad/s], each (N,), for a commanded twist [m/s, rad/s], each (N,).
 
-        `measured_yaw_rate` (M,) is the gyroscope's about the body's z [rad/s].
+        `measured_yaw_rate` (N,) is the gyroscope's about the body's z [rad/s].
         """
         conf = self._conf
         speed = clip(speed, -conf.max_speed_mps, conf.max_speed_mps)

@@ -1,4 +1,4 @@
-"""What a robot looks like: the visual elements of its URDF."""
+"""Visual shapes of a robot, from its URDF."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,10 +31,10 @@ class _Joint:
 
 
 class RobotVisual:
-    """The links of a URDF as solids, posed by the base and, where told, by joint angles.
+    """Visual meshes of a URDF's links, posed by the base's pose and the joint angles.
 
-    Boxes, cylinders, spheres and meshes (.stl, .obj, .dae, .glb, .ply) are drawn,
-    these in the URDF's material where it names one, else in their own colours.
+    Shapes are boxes, cylinders, spheres and meshes (.stl, .obj, .dae, .glb, .ply). A mesh has the colour of
+    the URDF's material, or its own if there is none.
     """
 
     def __init__(self, urdf: Path) -> None:
@@ -55,20 +55,20 @@ class RobotVisual:
             if shapes:
                 self._solids[name] = RayMesh(join_meshes(shapes))
 
-    def bodies(
+    def posed_meshes(
         self, position_w: Array, rotation: Array, angles: Mapping[str, float] | None = None
     ) -> list[PosedMesh]:
-        """The robot with its base at `position_w` (3,), turned by `rotation` (3, 3).
+        """Meshes of the links for a base at `position_w` (3,) [m] with `rotation` (3, 3), body to world.
 
-        `angles` [rad] are those of joints by name; the others stand at zero.
+        `angles` [rad] are those of joints, by name; other joints are at zero.
         """
         poses = {self._base: _transform(position_w, rotation)}
-        waiting = list(self._joints)
-        while waiting:
-            joint = next((joint for joint in waiting if joint.parent in poses), None)
+        remaining = list(self._joints)
+        while remaining:
+            joint = next((joint for joint in remaining if joint.parent in poses), None)
             if joint is None:
                 break
-            waiting.remove(joint)
+            remaining.remove(joint)
             turn = trimesh.transformations.rotation_matrix((angles or {}).get(joint.name, 0.0), joint.axis)
             poses[joint.child] = poses[joint.parent] @ joint.origin @ turn
         return [
@@ -144,13 +144,13 @@ def _visual(
 
 
 def _from_file(element: Element, meshes: UrdfMeshes) -> tuple[trimesh.Trimesh, Array]:
-    """The mesh that a URDF names, scaled, and the colours of its faces (F, 3) in sRGB."""
+    """A mesh file of a URDF, scaled, and the colours (F, 3) of its faces in sRGB."""
     parts = meshes.parts(element.get("filename", ""))
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
     vertices = np.concatenate([part.vertices for part in parts])
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    # Mirrored, faces would show their backs: trimesh turns them round.
+    # trimesh reverses the faces if the scale mirrors them.
     mesh.apply_transform(np.diag([*_numbers(element.get("scale"), (1.0, 1.0, 1.0)), 1.0]))
     return mesh, np.concatenate([part.colours for part in parts]).astype(np.float64)
 

@@ -1,4 +1,4 @@
-"""What all robots on wheels that steer by skidding share: commands of speed and heading, and their size."""
+"""Robots on wheels that steer by skidding: their actions are a speed and a heading."""
 
 from collections.abc import Sequence
 
@@ -18,10 +18,10 @@ Array = NDArray[np.float64]
 
 
 class WheeledRobot(RectangularHull):
-    """M robots driven by (speed, heading) commands through wheels on two sides: a `Robot` but for its size.
+    """N robots with wheels on two sides: a `Robot` without its sizes, which a subclass sets.
 
-    `on_left` tells of each motor whether its wheel is a left one; `wheel_positions_b`
-    (W, 3) are the centres of the wheels that it stands on.
+    `on_left` is true for each motor whose wheel is on the left; `wheel_positions_b` (W, 3) [m] are the
+    centres of the wheels.
     """
 
     length_m: float
@@ -42,22 +42,22 @@ class WheeledRobot(RectangularHull):
         on_left: Sequence[bool],
         mounts: MountsConf,
         battery: BatteryConf,
-        num_scenes: int,
+        num_robots: int,
     ) -> None:
         self.body, self.mounts, self.battery = body, mounts, battery
         self._drive_conf = drive
         self._on_left = np.array(on_left)
-        self._heading = HeadingController(heading, drive.max_yaw_rate_radps, num_scenes)
-        self._drive = SkidSteerDrive(drive, num_scenes)
+        self._heading = HeadingController(heading, drive.max_yaw_rate_radps, num_robots)
+        self._drive = SkidSteerDrive(drive, num_robots)
 
     @property
     def contact_centres_b(self) -> Array:
-        """Centres (W, 3) of the wheels [m]."""
+        """Centres (W, 3) [m] of the wheels."""
         return self.wheel_positions_b
 
     @property
     def wheels(self) -> WheelLayout:
-        """The wheels' turns as a motion."""
+        """Model of the wheels for odometry."""
         left, right = (tuple(np.flatnonzero(side).tolist()) for side in (self._on_left, ~self._on_left))
         return WheelLayout(self._drive_conf.wheel_radius_m, self._drive_conf.effective_track_m, left, right)
 
@@ -71,24 +71,23 @@ class WheeledRobot(RectangularHull):
         return speed_and_heading_bounds(self.max_speed_mps)
 
     def rest_action(self) -> Array:
-        """No speed and no turn, (2,)."""
+        """Zero speed and no turn, (2,)."""
         return np.zeros(2)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Stand still and forget the past in the scenes in `mask` (M,)."""
+        """Reset the controllers of the robots in `mask` (N,)."""
         self._heading.reset(mask)
         self._drive.reset(mask)
 
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
-        """Target speed of each wheel [rad/s], (M, W), for an `action` (M, 2); see `wheel_commands`."""
+        """Target speed of each wheel [rad/s], (N, W), for an `action` (N, 2); see `wheel_commands`."""
         return self.wheel_commands(action, motion.angular_b[:, 2], step_s)
 
     def wheel_commands(self, action: Array, measured_yaw_rate: Array, step_s: float) -> Array:
-        """Target speed of each motor's wheel [rad/s], (M, W).
+        """Target speed of each wheel [rad/s], (N, W).
 
-        `action` (M, 2) is the speed [m/s] and the heading relative to the
-        present one [rad]; both are clipped to the platform's limits.
-        `measured_yaw_rate` (M,) is the gyroscope's [rad/s].
+        `action` (N, 2) is the speed [m/s] and the heading relative to the present one [rad], both clipped
+        to the platform's limits. `measured_yaw_rate` (N,) is the gyroscope's [rad/s].
         """
         error = clip(action[:, 1], -np.pi, np.pi)
         yaw_rate = self._heading.yaw_rate(error, step_s)
@@ -97,7 +96,7 @@ class WheeledRobot(RectangularHull):
 
 
 def wheel_motor(joint: str, drive: SkidSteerConf) -> Motor:
-    """The motor of a wheel, as the drive's settings have it."""
+    """The motor of a wheel's joint, from the settings of the drive."""
     unlimited = np.inf
     return Motor(
         joint,

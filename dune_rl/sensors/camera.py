@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
-from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.baked_scenery import BakedScenery
-from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.sensor import Mount, mount_position
@@ -58,7 +58,11 @@ class Camera:
     """
 
     def __init__(
-        self, conf: CameraConf, baked: BakedScenery, meshes: Sequence[MovingMesh], air: ParticipatingMedia = _CLEAR
+        self,
+        conf: CameraConf,
+        baked: BakedScenery,
+        meshes: Sequence[MovingMesh],
+        air: ParticipatingMedia = _CLEAR,
     ) -> None:
         self.conf = conf
         self._air = air
@@ -228,7 +232,9 @@ class Camera:
     ) -> None:
         """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
         foliage = self._air.foliage
-        veil = None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
+        veil = (
+            None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
+        )
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])

@@ -1,12 +1,11 @@
 """Settings of a group's sensors: which are observed, how each works, and what faults they have."""
 
-import difflib
 from collections.abc import Mapping
-from functools import lru_cache
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, create_model, field_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
 
+from dune_rl.errors import DuneError
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.context import SensorCarrier
 from dune_rl.sensors.currents import CurrentsConf
@@ -14,7 +13,7 @@ from dune_rl.sensors.depth_strip import DepthStripConf
 from dune_rl.sensors.encoders import EncodersConf
 from dune_rl.sensors.height_scan import HeightScanConf
 from dune_rl.sensors.imu import ImuConf
-from dune_rl.sensors.kinds import SENSOR_KINDS, SensorKind, SensorRequest, sensor_kind
+from dune_rl.sensors.kinds import SENSOR_KINDS, SensorKind, SensorRequest
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.odometry import OdometryConf
@@ -30,7 +29,9 @@ from dune_rl.sensors.realism.pipeline import (
     RealismConf,
     SpeedRealismConf,
 )
+from dune_rl.sensors.registry import SENSORS, SensorSettings
 from dune_rl.settings import Settings
+from dune_rl.suggestions import closest, one_of
 
 # What a robot can observe without further settings.
 ROBOT_SENSORS = (
@@ -84,45 +85,7 @@ def check_timing(path: str, conf: RealismConf | None, step_s: float) -> None:
             raise ValueError(f"{path}: {error}") from None
 
 
-class NamedSensorConf(Settings):
-    """Settings of a sensor with a name of its own: `sensor` is its kind, and the rest that kind's settings.
-
-    `realism` has the faults of a real part, where the kind has any.
-    """
-
-    sensor: str
-    realism: Any = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # The classes of kinds are made at run time: another process makes them again.
-        return _named_sensor, (self.model_dump(mode="json"),)
-
-
-@lru_cache(maxsize=64)
-def _named_class(name: str, kind: SensorKind) -> type[NamedSensorConf]:
-    label = "".join(word.capitalize() for word in name.split("_"))
-    realism: Any = (None, None) if kind.realism is None else (kind.realism | None, None)
-    fields: dict[str, Any] = {"sensor": (Literal[name], name), "realism": realism}
-    # The bases differ from kind to kind, which mypy's plugin cannot follow.
-    bases: Any = (NamedSensorConf, kind.settings)
-    made: Any = create_model(
-        f"Named{label}Conf",
-        __base__=bases,
-        __doc__=kind.settings.__doc__,
-        **fields,
-    )
-    return cast(type[NamedSensorConf], made)
-
-
-def _named_sensor(value: Any) -> Any:
-    """The settings that a mapping has for the kind that its `sensor` names; anything else as it is."""
-    if not isinstance(value, Mapping):
-        return value
-    name = value.get("sensor")
-    kind = sensor_kind(name) if isinstance(name, str) else None
-    if kind is None:
-        raise ValueError(f"sensor must name a kind: {', '.join(sorted(SENSOR_KINDS))} (got {name!r})")
-    return _named_class(str(name), kind).model_validate(value)
+NamedSensor = Annotated[SerializeAsAny[SensorSettings], BeforeValidator(SENSORS.parse_settings)]
 
 
 class SensorsConf(Settings):
@@ -132,10 +95,11 @@ class SensorsConf(Settings):
     present scan, something has moved. Mounts that are None are those of the robot.
 
     `named` has further sensors: `{rear: {sensor: camera, mount_b: [-0.3, 0.0, 0.2]}}`. They are enabled by
-    their names, and their readings are named so ("rear_rgb"). One that is called as a kind takes its place.
+    their names, and their readings are named so ("rear_rgb"). Without `sensor`, the name is the kind; one
+    that has the name of another kind takes its place.
     """
 
-    named: dict[str, Annotated[SerializeAsAny[NamedSensorConf], BeforeValidator(_named_sensor)]] = Field(
+    named: Annotated[dict[str, NamedSensor], BeforeValidator(SENSORS.tag_entries)] = Field(
         default_factory=dict
     )
     enabled: tuple[str, ...] = ("lidar", "lidar_past", "imu", "goal", "velocity")
@@ -157,11 +121,14 @@ class SensorsConf(Settings):
     def _enabled_sensors_exist(cls, enabled: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         named = info.data.get("named", {})
         for name in enabled:
-            if _instrument(name, named) is None:
-                known = [*named, *ROBOT_SENSORS]
-                near = difflib.get_close_matches(name, known, 1)
-                remedy = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
+            instrument = _instrument(name, named)
+            if instrument is None:
+                known = [*named, *ROBOT_SENSORS, *SENSORS.user_names()]
+                near = closest(name, known)
+                remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
                 raise ValueError(f"there is no sensor {name!r}; {remedy}")
+            if instrument not in named and instrument not in SENSOR_KINDS:
+                _default_settings(instrument)
         return enabled
 
     def check_timing(self, step_s: float) -> None:
@@ -178,7 +145,7 @@ class SensorsConf(Settings):
             if name in type(self).model_fields
         }
         changes["named"] = {
-            name: _mounted(conf, SENSOR_KINDS[conf.sensor], carrier) for name, conf in self.named.items()
+            name: _mounted(conf, SENSOR_KINDS.get(conf.sensor), carrier) for name, conf in self.named.items()
         }
         return self.model_copy(update=changes)
 
@@ -198,8 +165,9 @@ class SensorsConf(Settings):
             instrument = _instrument(name, self.named)
             assert instrument is not None
             request = self._request(instrument, [name])
-            outputs = SENSOR_KINDS[request.kind].has_outputs
-            names += [f"{name}_{each}" for each in request.settings.outputs] if outputs else [name]
+            kind = SENSOR_KINDS.get(request.kind)
+            outputs = request.settings.outputs if kind is not None and kind.has_outputs else ()
+            names += [f"{name}_{output}" for output in outputs] or [name]
         return names
 
     def _request(self, name: str, readings: list[str]) -> SensorRequest:
@@ -211,12 +179,12 @@ class SensorsConf(Settings):
             realism = settings.realism
         else:
             own = name in type(self).model_fields
-            settings = getattr(self, name) if own else SENSOR_KINDS[kind].settings()
+            settings = getattr(self, name) if own else _default_settings(kind)
             realism = getattr(self.realism, name, None)
         return SensorRequest(name, kind, settings, realism, tuple(readings), self.past_s, self.encoders)
 
 
-def _instrument(reading: str, named: Mapping[str, NamedSensorConf]) -> str | None:
+def _instrument(reading: str, named: Mapping[str, SensorSettings]) -> str | None:
     """The sensor that gives what is enabled as `reading`; None where there is none."""
     if _kind_of(reading, named) is not None:
         return reading
@@ -224,18 +192,33 @@ def _instrument(reading: str, named: Mapping[str, NamedSensorConf]) -> str | Non
     return base if base != reading and _kind_of(base, named) == "lidar" else None
 
 
-def _kind_of(name: str, named: Mapping[str, NamedSensorConf]) -> str | None:
+def _kind_of(name: str, named: Mapping[str, SensorSettings]) -> str | None:
     """The kind of the sensor called `name`; None where there is none."""
     if name in named:
         return named[name].sensor
-    return name if sensor_kind(name) is not None else None
+    try:
+        return name if name in SENSOR_KINDS or SENSORS.settings_class(name) is not None else None
+    except DuneError as error:
+        raise ValueError(str(error)) from None
 
 
-def _mounted(conf: Any, kind: SensorKind, carrier: SensorCarrier) -> Any:
+def _default_settings(kind: str) -> Any:
+    """The settings of a kind without any given; ValueError where it needs some."""
+    own = SENSOR_KINDS.get(kind)
+    settings = SENSORS.settings_class(kind) if own is None else own.settings
+    assert settings is not None
+    missing = [name for name, field in settings.model_fields.items() if field.is_required()]
+    if missing:
+        example = ", ".join(f"{name}: ..." for name in missing)
+        raise ValueError(f"the sensor {kind} needs settings: write named: {{{kind}: {{{example}}}}} too")
+    return settings()
+
+
+def _mounted(conf: Any, kind: SensorKind | None, carrier: SensorCarrier) -> Any:
     values: dict[str, Any] = {"standing_height_m": carrier.standing_height_m}
-    if kind.mount is not None:
+    if kind is not None and kind.mount is not None:
         values["mount_b"] = getattr(carrier, f"{kind.mount}_b")
-    if kind.mount == "camera":
+    if kind is not None and kind.mount == "camera":
         values["pitch_rad"] = carrier.camera_pitch_rad
     missing = {key: value for key, value in values.items() if getattr(conf, key, value) is None}
     return conf.model_copy(update=missing)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
-from dune_rl.rendering.participating_media import BeamMedia
-from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
 from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.sensors.camera import CameraConf, Cameras
 from dune_rl.sensors.odometry import DriveGeometry
 

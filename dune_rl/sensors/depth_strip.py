@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.batched import AnyRays
-from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
 from dune_rl.rendering.foliage import BatchedFoliage
-from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
 from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading
 from dune_rl.settings import Settings
@@ -97,7 +97,9 @@ class DepthStrip:
         """
         conf = self.conf
         ranges = self._beams.ranges(position_w, rotation, neighbours)
-        if self._foliage is not None and not (isinstance(self._foliage, BatchedFoliage) and self._foliage.none):
+        if self._foliage is not None and not (
+            isinstance(self._foliage, BatchedFoliage) and self._foliage.none
+        ):
             origins = self._beams.origin(position_w, rotation).astype(np.float32)
             directions = (self._beams.directions_b @ rotation.transpose(0, 2, 1)).astype(np.float32)
             met = self._foliage.median_ranges(origins, directions.reshape(-1, 3), ranges.ravel())

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.errors import RegistryError
+from dune_rl.sensors.registry import ReadingBounds
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.state import GroupState, State
 
@@ -14,10 +16,10 @@ SensorFunction = Callable[..., NDArray[Any]]
 
 
 class FunctionSensor:
-    """The reading `name`, (N, size): what `function(state, group, **params)` returns, clipped to bounds.
+    """The reading `name`, (N, size): what `function(state, group, **params)` returns, clipped to `bounds`.
 
-    `low` and `high` are numbers or have one for each of the `size` entries. Raises ValueError where the
-    function returns another shape or a value that is not a number.
+    Raises RegistryError, whose sentence opens with `origin`, where the function returns another shape or a
+    value that is not a number.
     """
 
     def __init__(
@@ -25,19 +27,16 @@ class FunctionSensor:
         name: str,
         function: SensorFunction,
         num_rows: int,
-        *,
-        size: int,
-        low: float | tuple[float, ...],
-        high: float | tuple[float, ...],
-        params: Mapping[str, Any] | None = None,
+        bounds: ReadingBounds,
+        params: Mapping[str, Any],
+        origin: str,
     ) -> None:
-        self._name, self._function, self._params = name, function, dict(params or {})
-        self._low, self._high = (
-            np.broadcast_to(np.array(end, np.float32), (size,)).copy() for end in (low, high)
-        )
+        self._name, self._function, self._params, self._origin = name, function, dict(params), origin
+        ends = (np.array(end, np.float32) for end in (bounds.low, bounds.high))
+        self._low, self._high = (np.broadcast_to(end, (bounds.size,)).copy() for end in ends)
         if not (self._low <= self._high).all():
-            raise ValueError(f"sensor {name!r}: low {low} must be at most high {high}")
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, size), np.float32)
+            raise RegistryError(f"{origin}, whose low {bounds.low} must be at most its high {bounds.high}.")
+        self._reading: NDArray[np.float32] = np.zeros((num_rows, bounds.size), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """As given."""
@@ -52,12 +51,12 @@ class FunctionSensor:
         values = np.asarray(self._function(state, now, **self._params), np.float32)
         shape = self._reading.shape
         if values.shape != shape and not (shape[1] == 1 and values.shape == shape[:1]):
-            raise ValueError(
-                f"sensor {self._name!r}: its function returned an array of shape {values.shape}; "
-                f"{shape} is needed: a row for each agent and {shape[1]} numbers in it"
+            raise RegistryError(
+                f"{self._origin}, which must return an array of shape {shape}, a row for each agent, "
+                f"and returned one of shape {values.shape}."
             )
         if np.isnan(values).any():
-            raise ValueError(f"sensor {self._name!r}: its function returned NaN")
+            raise RegistryError(f"{self._origin}, which returned NaN.")
         self._reading = np.minimum(np.maximum(values.reshape(shape), self._low), self._high)
 
     def read(self) -> dict[str, Reading]:

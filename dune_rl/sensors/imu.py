@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import cross, to_body, clip
+from dune_rl.geometry.frames import clip, cross, to_body
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Mount, Reading, mount_position
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State

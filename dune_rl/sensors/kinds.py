@@ -11,7 +11,7 @@ from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
 from dune_rl.sensors.encoders import Encoders, EncodersConf
-from dune_rl.sensors.function_sensor import FunctionSensor, SensorFunction
+from dune_rl.sensors.function_sensor import FunctionSensor
 from dune_rl.sensors.goal import Goal
 from dune_rl.sensors.height_scan import HeightScan, HeightScanConf
 from dune_rl.sensors.imu import ImuConf, ImuSensor
@@ -33,6 +33,7 @@ from dune_rl.sensors.realism.pipeline import (
     SpeedRealismConf,
     realistic,
 )
+from dune_rl.sensors.registry import SENSORS, ReadingBounds
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS, PlanarVelocity, Velocity
@@ -75,42 +76,6 @@ class SensorKind:
     realism: type[RealismConf] | None = None
     mount: MountPoint | None = None
     has_outputs: bool = False
-
-
-def function_kind(
-    function: SensorFunction,
-    settings: type[Settings],
-    *,
-    size: int,
-    low: float | tuple[float, ...],
-    high: float | tuple[float, ...],
-) -> SensorKind:
-    """The kind of a sensor that is a free function `f(state, group, *, params) -> (N, size)`.
-
-    `settings` has a field for each of its parameters; readings are clipped to [`low`, `high`].
-    """
-
-    def build(request: SensorRequest, context: SensorContext) -> Sensor:
-        params = {name: getattr(request.settings, name) for name in settings.model_fields}
-        sensor = FunctionSensor(
-            request.name, function, context.num_rows, size=size, low=low, high=high, params=params
-        )
-        return _plain(sensor, request, context)
-
-    return SensorKind(settings, build, ReadingRealismConf)
-
-
-def class_kind(sensor_class: Callable[..., Sensor], settings: type[Settings]) -> SensorKind:
-    """The kind of a class of the `Sensor` protocol, built as `sensor_class(name, context, **params)`.
-
-    `settings` has a field for each of its parameters.
-    """
-
-    def build(request: SensorRequest, context: SensorContext) -> Sensor:
-        params = {name: getattr(request.settings, name) for name in settings.model_fields}
-        return _plain(sensor_class(request.name, context, **params), request, context)
-
-    return SensorKind(settings, build, ReadingRealismConf)
 
 
 def _plain(sensor: Sensor, request: SensorRequest, context: SensorContext) -> Sensor:
@@ -244,6 +209,15 @@ SENSOR_KINDS: dict[str, SensorKind] = {
 }
 
 
-def sensor_kind(name: str) -> SensorKind | None:
-    """The kind of sensors called `name`; None where there is none."""
-    return SENSOR_KINDS.get(name)
+def build_sensor(request: SensorRequest, context: SensorContext) -> Sensor:
+    """The sensor that `request` describes."""
+    kind = SENSOR_KINDS.get(request.kind)
+    if kind is not None:
+        return kind.build(request, context)
+    part = SENSORS.part_of(request.settings)
+    if part.signature.is_class:
+        return _plain(SENSORS.build(request.settings, request.name, context), request, context)
+    bounds: ReadingBounds = part.target.sensor_bounds  # type: ignore[attr-defined]
+    params = part.signature.arguments(request.settings)
+    sensor = FunctionSensor(request.name, part.target, context.num_rows, bounds, params, part.origin)
+    return _plain(sensor, request, context)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.rays import RayScene
 from dune_rl.geometry.batched import AnyRays
+from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.settings import Settings
 
@@ -146,7 +146,7 @@ class Beams:
 
 
 class Lidar:
-    """Ranges of M scenes, which differ in their moving actors, and with `RayScenes` in the static world.
+    """Ranges of N robots in M scenes, which differ in their moving bodies and, batched, in the static world.
 
     `mesh_rays` are ray scenes in the actors' own frames, one per actor; equal
     objects are asked together. Unit vectors along the beams in the body frame

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.batched import AnyRays, BatchedRayScenes
-from dune_rl.rendering.participating_media import ParticipatingMedia, BeamMedia
-from dune_rl.rendering.moving_mesh import MovingMesh as MovingMesh
+from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.beam_surface import BeamSurface, BatchedBeamSurfaces, luminance
 from dune_rl.sensors.camera import columns_by_mesh
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of

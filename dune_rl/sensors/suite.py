@@ -3,7 +3,7 @@
 from dune_rl.errors import ConfigError
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.kinds import SensorRequest, sensor_kind
+from dune_rl.sensors.kinds import SensorRequest, build_sensor
 from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
 from dune_rl.state import GroupState, State
 
@@ -46,13 +46,6 @@ class SensorSuite:
         for sensor in self.sensors.values():
             readings |= sensor.read()
         return {name: readings[name] for name in self._order}
-
-
-def build_sensor(request: SensorRequest, context: SensorContext) -> Sensor:
-    """The sensor that `request` describes."""
-    kind = sensor_kind(request.kind)
-    assert kind is not None
-    return kind.build(request, context)
 
 
 def _parts(reading: str, known: dict[str, Bounds]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Where an episode starts, and where it shall end."""
+"""Start poses and goals of robots, sampled from the free space of a world."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,11 +52,11 @@ class Placement:
 
 
 class Spawner:
-    """Draws spawn poses and goals that a round robot of `footprint_radius_m` can go between.
+    """Samples start poses and goals that a disc of `footprint_radius_m` can move between.
 
-    All lie in one connected part of the free space, the one that has most of
-    the region. Raises WorldError when the world cannot give that, naming the
-    setting to change.
+    All are in one connected part of the free space: the part that covers most of
+    the region. Raises WorldError, which names the setting to change, where the
+    world has none.
     """
 
     def __init__(self, world: World, conf: SpawnConf, footprint_radius_m: float) -> None:
@@ -147,9 +147,8 @@ class Spawner:
     ) -> Placement:
         """A start and a goal at least `min_goal_distance_m` from it, drawn from `rng` alone.
 
-        Its start lies `apart_m` or more from that of each `taken` placement,
-        and its goal so far from their goals. Raises WorldError where that
-        leaves none.
+        The start is at least `apart_m` from the start of each `taken` placement,
+        and the goal from its goal. Raises WorldError where no place is left.
         """
         starts, cells = self._starts, self._cells
         if taken:
@@ -174,6 +173,34 @@ class Spawner:
         return Placement(
             float(points[0, 0]), float(points[0, 1]), float(yaw), float(points[1, 0]), float(points[1, 1])
         )
+
+    def sample_goal(
+        self, rng: np.random.Generator, start: Array, taken: Array, apart_m: Array
+    ) -> tuple[float, float]:
+        """A goal at least `min_goal_distance_m` from `start` (2,) and `apart_m` (K,) from `taken` (K, 2).
+
+        It is drawn from `rng` alone. Where the region has no such place, it is the place with the smallest
+        shortfall: a running episode must go on.
+        """
+        centres = self._cells[rng.integers(len(self._cells), size=_GOAL_TRIES)]
+        moved = centres + rng.uniform(-0.5, 0.5, centres.shape) * self.free_space.cell_m
+        choice = rng.uniform()
+        for goals in (np.where(self._fits(moved)[:, None], moved, centres), self._cells):
+            excess = self._excess(goals, start, taken, apart_m)
+            enough = goals[excess >= 0.0]
+            if len(enough):
+                x, y = enough[int(choice * len(enough))].tolist()
+                return x, y
+        x, y = self._cells[excess.argmax()].tolist()
+        return x, y
+
+    def _excess(self, goals: Array, start: Array, taken: Array, apart_m: Array) -> Array:
+        """By how much each of `goals` (P, 2) exceeds the least of its distances that must be [m], (P,)."""
+        points = np.concatenate([start[None], taken])
+        needed = np.concatenate([[self._conf.min_goal_distance_m], apart_m])
+        offset = goals[:, None] - points
+        excess: Array = (np.hypot(offset[..., 0], offset[..., 1]) - needed).min(axis=1)
+        return excess
 
     def _away(self, cells: Array, points: Sequence[tuple[float, float]], apart_m: Sequence[float]) -> Array:
         free = np.ones(len(cells), bool)
@@ -202,9 +229,9 @@ class Spawner:
         return gentle & clear
 
     def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:
-        """Points (n, 2) [m] of the same part, with `radius_m` of clearance and joined at that clearance.
+        """Points (n, 2) [m] of the same part with `radius_m` of clearance, connected at that clearance.
 
-        Raises WorldError when the region has none.
+        Raises WorldError where the region has none.
         """
         cells = self._points_by_radius.get(radius_m)
         if cells is None:

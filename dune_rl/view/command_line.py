@@ -8,8 +8,8 @@ from typing import Any, get_args
 from rich.console import Console
 
 from dune_rl import command
-from dune_rl.command import Page
-from dune_rl.config.compose import compose_view, given
+from dune_rl.command import HelpPage
+from dune_rl.config.compose import compose_view, override_value
 from dune_rl.config.schema import ViewConf
 from dune_rl.sensors.camera import Output
 from dune_rl.sensors.conf import ROBOT_SENSORS
@@ -38,18 +38,19 @@ SETTINGS = (
 
 def main() -> None:
     """Run the command line; ends the process."""
-    command.run(Page("Render a world, its agents and their sensors.", USAGE, SETTINGS, CLOSING), _main)
+    command.run_command(
+        HelpPage("Render a world, its agents and their sensors.", USAGE, SETTINGS, CLOSING), _main)
 
 
 def _main(parsed: Namespace) -> None:
     # A map shows no readings, so it needs no sensors beside the policy's.
-    on_map = given(parsed.overrides, "view") == "map"
-    conf = command.settings_around_checkpoint(
+    on_map = override_value(parsed.overrides, "view") == "map"
+    conf = command.compose_with_checkpoint(
         parsed, compose_view, (lambda saved: saved) if on_map else _with_all_sensors
     )
     if conf is None:
         return
-    if given(parsed.overrides, "sensors") is None:
+    if override_value(parsed.overrides, "sensors") is None:
         conf = _drop_odometry_of_legs(conf)
     _view(conf)
 
@@ -86,7 +87,7 @@ def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
 def _view(conf: ViewConf) -> None:
     folder = Path(conf.out)
     folder.mkdir(parents=True, exist_ok=True)
-    console = command.console()
+    console = command.make_console()
     if conf.view == "map":
         from dune_rl.view.maps import write_map
 

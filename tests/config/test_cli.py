@@ -12,6 +12,7 @@ import yaml
 from test_config import CHOOSE, NO_MOON
 
 from dune_rl import benchmark, command, engines, evaluate, train
+from dune_rl.learning import progress
 from dune_rl.learning.progress import Lines, Status
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
@@ -192,10 +193,10 @@ def test_signals_save_and_end(
         def update(self, status: Status) -> None:
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(train, "Lines", Interrupting)
+    monkeypatch.setattr(progress, "Lines", Interrupting)
     assert call(train.main, "+world=flat", "run_dir=run", *TINY) == code
     assert "go on with resume=" in capsys.readouterr().err
-    monkeypatch.setattr(train, "Lines", Lines)
+    monkeypatch.setattr(progress, "Lines", Lines)
     assert call(train.main, "resume=run") == 0
     assert "after 192 frames" in capsys.readouterr().out
 
@@ -281,7 +282,7 @@ def test_two_policies_are_compared_on_the_same_episodes(
     assert "Paired: go_to_goal alone succeeds in " in capsys.readouterr().out
     rows = (folder / "both.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["go_to_goal"] * 3 + ["random"] * 3
-    assert [row.split(",")[3] for row in rows] == ["0", "1", "2"] * 2
+    assert [row.split(",")[3:5] for row in rows] == [["rover_0", number] for number in "012"] * 2
 
 
 def test_a_warning_is_a_line_without_our_code(capsys: pytest.CaptureFixture[str]) -> None:

@@ -105,7 +105,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ),
     ("sensors", "walker"): walker_sensors(),
     ("task", "point_goal"): TaskConf(),
-    ("task", "dune_code"): TaskConf().changed(
+    ("task", "dune_code"): TaskConf().with_terms(
         rewards={
             "distance": {
                 "min_progress_m": 0.001,
@@ -126,7 +126,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
             "stuck": {"distance_m": 0.001, "steps": 600},
         },
     ),
-    ("task", "paper"): TaskConf().changed(rewards={"contact": {"weight": 0.0}}),
+    ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),
     ("task", "walking"): walking_task(),
     ("weather", "clear"): WeatherConf(),
     ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_rad=3.4, sun_elevation_rad=0.1)),

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.learning.checkpoint import read
-from dune_rl.learning.evaluation import averages, evaluate
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.policies import load_policy
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.measures import averages
+from dune_rl.learning.saved_policies import load_policy
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 POLICIES = sorted(EXPERIMENTS.rglob("policy.pt"))
@@ -19,9 +19,9 @@ POLICIES = sorted(EXPERIMENTS.rglob("policy.pt"))
 @pytest.mark.parametrize("file", POLICIES, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
 def test_the_weights_of_a_study_still_drive(file: Path) -> None:
     conf = compose_evaluation([f"checkpoint={file}"], [], read(file, "policy")["config"])
-    env = make_torchrl_env(conf, 8, seed=3)
-    policy, _ = load_policy(file, Layout.of(env))
-    rows = evaluate(policy, env, 8, seed=3)
+    env = make_learning_env(conf, 8, seed=3)
+    policy, _ = load_policy(file, env)
+    rows = evaluate(policy, env, 8, seed=3)["rover"]
     env.close()
     # Random actions reach one goal in ten.
     assert averages(rows)["TR"] >= 0.75

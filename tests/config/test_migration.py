@@ -44,7 +44,7 @@ OLD_TASK: dict[str, Any] = {
     },
     "walking": {"progress_scale": 1.0, "near_miss": -0.1, "comfort_m": 1.2},
 }
-NEW_TASK = TaskConf().changed(
+NEW_TASK = TaskConf().with_terms(
     spawn={"region": "anywhere", "max_slope_deg": 20.0, "margin_m": 0.1, "min_goal_distance_m": 2.0},
     rewards={
         "distance": {
@@ -78,7 +78,7 @@ def test_the_task_of_an_older_run_is_the_same_task() -> None:
     conf = compose_evaluation(["policy=random"], (), saved)
     assert conf.task == NEW_TASK
     changed = compose_evaluation(["policy=random", "task.terminations.time_limit.max_steps=5"], (), saved)
-    assert changed.task == NEW_TASK.changed(terminations={"time_limit": {"max_steps": 5}})
+    assert changed.task == NEW_TASK.with_terms(terminations={"time_limit": {"max_steps": 5}})
 
 
 @pytest.mark.parametrize("file", sorted(EXPERIMENTS.rglob("config.yaml")), ids=lambda file: file.parent.name)
@@ -87,7 +87,7 @@ def test_settings_of_the_studies_are_read(file: Path) -> None:
     conf = compose_evaluation(["policy=random"], (), saved)
     walkers = len(saved["actors"]) if isinstance(saved["actors"], list) else None
     assert walkers is None or sum(group.count for group in conf.groups) == 1 + walkers
-    assert conf.driven_group.name == "rover"
+    assert conf.external_groups[0].name == "rover"
     assert conf.task.terminations["time_limit"].max_steps == 2000  # type: ignore[attr-defined]
     # Warnings are errors here: nobody is warned of what a run states that they did not write.
 
@@ -118,7 +118,7 @@ def test_older_names_are_accepted_and_warned_of() -> None:
         "task.reward.goal is now task.rewards.goal.weight",
         "task.termination.flipped_rad is now task.terminations.flipped.angle_deg",
     ]
-    assert conf.task == TaskConf().changed(
+    assert conf.task == TaskConf().with_terms(
         rewards={"goal": {"weight": 50.0}}, terminations={"flipped": {"angle_deg": 57.295779513}}
     )
     with pytest.warns(DuneWarning, match="metrics.max_clearance_m is now metrics.terms.clearance.max_m and"):

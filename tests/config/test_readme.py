@@ -5,17 +5,17 @@ import shlex
 from pathlib import Path
 
 import pytest
-from own_worlds import known, write
+from user_packages import packages_on_path, write_package
 
 from dune_rl import paths
-from dune_rl.command import arguments, config_dirs
+from dune_rl.command import config_folders, parse_arguments
 from dune_rl.config.compose import (
     check_sweep,
     compose,
     compose_evaluation,
     compose_resumed,
     compose_view,
-    given,
+    override_value,
 )
 from dune_rl.engine_comparison.command_line import parse_settings as engines_settings
 from dune_rl.errors import ConfigError
@@ -36,19 +36,19 @@ PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 def compose_command(words: list[str]) -> None:
     program, *rest = words
-    parsed = arguments(rest)
-    overrides, folders = parsed.overrides, config_dirs(parsed)
+    parsed = parse_arguments(rest)
+    overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
-    if program == "dune_rl.train" and given(overrides, "resume"):
+    if program == "dune_rl.train" and override_value(overrides, "resume"):
         compose_resumed(overrides, folders, saved)
     elif program == "dune_rl.train":
         check_sweep(overrides, folders) if parsed.multirun else compose(overrides, folders)
     elif program == "dune_rl.evaluate":
-        compose_evaluation(overrides, folders, saved if given(overrides, "checkpoint") else None)
+        compose_evaluation(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
     elif program == "dune_rl.view":
-        compose_view(overrides, folders, saved if given(overrides, "checkpoint") else None)
+        compose_view(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     else:
         assert program == "dune_rl.benchmark"
 
@@ -66,8 +66,8 @@ def test_readme_opens_with_two_commands_that_set_themselves_up() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_compose(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(write(README, tmp_path))
-    with known(tmp_path):
+    monkeypatch.chdir(write_package(README, tmp_path))
+    with packages_on_path(tmp_path):
         compose_command(shlex.split(command))
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from batches import every_engine
 from planted.engines import KickedRobot, RaisedRobot, TeleportedRobot, UnchangedRobot, tampered
+from simulations import every_engine
 
 from dune_rl.engine_comparison import recording
 from dune_rl.engine_comparison.stability import FaultCounts, SpeedLimit, count_faults

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batches import every_engine, real_batch
 from defusedxml.ElementTree import fromstring
-from rigs import Rig, named, slope_world
+from randomised_scenes import BODIES, drive, equal, make
+from robot_fixtures import RoverOnGround, named, slope_world
 from scenes import TIMESTEP_S, Backend, Stage, every_backend, rover_body, slope_stage
-from test_randomisation import BODIES, drive, make
+from scripted_physics import scripted_simulation
+from simulations import act, every_engine, metric, motion_of_group, started_simulation
 
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.latency import Latency
@@ -124,35 +125,36 @@ def test_smooth_tyres_slide_where_others_hold(backend, surface, factor):
     found = None if surface is None else named(surface)
     friction = 1.0 if found is None else found.friction
     for share, slides in ((0.85, False), (1.15, True)):
-        rig = Rig(backend, slope_world(found, math.atan(share * factor * friction)), tyres=factor)
-        before = rig.position.copy()
-        rig.step(0.0, 20)
-        assert (np.linalg.norm(rig.position - before) > 0.1) == slides
+        rover = RoverOnGround(backend, slope_world(found, math.atan(share * factor * friction)), tyres=factor)
+        before = rover.position.copy()
+        rover.step(0.0, 20)
+        assert (np.linalg.norm(rover.position - before) > 0.1) == slides
 
 
 @every_backend
 def test_a_heavier_rover_rolls_harder(backend):
-    rigs = [Rig(backend, slope_world(named("sand")), load=load) for load in (1.0, 2.0)]
     held = []
-    for rig in rigs:
-        rig.step(4.0, 10)
-        held.append(float(np.linalg.norm(rig.traction.update([rig.engine], rig.motion))))
+    for load in (1.0, 2.0):
+        rover = RoverOnGround(backend, slope_world(named("sand")), load=load)
+        rover.step(4.0, 10)
+        held.append(float(np.linalg.norm(rover.traction.update([rover.engine], rover.motion))))
     assert held[1] == pytest.approx(2 * held[0], rel=1e-4)
 
 
 # -- latency ---------------------------------------------------------------------------------------
 
 
-def test_each_scene_has_its_commands_as_late_as_it_was_told():
+def test_each_row_has_its_commands_as_late_as_its_delay():
     line = Latency(3, [7.0], control_hz=20)
-    line.begin(1, 0.1)
+    line.set_delay(1, 0.1)
     sent = np.arange(1.0, 9.0)
     arrived = []
     for step, value in enumerate(sent):
         if step == 4:
             # A new episode of the last scene, with a longer delay than any before.
-            line.begin(2, 0.16)
-        arrived.append(line.late(np.full((3, 1), value))[:, 0])
+            line.set_delay(2, 0.16)
+            line.reset(2)
+        arrived.append(line.delayed(np.full((3, 1), value))[:, 0])
     got = np.array(arrived).T
     np.testing.assert_array_equal(got[0], sent)
     np.testing.assert_array_equal(got[1], [7, 7, 1, 2, 3, 4, 5, 6])
@@ -162,22 +164,49 @@ def test_each_scene_has_its_commands_as_late_as_it_was_told():
 @every_engine
 def test_a_rover_starts_as_many_steps_late(engine):
     def run(speed: float) -> np.ndarray:
-        batch = real_batch(physics=engine, randomisation={"action_latency_s": [0.15, 0.15]})
+        simulation = started_simulation(physics=engine, randomisation={"action_latency_s": [0.15, 0.15]})
         seen = []
         for _ in range(5):
-            batch.step(np.array([[speed, 0.0]], np.float32))
-            seen.append(batch.motion.position_w[0].copy())
-        batch.close()
+            act(simulation, [speed, 0.0])
+            seen.append(motion_of_group(simulation).position_w[0].copy())
+        simulation.close()
         return np.array(seen)
 
     same = (run(0.0) == run(1.0)).all(axis=1)
     assert same.tolist() == [True, True, True, False, False]
 
 
+# -- teams -----------------------------------------------------------------------------------------
+
+
+def test_all_robots_of_a_scene_have_the_body_that_was_drawn():
+    simulation, robots = scripted_simulation(
+        "flat",
+        2,
+        robots=["rover_zero", "rover_zero", "leo_rover"],
+        **{"randomisation": BODIES["randomisation"]},
+    )
+    for scene in range(2):
+        drawn = {name: values[scene] for name, values in simulation.randomized.items()}
+        for robot in robots[3 * scene : 3 * scene + 3]:
+            assert robot.variation.mass_factor == drawn["mass"]
+            assert robot.variation.motor_strength == drawn["motor_strength"]
+        for group in simulation.groups:
+            body = group.body
+            rows = slice(scene * group.count, (scene + 1) * group.count)
+            assert (body.traction.tyre_factor[rows] == drawn["wheel_friction"]).all()
+            assert (body.traction.load_factor[rows] == drawn["mass"]).all()
+            assert (body.latency.delays[rows] == round(drawn["action_latency_s"] * 20)).all()
+            for name, value in drawn.items():
+                told = metric(simulation, f"randomisation/{name}", group.name)[rows]
+                np.testing.assert_allclose(told, value, rtol=1e-6)
+    assert all(len(set(values.tolist())) == 2 for values in simulation.randomized.values())
+
+
 # -- the same once more ----------------------------------------------------------------------------
 
 
-def test_a_batch_of_four_is_four_of_one_and_each_value_is_told():
+def test_four_scenes_are_four_simulations_of_one_and_each_value_is_told():
     four, one = make(4, **BODIES), make(1, **BODIES)
     four.reset()
     seen = drive(four, [0, 1, 2, 3], 0, 5)
@@ -186,25 +215,24 @@ def test_a_batch_of_four_is_four_of_one_and_each_value_is_told():
         one.reset()
         for found, alone in zip(seen, drive(one, [scene], 0, 5), strict=True):
             for name, values in alone.items():
-                assert np.array_equal(found[name][scene], values[0], equal_nan=True), name
+                assert equal(found[name][scene], values[0]), name
     for name in BODIES["randomisation"]:
-        column = four.metrics()[:, four.metric_names.index(f"randomisation/{name}")]
-        assert len(set(column.tolist())) == 4
+        assert len(set(metric(four, f"randomisation/{name}").tolist())) == 4
     four.close()
     one.close()
 
 
-def test_a_moment_comes_back_amid_an_episode():
-    batch, other = make(2, **BODIES), make(2, **BODIES)
-    batch.reset()
-    drive(batch, [0, 1], 0, 4)
-    batch.reset(np.array([False, True]))
-    drive(batch, [0, 3], 4, 3)
-    other.restore(batch.state())
-    for found, back in zip(drive(batch, [0, 3], 7, 4), drive(other, [0, 3], 7, 4), strict=True):
+def test_a_state_comes_back_amid_an_episode():
+    simulation, other = make(2, **BODIES), make(2, **BODIES)
+    simulation.reset()
+    drive(simulation, [0, 1], 0, 4)
+    simulation.reset(np.array([False, True]))
+    drive(simulation, [0, 3], 4, 3)
+    other.restore(simulation.save_state())
+    for found, back in zip(drive(simulation, [0, 3], 7, 4), drive(other, [0, 3], 7, 4), strict=True):
         for name, values in found.items():
-            assert np.array_equal(values, back[name], equal_nan=True), name
-    batch.close()
+            assert equal(values, back[name]), name
+    simulation.close()
     other.close()
 
 

@@ -4,84 +4,50 @@ import hashlib
 import os
 import subprocess
 import sys
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from planted.puppets import puppet_batch
+from rollouts import Rollout, digest_of
+from scripted_physics import scripted_simulation
+from simulations import act, goals_w, metrics, motion_of_group, new_simulation, observation, state_of_group
 
-from dune_rl.config.build import make_batch
-from dune_rl.config.compose import compose_environment
-from dune_rl.env.batch import Batch
+from dune_rl.env.simulation import VectorSimulation
 
-WORLDS = ("flat", "inspection")
 EXTERNAL = {"controller": "external"}
+SHORT = {"terminations": {"time_limit": {"max_steps": 25}}}
 
 
-def make(world: str, num_scenes: int = 2, seed: int = 8, **settings: Any) -> Batch:
-    return make_batch(compose_environment(world, (), settings), num_scenes, seed)
-
-
-class Golden:
-    """A rollout that is advanced in parts: a hash of all that is seen, earned and measured."""
-
-    def __init__(self, batch: Batch) -> None:
-        self._batch = batch
-        self._rng = np.random.default_rng(1)
-        self._hash = hashlib.sha256()
-        batch.reset()
-
-    def advance(self, steps: int) -> None:
-        batch, rng = self._batch, self._rng
-        scenes, walkers = batch.num_scenes, len(batch.actors.external)
-        for _ in range(steps):
-            # Mostly ahead, so that obstacles are met.
-            rover = rng.uniform([0.2, -1.0], [1.0, 1.0], (scenes, 2)).astype(np.float32)
-            outcome = batch.step(rover, rng.uniform(-1.0, 1.0, (scenes, walkers, 2)).astype(np.float32))
-            ended = outcome.terminated | outcome.truncated
-            if ended.any():
-                batch.reset(ended)
-            seen = [*batch.observe().values(), outcome.rover_reward, batch.metrics(), ended]
-            if walkers:
-                seen += [*batch.observe_walkers().values(), outcome.walker_reward]
-            for value in seen:
-                self._hash.update(value.tobytes())
-
-    @property
-    def digest(self) -> str:
-        return self._hash.hexdigest()
-
-
-def golden(batch: Batch, steps: int = 60) -> str:
-    rollout = Golden(batch)
-    rollout.advance(steps)
-    return rollout.digest
+def make(world: str, num_scenes: int = 2, seed: int = 8, **settings: Any) -> VectorSimulation:
+    return new_simulation(world, num_scenes, seed, **({"actors": "walkers"} | settings))
 
 
 def golden_of(world: str, actors: str) -> str:
-    batch = make(world, actors=actors, task={"termination": {"max_steps": 25}})
-    found = golden(batch)
-    batch.close()
+    simulation = make(world, actors=actors, task=SHORT)
+    found = digest_of(simulation, 60)
+    simulation.close()
     return found
 
 
 @pytest.mark.parametrize("actors", ["walkers", "external_walkers"])
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", ["flat", "inspection"])
 def test_golden_rollout(world: str, actors: str) -> None:
-    settings: dict[str, Any] = {"actors": actors, "task": {"termination": {"max_steps": 25}}}
     expected = golden_of(world, actors)
     assert golden_of(world, actors) == expected, "a second environment differs"
-    batch = make(world, seed=3, **settings)
-    assert golden(batch, 37) != expected
-    batch.reseed(8)
-    assert golden(batch) == expected, "a reset leaves something behind"
-    batch.reseed(8)
-    rollout, other = Golden(batch), Golden(make("flat", 1, seed=5))
+    simulation = make(world, seed=3, actors=actors, task=SHORT)
+    assert digest_of(simulation, 37) != expected
+    simulation.reseed(8)
+    assert digest_of(simulation, 60) == expected, "a reset leaves something behind"
+    simulation.reseed(8)
+    beside = make("flat", 1, seed=5)
+    rollout, other = Rollout(simulation), Rollout(beside)
     for _ in range(20):
         rollout.advance(3)
         other.advance(2)
     assert rollout.digest == expected, "another environment beside it makes a difference"
-    batch.close()
+    simulation.close()
+    beside.close()
 
 
 def test_golden_rollout_in_a_fresh_process() -> None:
@@ -98,42 +64,47 @@ def test_golden_rollout_in_a_fresh_process() -> None:
 # -- an episode is its seed and its id --------------------------------------------------------------
 
 
-def start(batch: Batch, scene: int) -> dict[str, bytes]:
-    """All that the start of the scene's episode is made of."""
-    seen = {name: value[scene] for name, value in batch.observe().items()}
+def start(simulation: VectorSimulation, scene: int) -> dict[str, bytes]:
+    """All that the start of the scene's episode is made of, of the first rover where it has several."""
+    row = scene * simulation.group("rover").count
+    seen = {name: value[row] for name, value in observation(simulation, "rover").items()}
+    motion = motion_of_group(simulation, "rover")
     seen |= {
-        "goal_w": batch.goals_w[scene],
-        "position_w": batch.motion.position_w[scene],
-        "rotation": batch.motion.rotation[scene],
-        "actors": batch.actors.poses[scene],
-        "actors_goals": batch.actors.goals_w[scene],
+        "goal_w": goals_w(simulation, "rover")[row],
+        "position_w": motion.position_w[row],
+        "rotation": motion.rotation[row],
     }
+    for group in simulation.groups:
+        if group.name != "rover":
+            now = state_of_group(simulation, group.name)
+            seen[group.name] = group.body.poses.reshape(simulation.num_scenes, -1)[scene]
+            seen[f"{group.name}_goals"] = now.goal.position_w.reshape(simulation.num_scenes, -1)[scene]
     return {name: value.tobytes() for name, value in seen.items()}
 
 
-def starts(batch: Batch, count: int, *, play: int = 0) -> dict[int, dict[str, bytes]]:
-    """The starts of the episodes 0 to `count` - 1, with `play` steps of each; closes `batch`."""
-    rng = np.random.default_rng(batch.num_scenes)
-    batch.reseed(batch.seed)
+def starts(simulation: VectorSimulation, count: int, *, play: int = 0) -> dict[int, dict[str, bytes]]:
+    """The starts of the episodes 0 to `count` - 1, with `play` steps of each; closes `simulation`."""
+    scenes = simulation.num_scenes
+    rng = np.random.default_rng(scenes)
+    simulation.reseed(simulation.seed)
     found = {}
     while len(found) < count:
-        batch.reset()
-        found |= {int(batch.episodes[scene]): start(batch, scene) for scene in range(batch.num_scenes)}
+        simulation.reset()
+        found |= {int(simulation.episodes[scene]): start(simulation, scene) for scene in range(scenes)}
         for _ in range(play):
-            batch.step(rng.uniform(-1, 1, (batch.num_scenes, 2)).astype(np.float32))
-    batch.close()
+            act(simulation, rng.uniform(-1, 1, (scenes, 2)))
+    simulation.close()
     return found
 
 
 def test_an_episodes_start_depends_on_seed_and_id_alone() -> None:
-    world = "inspection"
-    one = starts(make(world, 1, actors="walkers"), 16)
+    one = starts(make("inspection", 1), 16)
     assert list(one) == list(range(16))
-    for part in ("position_w", "goal_w", "actors"):
+    for part in ("position_w", "goal_w", "walker"):
         assert len({episode[part] for episode in one.values()}) == 16
     for scenes in (4, 16):
-        assert starts(make(world, scenes, actors="walkers"), 16, play=3) == one
-    other = puppet_batch(world, actors="walkers", seed=9)[0]
+        assert starts(make("inspection", scenes), 16, play=3) == one
+    other = scripted_simulation("inspection", actors="walkers", seed=9)[0]
     assert start(other, 0)["goal_w"] != one[0]["goal_w"]
 
 
@@ -141,14 +112,15 @@ def test_a_whole_episode_does_not_depend_on_its_neighbours() -> None:
     rows = []
     actions = np.random.default_rng(4).uniform([0.2, -1], [1, 1], (80, 2)).astype(np.float32)
     for scenes in (1, 4, 7):
-        batch = make("inspection", scenes, actors="walkers")
-        batch.reset()
+        simulation = make("inspection", scenes)
+        simulation.reset()
         row = []
         for action in actions:
-            batch.step(np.concatenate([action[None], np.full((scenes - 1, 2), 0.3, np.float32)]))
-            row.append(b"".join(value[0].tobytes() for value in (*batch.observe().values(), batch.metrics())))
+            act(simulation, np.concatenate([action[None], np.full((scenes - 1, 2), 0.3, np.float32)]))
+            seen = (*observation(simulation).values(), metrics(simulation))
+            row.append(b"".join(value[0].tobytes() for value in seen))
         rows.append(row)
-        batch.close()
+        simulation.close()
     assert rows[0] == rows[1]
     assert rows[0] == rows[2]
 
@@ -161,47 +133,59 @@ def test_a_whole_episode_does_not_depend_on_its_neighbours() -> None:
         {"actors": "none"},
         {"actors": [{}, {}, {"speed_mps": 0.4}]},
         {"actors": [EXTERNAL, EXTERNAL]},
-        {"task": {"reward": {"goal": 1.0}, "termination": {"max_steps": 3}}},
-        {"metrics": {"max_clearance_m": 3.0}},
+        {"robots": ["rover_zero", "rover_zero"]},
+        {"robots": ["rover_zero", "leo_rover"]},
+        {"task": {"rewards": {"goal": {"weight": 1.0}}, "terminations": {"time_limit": {"max_steps": 3}}}},
+        {"metrics": {"terms": {"clearance": {"max_m": 3.0}}}},
     ],
-    ids=["lidar", "sensors", "no actors", "an actor more", "external", "reward", "metrics"],
+    ids=[
+        *("lidar", "sensors", "no actors", "an actor more", "external"),
+        *("a robot more", "another robot", "task", "metrics"),
+    ],
 )
 def test_other_settings_do_not_move_spawns_and_goals(settings: dict[str, Any]) -> None:
+    assert placed(**settings) == placed_by_default()
+
+
+def placed(**settings: Any) -> list[list[bytes]]:
+    """Start poses and goals of the first rover in nine episodes."""
+    simulation, _ = scripted_simulation("inspection", 3, **({"actors": "walkers"} | settings))
     parts = ("goal_w", "position_w", "rotation")
+    return [[episode[part] for part in parts] for episode in starts(simulation, 9).values()]
 
-    def placed(**chosen: Any) -> list[list[bytes]]:
-        batch, _ = puppet_batch("inspection", 3, **({"actors": "walkers"} | chosen))
-        return [[episode[part] for part in parts] for episode in starts(batch, 9).values()]
 
-    assert placed(**settings) == placed()
+@cache
+def placed_by_default() -> list[list[bytes]]:
+    return placed()
 
 
 def test_an_actor_more_leaves_the_first_ones_where_they_were() -> None:
-    two = starts(puppet_batch("inspection", 2, actors=[{}, {}])[0], 6)
-    three = starts(puppet_batch("inspection", 2, actors=[{}, {}, {"speed_mps": 0.4}])[0], 6)
+    two = starts(scripted_simulation("inspection", 2, actors=[{}, {}])[0], 6)
+    three = starts(scripted_simulation("inspection", 2, actors=[{}, {}, {"speed_mps": 0.4}])[0], 6)
     for episode, expected in two.items():
-        found = np.frombuffer(three[episode]["actors"]).reshape(3, 4)
-        assert found[:2].tobytes() == expected["actors"]
+        assert three[episode]["walker"] == expected["walker"]
 
 
 def test_the_second_engine_repeats_itself_and_comes_back_from_a_state() -> None:
-    batch = make("inspection", physics="dart")
-    rollout = Golden(batch)
+    simulation = make("inspection", physics="dart")
+    rollout = Rollout(simulation)
     rollout.advance(25)
-    state = batch.state()
-    later = golden_from_here(batch)
-    batch.reseed(8)
-    assert golden(batch, 25) == rollout.digest
+    saved = simulation.save_state()
+    later = steps_from_here(simulation)
+    simulation.reseed(8)
+    assert digest_of(simulation, 25) == rollout.digest
     other = make("inspection", seed=1, physics="dart")
     other.reset()
-    other.restore(state)
-    assert golden_from_here(other) == later
+    other.restore(saved)
+    assert steps_from_here(other) == later
+    simulation.close()
+    other.close()
 
 
-def golden_from_here(batch: Batch) -> str:
+def steps_from_here(simulation: VectorSimulation) -> str:
     digest = hashlib.sha256()
     for _ in range(20):
-        batch.step(np.full((batch.num_scenes, 2), 0.5, np.float32))
-        for value in (*batch.observe().values(), batch.metrics()):
+        act(simulation, [0.5, 0.5])
+        for value in (*observation(simulation).values(), metrics(simulation)):
             digest.update(value.tobytes())
     return digest.hexdigest()

@@ -1,11 +1,11 @@
 """Tall grass holds back what drives through it."""
 
 import numpy as np
-from batches import every_engine, idle, real_batch
 from meadows import SMALL
 from mounted import lidar_conf
-from planted.puppets import puppet_batch
 from scenes import Stage, every_backend
+from scripted_physics import scripted_simulation
+from simulations import act, every_engine, motion_of_group, observation, started_simulation
 
 
 @every_backend
@@ -41,24 +41,41 @@ def test_a_push_of_nothing_keeps_the_bytes(backend):
 
 def test_the_force_is_against_the_motion_and_by_what_stands_in_grass():
     cover = {"name": "flat", "grass_cover": 1.0, "grass_height_m": 2.0}
-    batch, (puppet,) = puppet_batch(world=cover)
-    grass = batch.world.grass
+    simulation, (robot,) = scripted_simulation(cover)
+    world = simulation.worlds.worlds[0]
+    grass = world.grass
     dense = np.unravel_index(grass.density.argmax(), grass.density.shape)
-    xmin, _, ymin, _ = batch.world.extent
+    xmin, _, ymin, _ = world.extent
     x, y = (-xmin) * (2 * dense[1] + 1) / grass.density.shape[1], (-ymin) * (2 * dense[0] + 1) / 400
-    puppet.put(xmin + x, ymin + y)
-    puppet.state[7:10] = 0.5, -0.3, 0.1
-    batch.step(idle(batch))
-    batch.step(idle(batch))
+    robot.put(xmin + x, ymin + y)
+    robot.state[7:10] = 0.5, -0.3, 0.1
+    act(simulation)
+    act(simulation)
     # The first push comes from where the rover had been put at the start, at rest.
-    np.testing.assert_allclose(puppet.pushes[-1], -20.0 * np.array([0.5, -0.3, 0.1]), rtol=1e-4)
-    puppet.state[2] = 0.125 + 2.0 - 0.127
-    batch.step(idle(batch))
-    batch.step(idle(batch))
-    np.testing.assert_allclose(puppet.pushes[-1], -10.0 * np.array([0.5, -0.3, 0.1]), rtol=1e-3)
-    bare, (other,) = puppet_batch()
-    bare.step(idle(bare))
+    np.testing.assert_allclose(robot.pushes[-1], -20.0 * np.array([0.5, -0.3, 0.1]), rtol=1e-4)
+    robot.state[2] = 0.125 + 2.0 - 0.127
+    act(simulation)
+    act(simulation)
+    np.testing.assert_allclose(robot.pushes[-1], -10.0 * np.array([0.5, -0.3, 0.1]), rtol=1e-3)
+    bare, (other,) = scripted_simulation()
+    act(bare)
     assert other.pushes == []
+
+
+def test_grass_holds_each_robot_of_a_scene_back_by_itself():
+    cover = {"name": "flat", "grass_cover": 1.0, "grass_height_m": 2.0}
+    simulation, robots = scripted_simulation(cover, num_scenes=2, robots=["rover_zero", "rover_zero"])
+    grass = simulation.worlds.worlds[0].grass
+    speeds = (0.5, 0.0, 0.2, -0.4)
+    for place, (robot, speed) in enumerate(zip(robots, speeds, strict=True)):
+        robot.put(1.5 * place, 2.0)
+        robot.state[7] = speed
+    act(simulation)
+    act(simulation)
+    bottoms = np.array([[1.5 * place, 2.0, 0.0] for place in range(4)])
+    held = -grass.drag(bottoms, simulation.group().body.robot.height_m) * speeds
+    np.testing.assert_allclose([robot.pushes[-1][0] for robot in robots], held, rtol=1e-6, atol=1e-9)
+    assert np.abs(held).max() > 1.0
 
 
 @every_engine
@@ -69,12 +86,12 @@ def test_driving_through_it_takes_torque_and_costs_speed(engine):
         for cover in (0.0, 1.0):
             world = {**SMALL, "grass_cover": cover}
             settings = {} if strong else {"robot": drive}
-            batch = real_batch(world, 1, sensors=["imu", "goal"], physics=engine, **settings)
+            simulation = started_simulation(world, 1, sensors=["imu", "goal"], physics=engine, **settings)
             for _ in range(40):
-                batch.step(np.array([[0.8, 0.0]], np.float32))
-            speeds[strong, cover] = np.hypot(*batch.motion.velocity_w[0, :2])
-            torques[strong, cover] = np.sum(batch._scenes[0].robots[0].drive_state()[8:])
-            batch.close()
+                act(simulation, [0.8, 0.0])
+            speeds[strong, cover] = np.hypot(*motion_of_group(simulation).velocity_w[0, :2])
+            torques[strong, cover] = np.sum(simulation.scenes.robots(0)[0].drive_state()[8:])
+            simulation.close()
     # Strong drives hold their speed, at the cost of what the grass takes; weak ones do not.
     assert speeds[True, 1.0] > 0.7
     assert torques[True, 1.0] > torques[True, 0.0] + 0.3
@@ -86,10 +103,10 @@ def test_scenes_in_grass_are_independent_and_repeat():
     world = {**SMALL, "grass_cover": 0.5}
     seen = []
     for scenes in (1, 2):
-        batch = real_batch(world, scenes, seed=3, **settings)
+        simulation = started_simulation(world, scenes, seed=3, **settings)
         for _ in range(3):
-            batch.step(np.tile(np.array([[0.5, 0.2]], np.float32), (scenes, 1)))
-        seen.append({name: value[0].tobytes() for name, value in batch.observe().items()})
-        batch.close()
+            act(simulation, [0.5, 0.2])
+        seen.append({name: value[0].tobytes() for name, value in observation(simulation).items()})
+        simulation.close()
     assert seen[0] == seen[1]
     assert lidar_conf().n_segments * 4 == len(seen[0]["lidar"])

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from batches import idle, real_batch
 from conformance import difference
+from dune_rl.actors.actor import ActorConf
+from dune_rl.env.batch import Batch
+from dune_rl.env.motion import Motion
 from painting import SIZE, box, plain
 from scanning import turned
 from scenes import about
 
 import dune_rl
-from dune_rl.actors.actor import ActorConf
-from dune_rl.env.batch import Batch
-from dune_rl.env.motion import Motion
 from dune_rl.env.pictures import Pictures
 from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf

@@ -12,26 +12,28 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from planted.puppets import puppet_batch
+from randomised_scenes import BODIES, DARTS, FAMILIES, ISLANDS, drive, equal, make
 from scenes import slope_stage
+from scripted_physics import scripted_simulation
+from simulations import environment_conf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
 
 import dune_rl
-from dune_rl.config.build import build_world, make_batch, make_torchrl_env
+from dune_rl.config.build import build_world, make_simulation, make_torchrl_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.env.batch import Batch
-from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.env.distributions import Choice, Integers, LogUniform, Normal, Uniform
+from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
-from dune_rl.env.variety import Variety
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.torchrl import EpisodeMetrics
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.policies import GoToGoal
+from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.run_log import RunLog
-from dune_rl.metrics.episode import METRICS
+from dune_rl.metrics.episode import BUILT_IN, PAPER_METRICS
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.construction.build import ConstructionConf
@@ -40,101 +42,11 @@ from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.world import World
 
-SMALL: dict[str, Any] = {
-    "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth", "segmentation", "normals"]},
-    "lidar_3d": {"n_rings": 3, "n_beams": 24, "outputs": ["range", "intensity", "segmentation"]},
-}
-EVERY_SENSE = {
-    "enabled": [
-        *("camera", "lidar", "lidar_past", "lidar_3d", "depth_strip", "height_scan", "imu", "goal"),
-        *("velocity", "encoders", "odometry", "currents", "position"),
-    ],
-    **SMALL,
-}
-# Few worlds, so that scenes share some; two lights, so that they do not look alike for all that.
-ISLANDS: dict[str, Any] = {
-    "world": {"name": "island", "grass_cover": 0.3},
-    "sensors": EVERY_SENSE,
-    "actors": [{"length_range_m": [3.0, 10.0]}, {"controller": "external", "length_range_m": [3.0, 10.0]}],
-    "weather": {"fog_visibility_m": 20.0},
-    "randomisation": {
-        "world_seed": [1, 2, 3],
-        "friction": [0.4, 1.2],
-        "sun_bearing_rad": {"name": "choice", "values": [0.0, 2.0]},
-    },
-}
-YARDS: dict[str, Any] = {
-    "world": "inspection",
-    "actors": "none",
-    "randomisation": {"world_seed": [0, 1], "layout_seed": [0, 99], "friction": [0.4, 1.2]},
-}
-# Another light in one world: scenes are apart for cameras alone.
-EVENINGS: dict[str, Any] = {
-    "world": "island",
-    "sensors": {"enabled": ["camera", "lidar_3d", "goal"], **SMALL},
-    "randomisation": {"sun_elevation_rad": [0.1, 1.0], "brightness": [0.5, 1.5]},
-}
-# Another body in one world.
-BODIES: dict[str, Any] = {
-    "world": "inspection",
-    "actors": "none",
-    "sensors": {"enabled": ["lidar", "imu", "goal", "velocity", "encoders"]},
-    "randomisation": {
-        "mass": [0.7, 1.5],
-        "centre_x_m": [-0.05, 0.05],
-        "centre_z_m": [0.0, 0.1],
-        "motor_strength": [0.5, 1.0],
-        "wheel_friction": [0.5, 1.0],
-        "action_latency_s": [0.0, 0.2],
-    },
-}
-# All of that, on the other engine.
-DARTS: dict[str, Any] = {
-    **ISLANDS,
-    "physics": "dart",
-    "robot": "leo_rover",
-    "sensors": {"enabled": ["lidar", "lidar_past", "imu", "goal", "velocity", "encoders", "currents"]},
-    "randomisation": {
-        **ISLANDS["randomisation"],
-        **BODIES["randomisation"],
-    },
-}
-FAMILIES = {"islands": ISLANDS, "yards": YARDS, "evenings": EVENINGS, "darts": DARTS}
-
-
-def make(scenes: int, seed: int = 5, **settings: Any) -> Batch:
-    world, rest = settings["world"], {k: v for k, v in settings.items() if k != "world"}
-    return make_batch(compose_environment(world, (), rest), scenes, seed)
-
-
-def drive(batch: Batch, episodes: list[int], first: int, steps: int) -> list[dict[str, np.ndarray]]:
-    """What is seen, earned and measured; commands depend on an episode's id and step alone."""
-    seen = []
-    for step in range(first, first + steps):
-        draws = [np.random.default_rng((episode, step)) for episode in episodes]
-        walkers = len(batch.actors.external)
-        rover = np.array([rng.uniform([0.2, -1.0], [1.0, 1.0]) for rng in draws], np.float32)
-        people = np.array([rng.uniform(-1.0, 1.0, (walkers, 2)) for rng in draws], np.float32)
-        outcome = batch.step(rover, people)
-        seen.append(
-            {
-                **batch.observe(),
-                **(batch.observe_walkers() if walkers else {}),
-                "reward": outcome.rover_reward,
-                "walkers": outcome.walker_reward,
-                "ends": outcome.terminated | outcome.truncated,
-                "metrics": batch.metrics(),
-                "clearance": batch.clearance(),
-            }
-        )
-    return seen
-
-
 # -- side by side and alone ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_batch_of_four_is_four_batches_of_one(family: str) -> None:
+def test_four_scenes_are_four_simulations_of_one(family: str) -> None:
     four, one = make(4, **FAMILIES[family]), make(1, **FAMILIES[family])
     four.reset()
     seen = drive(four, [0, 1, 2, 3], 0, 6)
@@ -152,11 +64,11 @@ def test_a_batch_of_four_is_four_batches_of_one(family: str) -> None:
         expected += drive(one, [scene + 4 if late else scene], 6, 5)
         for step, (found, alone) in enumerate(zip(seen + after, expected, strict=True)):
             for name, values in alone.items():
-                assert np.array_equal(found[name][scene], values[0], equal_nan=True), (step, name)
+                assert equal(found[name][scene], values[0]), (step, name)
         assert np.array_equal(pictures[scene], Pictures(one).from_behind(0, 48, 36))
-        for name, values in one.drawn.items():
-            assert four.drawn[name][scene] == values[0]
-    assert all(len(set(values.tolist())) > 1 for values in four.drawn.values())
+        for name, values in one.randomized.items():
+            assert four.randomized[name][scene] == values[0]
+    assert all(len(set(values.tolist())) > 1 for values in four.randomized.values())
     four.close()
     one.close()
 
@@ -164,13 +76,13 @@ def test_a_batch_of_four_is_four_batches_of_one(family: str) -> None:
 def rollouts() -> list[str]:
     digests = []
     for settings in (ISLANDS, BODIES, DARTS):
-        batch = make(3, **settings)
-        batch.reset()
+        simulation = make(3, **settings)
+        simulation.reset()
         digest = hashlib.sha256()
-        for moment in drive(batch, [0, 1, 2], 0, 5):
-            for values in moment.values():
+        for step in drive(simulation, [0, 1, 2], 0, 5):
+            for values in step.values():
                 digest.update(values.tobytes())
-        batch.close()
+        simulation.close()
         digests.append(digest.hexdigest())
     return digests
 
@@ -186,27 +98,38 @@ def test_same_seed_same_bytes_in_another_process() -> None:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_middle_of_an_episode_comes_back_bit_for_bit(family: str) -> None:
-    batch, other = make(3, **FAMILIES[family]), make(3, 77, **FAMILIES[family])
-    batch.reset()
-    drive(batch, [0, 1, 2], 0, 4)
-    batch.reset(np.array([False, True, False]))
-    drive(batch, [0, 4, 2], 4, 3)
+    simulation, other = make(3, **FAMILIES[family]), make(3, 77, **FAMILIES[family])
+    simulation.reset()
+    drive(simulation, [0, 1, 2], 0, 4)
+    simulation.reset(np.array([False, True, False]))
+    drive(simulation, [0, 4, 2], 4, 3)
     other.reset()
-    other.restore(batch.state())
-    assert {k: v.tolist() for k, v in other.drawn.items()} == {k: v.tolist() for k, v in batch.drawn.items()}
-    ahead = zip(drive(batch, [0, 4, 2], 7, 4), drive(other, [0, 4, 2], 7, 4), strict=True)
-    for here, there in ahead:
-        for name, values in here.items():
-            assert np.array_equal(values, there[name], equal_nan=True), name
-    batch.close()
+    other.restore(simulation.save_state())
+    here, there = ({k: v.tolist() for k, v in each.randomized.items()} for each in (simulation, other))
+    assert here == there
+    for one, two in zip(drive(simulation, [0, 4, 2], 7, 4), drive(other, [0, 4, 2], 7, 4), strict=True):
+        for name, values in one.items():
+            assert equal(values, two[name]), name
+    simulation.close()
     other.close()
 
 
 def test_spaces_are_those_of_the_family() -> None:
-    of_one = rover_observation_bounds(make(1, **ISLANDS))
+    def bounds(simulation: VectorSimulation) -> dict[str, np.ndarray]:
+        found = {
+            f"{group.name} {name} {side}": limits[side]
+            for group in simulation.external
+            for name, limits in group.observation_bounds.items()
+            for side in (0, 1)
+        }
+        simulation.close()
+        return found
+
     world = {**ISLANDS["world"], "seed": 12}
-    for name, (low, high) in rover_observation_bounds(make(2, **{**ISLANDS, "world": world})).items():
-        assert np.array_equal(low, of_one[name][0]) and np.array_equal(high, of_one[name][1]), name
+    of_one, of_another = bounds(make(1, **ISLANDS)), bounds(make(2, **{**ISLANDS, "world": world}))
+    assert of_one.keys() == of_another.keys()
+    for name, limit in of_one.items():
+        assert np.array_equal(limit, of_another[name]), name
 
 
 # -- draws -----------------------------------------------------------------------------------------
@@ -237,8 +160,8 @@ def test_draws_keep_to_their_distribution(distribution: Any, mean: float, whole:
 def test_each_property_has_a_stream_of_its_own() -> None:
     def friction(seed: int, episode: int, **more: Any) -> float:
         conf = RandomisationConf(friction=Uniform(low=0.5, high=1.5), **more)
-        variety = Variety(InspectionConf(), WeatherConf(), conf, build_world)
-        return variety.draw(seed, episode)[variety.names.index("friction")]
+        randomizer = DomainRandomizer(InspectionConf(), WeatherConf(), conf, build_world)
+        return randomizer.draw(seed, episode)[randomizer.names.index("friction")]
 
     alone = friction(3, 8)
     assert friction(3, 8, world_seed=Integers(low=0, high=9), brightness=Uniform(low=1, high=2)) == alone
@@ -268,15 +191,15 @@ def test_another_layout_stands_on_the_same_ground(conf: Any) -> None:
 
 
 def test_worlds_and_weather_are_those_drawn() -> None:
-    batch = make(3, **ISLANDS)
-    batch.reset()
+    simulation = make(3, **ISLANDS)
+    simulation.reset()
+    drawn = simulation.randomized
     for scene in range(3):
-        seed = int(batch.drawn["world_seed"][scene])
-        expected = build_world(IslandConf(seed=seed, grass_cover=0.3))
-        assert np.array_equal(batch.sites.worlds[scene].terrain.heights, expected.terrain.heights)
-        light = batch.sites.appearances[scene].weather.light
-        assert light.sun_bearing_rad == batch.drawn["sun_bearing_rad"][scene]
-    batch.close()
+        expected = build_world(IslandConf(seed=int(drawn["world_seed"][scene]), grass_cover=0.3))
+        assert np.array_equal(simulation.worlds.worlds[scene].terrain.heights, expected.terrain.heights)
+        light = simulation.worlds.appearances[scene].weather.light
+        assert light.sun_bearing_rad == drawn["sun_bearing_rad"][scene]
+    simulation.close()
 
 
 def slid(ground_friction: float, factor: float) -> float:
@@ -308,21 +231,21 @@ def test_no_world_without_room_is_entered() -> None:
         return build_world(conf)
 
     conf = compose_environment("island", (), {"actors": "none", "randomisation": {"world_seed": [0, 9]}})
-    batch = make_batch(conf, 4, 1, world_of=world_of)
-    batch.reset()
+    simulation = make_simulation(conf, 4, 1, world_of=world_of)
+    simulation.reset()
     assert any(seed % 2 for seed in asked)
-    assert not (batch.drawn["world_seed"] % 2).any()
-    drawn = batch.drawn["world_seed"].tolist()
-    alone = make_batch(conf, 1, 1, world_of=world_of)
+    drawn = simulation.randomized["world_seed"].tolist()
+    assert not any(seed % 2 for seed in drawn)
+    alone = make_simulation(conf, 1, 1, world_of=world_of)
     for episode in range(4):
         alone.reseed(1, episode)
         alone.reset()
-        assert alone.drawn["world_seed"].tolist() == [drawn[episode]]
+        assert alone.randomized["world_seed"].tolist() == [drawn[episode]]
     none = compose_environment("island", (), {"actors": "none", "randomisation": {"world_seed": [1, 1]}})
-    hopeless = make_batch(none, 1, 1, world_of=world_of)
+    hopeless = make_simulation(none, 1, 1, world_of=world_of)
     with pytest.raises(WorldError, match="no room"):
         hopeless.reset()
-    for each in (batch, alone, hopeless):
+    for each in (simulation, alone, hopeless):
         each.close()
 
 
@@ -335,34 +258,34 @@ def test_the_next_worlds_are_named_while_the_present_ones_are_in_use() -> None:
         return build_world(conf)
 
     conf = compose_environment("island", (), {"actors": "none", "randomisation": {"world_seed": [0, 999]}})
-    batch = make_batch(conf, 2, 0, world_of=world_of, prepare=lambda confs: named.append(list(confs)))
-    batch.reset()
+    simulation = make_simulation(
+        conf, 2, 0, world_of=world_of, prepare=lambda confs: named.append(list(confs))
+    )
+    simulation.reset()
     asked.clear()
-    batch.reset()
+    simulation.reset()
     assert asked == named[0]
-    batch.reset(np.array([False, True]))
+    simulation.reset(np.array([False, True]))
     assert [len(confs) for confs in named] == [2, 2, 1]
     assert asked[2:] == named[1][1:]
-    batch.close()
+    simulation.close()
 
 
 def test_a_world_that_has_been_left_takes_no_memory() -> None:
-    settings = {k: v for k, v in ISLANDS.items() if k != "world"}
-    settings["randomisation"] = {"world_seed": [0, 999]}
-    conf = compose_environment(ISLANDS["world"], (), settings)
-    batch = make_batch(conf, 2, 0, world_of=lambda island: build_island(island))
-    batch.reset()
-    drive(batch, [0, 1], 0, 2)
-    left = [weakref.ref(batch.sites.worlds[scene]) for scene in range(2)]
+    conf = environment_conf(**{**ISLANDS, "randomisation": {"world_seed": [0, 999]}})
+    simulation = make_simulation(conf, 2, 0, world_of=lambda island: build_island(island))
+    simulation.reset()
+    drive(simulation, [0, 1], 0, 2)
+    left = [weakref.ref(simulation.worlds.worlds[scene]) for scene in range(2)]
     # At once, and not when the collector of cycles comes by.
     gc.disable()
     try:
-        batch.reset()
-        drive(batch, [2, 3], 0, 1)
+        simulation.reset()
+        drive(simulation, [2, 3], 0, 1)
         assert [world() for world in left] == [None, None]
     finally:
         gc.enable()
-    batch.close()
+    simulation.close()
 
 
 # -- what is drawn is told -------------------------------------------------------------------------
@@ -388,24 +311,27 @@ def test_evaluation_tells_what_was_drawn_whatever_the_number_of_scenes() -> None
     settings = {
         "randomisation": {"world_seed": [0, 3], "friction": [0.5, 0.7]},
         "actors": "none",
-        "task": {"termination": {"max_steps": 12}},
+        "task": {"terminations": {"time_limit": {"max_steps": 12}}},
     }
     rows = []
     for scenes in (1, 3):
-        env = make_torchrl_env(compose_environment("island", (), settings), scenes, 4)
-        rows.append(evaluate(GoToGoal(Layout.of(env)), env, 4, 4))
+        inner = make_torchrl_env(compose_environment("island", (), settings), scenes, 4)
+        env = TransformedEnv(inner, EpisodeMetrics())
+        rows.append(evaluate(built_in_policy("go_to_goal", env), env, 4, 4)["rover"])
         env.close()
     assert repr(rows[0]) == repr(rows[1])
     assert len({row["randomisation/friction"] for row in rows[0]}) == 4
 
 
 def test_a_run_log_shows_the_mean_of_what_was_drawn(tmp_path: Path) -> None:
-    names = ("success", "randomisation/friction")
-    log = RunLog(tmp_path, (*(name for name in METRICS if name != "success"), *names))
-    row = [0.0] * (len(METRICS) - 1)
-    metrics = torch.tensor([[[*row, 1.0, 0.5], [*row, 0.0, 0.7]]])
+    names = (*BUILT_IN, *PAPER_METRICS, "randomisation/friction")
+    log = RunLog(tmp_path, {"rover": names})
+    metrics = torch.zeros(1, 2, 1, len(names))
+    metrics[0, :, 0, names.index("randomisation/friction")] = torch.tensor([0.5, 0.7])
     done = torch.ones(1, 2, 1, dtype=torch.bool)
-    log.collected(TensorDict({"next": TensorDict({"done": done, "metrics": metrics}, (1, 2))}, (1, 2)), 64, 0)
+    rover = TensorDict({"metrics": metrics}, (1, 2, 1))
+    collected = TensorDict({"next": TensorDict({"done": done, "rover": rover}, (1, 2))}, (1, 2))
+    log.collected(collected, 64, {"rover": 0})
     log.close()
     events = EventAccumulator(str(tmp_path)).Reload()
     (scalar,) = events.Scalars("randomisation/friction")
@@ -413,9 +339,9 @@ def test_a_run_log_shows_the_mean_of_what_was_drawn(tmp_path: Path) -> None:
 
 
 def test_without_randomisation_nothing_more_is_told() -> None:
-    batch, _ = puppet_batch()
-    assert not batch.drawn
-    assert not [name for name in batch.metric_names if name.startswith("randomisation")]
+    simulation, _ = scripted_simulation()
+    assert not simulation.randomized
+    assert not [name for name in simulation.metric_names() if name.startswith("randomisation")]
 
 
 # -- settings --------------------------------------------------------------------------------------

@@ -1,34 +1,34 @@
-"""Several robots in one scene: apart they drive as if alone, together they meet, and each is an agent."""
+"""Robots of two kinds, and two of one kind: apart they drive as if alone, together they collide."""
 
-import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from batches import every_engine, real_batch
-from conformance import (
-    check_kept,
-    check_no_leak,
-    check_parallel_api,
-    check_seeding,
-    check_spaces,
-    check_time_limit,
-    check_values,
-)
-from pettingzoo import ParallelEnv
+from conformance import check_time_limit
+from rollouts import digest_of
 from scenes import Backend, every_backend
-from test_determinism import golden
+from simulations import (
+    act,
+    bearing,
+    every_engine,
+    goals_w,
+    metric,
+    metrics,
+    motion_of_group,
+    observation,
+    started_simulation,
+    state_of_group,
+)
 
 import dune_rl
 from dune_rl.config.build import build_robot
-from dune_rl.config.compose import compose, compose_environment
-from dune_rl.env.batch import Batch
-from dune_rl.env.scene import scene_spec, standing_pose
+from dune_rl.config.compose import compose_environment
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.scene_spec import scene_spec, standing_pose
+from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf
 from dune_rl.rendering.scenery import Segment
@@ -36,129 +36,157 @@ from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.worlds.flat import FlatConf, build_flat
 
-BOTH = ["rover_zero", "leo_rover"]
+KINDS = ["rover_zero", "leo_rover"]
 TWINS = ["rover_zero", "rover_zero"]
-SHORT = {"termination": {"max_steps": 12, "goal_distance_m": 4.0}}
-STILL = (0.0, 0.0)
+CLOSE = {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}}
+NO_ARRIVAL = {"terminations": {"goal_reached": {"distance_m": 0.01}}}
 
 
-def batch_of(robots: list[Any], world: str = "flat", num_scenes: int = 1, **settings: Any) -> Batch:
-    return real_batch(world, num_scenes, robots=robots, **settings)
+def simulation_of(
+    robots: list[Any], world: str = "flat", num_scenes: int = 1, **settings: Any
+) -> VectorSimulation:
+    return started_simulation(world, num_scenes, robots=robots, **settings)
 
 
-def metric(batch: Batch, rover: int, name: str) -> np.ndarray:
-    return batch.metrics(rover)[:, batch.metric_names.index(name)]
+def positions(simulation: VectorSimulation) -> np.ndarray:
+    """Of the origins of all robots of each scene, seen from above, (M, R, 2)."""
+    states = [
+        state_of_group(simulation, group.name)
+        for group in simulation.groups
+        if isinstance(group.body, ArticulatedBody)
+    ]
+    return np.concatenate([now.by_scene(now.motion.position_w[:, :2]) for now in states], axis=1)
 
 
-def distance(batch: Batch) -> np.ndarray:
-    """Between the origins of the first and the second robot of each scene, seen from above (M,)."""
-    one, other = (rovers.motion.position_w[:, :2] for rovers in batch.rovers)
-    return np.hypot(*(one - other).T)
+def distance(simulation: VectorSimulation) -> np.ndarray:
+    """Between the origins of the first and the second robot of each scene, seen from above, (M,)."""
+    found = positions(simulation)
+    return np.hypot(*(found[:, 0] - found[:, 1]).T)
 
 
-def actions(*each: tuple[float, float]) -> np.ndarray:
-    return np.float32([[number for pair in each for number in pair]])
+def bearings_of_each_other(simulation: VectorSimulation) -> dict[str, np.ndarray]:
+    """By group, the bearing of the other one of two robots in each scene, (N,)."""
+    found = positions(simulation)
+    others, first = {}, 0
+    for group in simulation.external:
+        partner = [1 - number for number in range(first, first + group.count)]
+        points = found[:, partner].reshape(-1, 2)
+        others[group.name] = bearing(motion_of_group(simulation, group.name), points)
+        first += group.count
+    return others
 
 
-def at_each_other(batch: Batch, speed_mps: float = 0.5) -> np.ndarray:
-    one, other = batch.rovers
-    bearings = [a.motion.bearing(b.motion.position_w[:, :2]) for a, b in ((one, other), (other, one))]
-    return actions(*((speed_mps if abs(to[0]) < 0.3 else 0.0, float(to[0])) for to in bearings))
+def drive_at_each_other(simulation: VectorSimulation, speed_mps: float = 0.5) -> None:
+    """A control step in which two robots of a scene turn to each other and then drive at each other."""
+    actions = {
+        name: np.stack([np.where(np.abs(turn) < 0.3, speed_mps, 0.0), turn], axis=1)
+        for name, turn in bearings_of_each_other(simulation).items()
+    }
+    act(simulation, **actions)
 
 
 # -- agents ----------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def make() -> Callable[[], ParallelEnv]:
-    return partial(dune_rl.parallel_env, "inspection", robots=BOTH, actors="external_walkers", task=SHORT)
-
-
-@pytest.mark.parametrize("check", [check_parallel_api, check_values, check_kept, check_spaces])
-def test_parallel_env(check: Callable[[ParallelEnv], None], make: Callable[[], ParallelEnv]) -> None:
-    env = make()
-    assert env.possible_agents == ["rover_0", "rover_1", "walker_0", "walker_1"]
-    top = [float(env.action_space(agent).high[0]) for agent in ("rover_0", "rover_1")]
-    assert top[0] > top[1], "each has its own limits"
-    check(env)
-    env.close()
-
-
-@pytest.mark.parametrize("check", [check_seeding, check_no_leak])
-def test_parallel_env_over_resets(check: Callable[[Any], None], make: Callable[[], ParallelEnv]) -> None:
-    check(make)
-
-
 def test_time_limit_truncates_all() -> None:
-    task = {"termination": {"max_steps": 12, "goal_distance_m": 0.1}}
-    check_time_limit(partial(dune_rl.parallel_env, "flat", robots=BOTH, task=task), 12)
+    task = {"terminations": {"time_limit": {"max_steps": 12}, "goal_reached": {"distance_m": 0.1}}}
+
+    def make() -> Any:
+        return dune_rl.parallel_env("flat", robots=KINDS, actors="external_walkers", task=task)
+
+    check_time_limit(make, 12)
 
 
-def test_who_arrives_waits_for_the_others() -> None:
-    task = {"termination": {"max_steps": 30, "goal_distance_m": 0.3}}
-    batch = batch_of(TWINS, task=task)
-    batch.rovers[1].goals_w[0] = batch.rovers[1].motion.position_w[0, :2]
-    first = batch.step(actions((0.5, 0.0), (0.5, 0.0)))
-    assert first.others[0].reward[0] == 100.0
-    assert metric(batch, 1, "success")[0] == 1.0
-    final = batch.metrics(1).copy()
+def test_each_kind_has_its_own_limits() -> None:
+    simulation = simulation_of(KINDS)
+    top = [float(group.action_bounds[1][0]) for group in simulation.external]
+    assert top[0] > top[1]
+    simulation.close()
+
+
+@pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
+def test_who_arrives_waits_for_the_others(robots: list[str]) -> None:
+    task = {"terminations": {"time_limit": {"max_steps": 30}, "goal_reached": {"distance_m": 0.3}}}
+    simulation = simulation_of(robots, task=task)
+    names = [group.name for group in simulation.external]
+    # The second robot is a group of its own, or the second of the first's.
+    other, row = (names[1], 0) if len(names) == 2 else (names[0], 1)
+    goals_w(simulation, other)[row] = motion_of_group(simulation, other).position_w[row, :2]
+
+    def step(turn: float) -> Any:
+        return act(simulation, **{name: [0.4, turn] for name in names})
+
+    first = step(0.0).groups[other]
+    assert first.reward[row] == 100.0
+    assert first.terminated[row] and not first.truncated[row]
+    assert metric(simulation, "success", other)[row] == 1.0
+    final = metrics(simulation, other)[row].copy()
     for _ in range(10):
-        outcome = batch.step(actions((0.5, 0.0), (0.5, 1.0)))
-    here = batch.rovers[1].motion.position_w.copy()
+        step(1.0)
+    here = motion_of_group(simulation, other).position_w[row].copy()
     for _ in range(11, 29):
-        outcome = batch.step(actions((0.5, 0.0), (0.5, 1.0)))
-        assert outcome.others[0].reward[0] == 0.0
-        assert outcome.rover_reward[0] != 0.0
-        assert not (outcome.terminated | outcome.truncated)[0]
-        assert not (outcome.others[0].terminated | outcome.others[0].truncated)[0]
-    np.testing.assert_allclose(batch.rovers[1].motion.position_w, here, atol=1e-3)
-    assert np.array_equal(batch.metrics(1), final, equal_nan=True)
-    outcome = batch.step(actions((0.5, 0.0), STILL))
-    assert outcome.truncated[0] and not outcome.terminated[0]
-    assert outcome.others[0].terminated[0] and not outcome.others[0].truncated[0]
-    batch.reset()
-    assert not batch.rovers[1].done[0]
-    assert metric(batch, 1, "success")[0] == 0.0
-    batch.close()
+        taken = step(1.0)
+        assert taken.groups[other].reward[row] == 0.0
+        assert taken.groups[names[0]].reward[0] != 0.0
+        assert taken.groups[other].terminated[row] and not taken.groups[other].truncated[row]
+        assert not taken.groups[names[0]].terminated[0] and not taken.groups[names[0]].truncated[0]
+        assert not taken.done[0]
+    np.testing.assert_allclose(motion_of_group(simulation, other).position_w[row], here, atol=1e-3)
+    assert np.array_equal(metrics(simulation, other)[row], final, equal_nan=True)
+    taken = step(0.0)
+    assert taken.truncated[0] and not taken.terminated[0]
+    assert taken.groups[names[0]].truncated[0] and not taken.groups[names[0]].terminated[0]
+    assert taken.groups[other].terminated[row] and not taken.groups[other].truncated[row]
+    simulation.reset()
+    assert not state_of_group(simulation, other).done[row]
+    assert metric(simulation, "success", other)[row] == 0.0
+    simulation.close()
 
 
 def test_the_episode_ends_when_all_have_arrived() -> None:
-    batch = batch_of(TWINS, task={"termination": {"goal_distance_m": 0.3}})
-    for number, rovers in enumerate(batch.rovers):
-        outcome = batch.step(actions(STILL, STILL))
-        assert not outcome.terminated[0]
-        rovers.goals_w[0] = rovers.motion.position_w[0, :2]
-        outcome = batch.step(actions(STILL, STILL))
-        assert outcome.terminated[0] == outcome.others[0].terminated[0] == (number == 1)
-    batch.close()
+    simulation = simulation_of(KINDS, task={"terminations": {"goal_reached": {"distance_m": 0.3}}})
+    for number, group in enumerate(simulation.external):
+        assert not act(simulation).done[0]
+        goals_w(simulation, group.name)[0] = motion_of_group(simulation, group.name).position_w[0, :2]
+        taken = act(simulation)
+        assert taken.terminated[0] == taken.done[0] == (number == 1)
+        assert taken.groups[group.name].terminated[0]
+    simulation.close()
 
 
-def test_where_one_diverges_the_episode_ends_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    batch = batch_of(TWINS, num_scenes=2)
-    row = np.tile(actions(STILL, STILL), (2, 1))
-    batch.step(row)
-    monkeypatch.setattr(batch.rovers[1].engines[0], "body_state", lambda: (np.nan,) * 13)
-    outcome = batch.step(row)
-    for truncated in (outcome.truncated, outcome.others[0].truncated):
-        assert truncated.tolist() == [True, False]
-    assert not (outcome.terminated | outcome.others[0].terminated).any()
-    assert metric(batch, 1, "diverged").tolist() == [1.0, 0.0]
-    assert np.isfinite(batch.observe(0)["lidar"]).all()
-    batch.close()
+@pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
+def test_where_one_diverges_the_episode_ends_for_all(
+    robots: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulation = simulation_of(robots, num_scenes=2)
+    act(simulation)
+    monkeypatch.setattr(simulation.scenes.robots(0)[1], "body_state", lambda: (np.nan,) * 13)
+    taken = act(simulation)
+    assert taken.truncated.tolist() == [True, False] and not taken.terminated.any()
+    diverged = []
+    for group in simulation.external:
+        outcome = taken.groups[group.name]
+        assert outcome.truncated.reshape(2, -1).all(axis=1).tolist() == [True, False]
+        assert not outcome.truncated.reshape(2, -1)[1].any() and not outcome.terminated.any()
+        assert np.isfinite(observation(simulation, group.name)["lidar"]).all()
+        diverged.append(metric(simulation, "diverged", group.name).reshape(2, -1))
+    # Of the robot itself alone.
+    assert np.concatenate(diverged, axis=1).tolist() == [[0.0, 1.0], [0.0, 0.0]]
+    simulation.close()
 
 
 # -- apart -----------------------------------------------------------------------------------------
 
 
 def robots_of(names: list[str]) -> list[Robot]:
-    return [build_robot(conf, 1) for conf in compose_environment("flat", (), {"robots": names}).all_robots]
+    return [build_robot(conf, 1) for conf in compose_environment("flat", (), {"robots": names}).robots]
 
 
 @every_backend
 @pytest.mark.parametrize("which", [0, 1])
 def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
     world = build_flat(FlatConf())
-    robots = robots_of(BOTH)
+    robots = robots_of(KINDS)
     # Leo's rockers ask for 20 iterations: so many for both, alone and together.
     physics = PhysicsConf(solver_iterations=20)
     poses = [standing_pose(world, robot, 4.0 * index, 0.0, 0.3) for index, robot in enumerate(robots)]
@@ -172,8 +200,8 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
         robot.commands(action, Standing(), 0.05)[0].tolist()
         for robot, action in zip(robots, wanted, strict=True)
     ]
-    shared = backend(scene_spec(world, robots, (), physics))
-    alone = backend(scene_spec(world, [robots[which]], (), physics))
+    shared = backend(scene_spec(world, tuple(robot.body for robot in robots), (), physics))
+    alone = backend(scene_spec(world, (robots[which].body,), (), physics))
     for robot, pose in zip(shared.robots, poses, strict=True):
         robot.set_start_pose(*(part.tolist() for part in pose))
     alone.robots[0].set_start_pose(*(part.tolist() for part in poses[which]))
@@ -194,13 +222,15 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
     alone.close()
 
 
-def test_the_first_robot_starts_where_it_starts_alone() -> None:
-    one = real_batch("inspection", 1, actors="walkers")
-    several = batch_of(BOTH, "inspection", actors="walkers")
+@pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
+def test_the_first_robot_starts_where_it_starts_alone(robots: list[str]) -> None:
+    one = started_simulation("inspection", 1, actors="walkers")
+    several = simulation_of(robots, "inspection", actors="walkers")
     for _ in range(6):
-        assert np.array_equal(one.goals_w, several.goals_w)
+        assert np.array_equal(goals_w(one)[0], goals_w(several)[0])
         # To settle takes both of them other solver iterations than one.
-        np.testing.assert_allclose(several.motion.position_w, one.motion.position_w, atol=1e-3)
+        places = [motion_of_group(simulation).position_w[0] for simulation in (one, several)]
+        np.testing.assert_allclose(*places, atol=1e-3)
         one.reset()
         several.reset()
     one.close()
@@ -210,21 +240,25 @@ def test_the_first_robot_starts_where_it_starts_alone() -> None:
 @pytest.mark.parametrize("apart_m", [0.5, 3.0])
 def test_robots_start_apart_with_goals_apart(apart_m: float) -> None:
     spawn = {"region": [-5.0, 5.0, -5.0, 5.0], "robots_apart_m": apart_m, "min_goal_distance_m": 2.0}
-    batch = batch_of([*BOTH, "rover_zero"], num_scenes=8, task={"spawn": spawn})
+    simulation = simulation_of([*KINDS, "rover_zero"], num_scenes=8, task={"spawn": spawn})
+    radii = np.array([g.body.robot.footprint_radius_m for g in simulation.groups for _ in range(g.count)])
+    least = radii[:, None] + radii + apart_m
+    pairs = np.triu_indices(3, 1)
     starts = set()
     for _ in range(5):
-        for one, a in enumerate(batch.rovers):
-            for b in batch.rovers[one + 1 :]:
-                least = apart_m + a.robot.footprint_radius_m + b.robot.footprint_radius_m
-                # They settle by some millimetres.
-                between = np.hypot(*(a.motion.position_w - b.motion.position_w)[:, :2].T)
-                assert (between > least - 0.01).all()
-                assert (np.hypot(*(a.goals_w - b.goals_w).T) >= least).all()
-            assert (np.hypot(*(a.goals_w - a.motion.position_w[:, :2]).T) > 2.0 - 0.01).all()
-            starts |= set(map(tuple, a.motion.position_w[:, :2].tolist()))
-        batch.reset()
+        here = positions(simulation)
+        goals = [state_of_group(simulation, group.name) for group in simulation.groups]
+        there = np.concatenate([now.by_scene(now.goal.position_w) for now in goals], axis=1)
+        # They settle by some millimetres.
+        between = np.linalg.norm(here[:, :, None] - here[:, None], axis=-1)
+        assert (between[:, *pairs] > least[pairs] - 0.01).all()
+        between = np.linalg.norm(there[:, :, None] - there[:, None], axis=-1)
+        assert (between[:, *pairs] >= least[pairs]).all()
+        assert (np.linalg.norm(there - here, axis=-1) > 2.0 - 0.01).all()
+        starts |= set(map(tuple, here.reshape(-1, 2).tolist()))
+        simulation.reset()
     assert len(starts) == 3 * 8 * 5
-    batch.close()
+    simulation.close()
 
 
 def test_no_room_for_another_robot() -> None:
@@ -232,7 +266,7 @@ def test_no_room_for_another_robot() -> None:
     with pytest.raises(
         WorldError, match=r"no room for another robot beside 1: .*task\.spawn\.robots_apart_m"
     ):
-        batch_of(BOTH, task=task)
+        simulation_of(KINDS, task=task)
 
 
 # -- together --------------------------------------------------------------------------------------
@@ -240,100 +274,116 @@ def test_no_room_for_another_robot() -> None:
 
 @every_engine
 def test_robots_that_meet_both_have_a_collision(engine: Engine) -> None:
-    task = {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}, "termination": {"goal_distance_m": 0.01}}
-    batch = batch_of(TWINS, task=task, physics=engine)
+    simulation = simulation_of(TWINS, task={**CLOSE, **NO_ARRIVAL}, physics=engine)
     nearest = np.inf
     for _ in range(200):
-        apart = distance(batch)[0]
-        batch.step(at_each_other(batch))
-        nearest = min(nearest, float(batch.clearance()[0]))
-        assert batch.clearance(0)[0] == batch.clearance(1)[0]
-        if metric(batch, 0, "collisions")[0]:
+        apart = distance(simulation)[0]
+        drive_at_each_other(simulation)
+        clearance = state_of_group(simulation).proximity.clearance("rover")
+        nearest = min(nearest, float(clearance.min()))
+        assert clearance[0] == clearance[1]
+        if metric(simulation, "collisions")[0]:
             break
     # 0.62 m long and 0.44 m wide, each.
-    assert 0.44 - 0.03 < distance(batch)[0] < 0.77 + 0.03
+    assert 0.44 - 0.03 < distance(simulation)[0] < 0.77 + 0.03
     assert apart < 1.0 and nearest < 0.1
-    for rover in range(2):
-        assert metric(batch, rover, "collisions")[0] == 1
-        assert metric(batch, rover, "min_clearance")[0] == 0.0
+    assert metric(simulation, "collisions").tolist() == [1, 1]
+    assert metric(simulation, "min_clearance").tolist() == [0.0, 0.0]
     for _ in range(40):
-        batch.step(at_each_other(batch))
-    assert distance(batch)[0] > 0.44 - 0.03, "they drive through each other"
-    batch.close()
+        drive_at_each_other(simulation)
+    assert distance(simulation)[0] > 0.44 - 0.03, "they drive through each other"
+    simulation.close()
 
 
 @every_engine
 def test_a_collision_leaves_no_trace_in_the_next_episode(engine: Engine) -> None:
-    task = {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}, "termination": {"goal_distance_m": 0.01}}
-    batch = batch_of(BOTH, task=task, physics=engine)
+    simulation = simulation_of(KINDS, task={**CLOSE, **NO_ARRIVAL}, physics=engine)
 
     def drives() -> list[bytes]:
-        batch.reseed(0)
-        batch.reset()
+        simulation.reseed(0)
+        simulation.reset()
         states = []
-        while not metric(batch, 1, "collisions")[0]:
-            batch.step(at_each_other(batch, 0.4))
-            states += [engine.body_state() for rovers in batch.rovers for engine in rovers.engines]
+        while not metric(simulation, "collisions", "leo_rover")[0]:
+            drive_at_each_other(simulation, 0.4)
+            states += [robot.body_state() for robot in simulation.scenes.robots(0)]
         return [np.array(state).tobytes() for state in states]
 
     first = drives()
     assert len(first) > 20
     # They are still pushing at each other.
     assert drives() == first
-    batch.close()
+    simulation.close()
 
 
-def test_clearance_is_the_distance_of_the_hulls() -> None:
-    batch = batch_of(TWINS, num_scenes=32, task={"spawn": {"region": [-2.5, 2.5, -2.5, 2.5]}})
-    found = batch.clearance()
-    assert np.array_equal(found, batch.clearance(1))
-    between = distance(batch)
-    assert (found <= between - 0.44 + 1e-6).all()
-    assert (found >= between - 2 * np.hypot(0.31, 0.22) - 1e-6).all()
-    batch.close()
+@pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
+def test_clearance_is_the_distance_of_the_hulls(robots: list[str]) -> None:
+    task = {"spawn": {"region": [-2.5, 2.5, -2.5, 2.5]}}
+    simulation = simulation_of(robots, num_scenes=32, task=task)
+    groups = [simulation.group(group.name) for group in simulation.external]
+    found = np.stack(
+        [
+            state_of_group(simulation, group.name).clearance.reshape(32, -1)[:, row]
+            for group in groups
+            for row in range(group.count)
+        ]
+    )
+    np.testing.assert_array_equal(found[0], found[1])
+    between = distance(simulation)
+    bodies = [group.body.robot for group in groups for _ in range(group.count)]
+    widths = sum(body.width_m for body in bodies) / 2
+    reach = sum(np.hypot(body.length_m, body.width_m) for body in bodies) / 2
+    assert (found[0] <= between - widths + 1e-6).all()
+    assert (found[0] >= between - reach - 1e-6).all()
+    simulation.close()
 
 
-@pytest.mark.parametrize("rover", [0, 1])
-def test_each_sees_the_other(rover: int) -> None:
-    settings = {
-        "sensors": {
-            "enabled": ["goal", "lidar", "lidar_3d"],
-            # In the middle of the hull: above it, beams pass over the other's.
-            "lidar": {"mount_b": [0.0, 0.0, 0.0]},
-            "lidar_3d": {"mount_b": [0.0, 0.0, 0.0], "outputs": ["segmentation"]},
-        },
-        "task": {"spawn": {"region": [-2.0, 2.0, -2.0, 2.0]}},
-    }
-    batch = batch_of(BOTH, num_scenes=4, **settings)
-    seen = batch.observe(rover)
-    between = distance(batch)
-    nearest = seen["lidar"].min(axis=1)
-    # Round the other's origin its wheels reach to 0.38 m, and its hull is 0.1 m at least.
-    assert (nearest > between - 0.39).all() and (nearest < between - 0.1).all()
-    ahead = batch.rovers[rover].motion.bearing(batch.rovers[1 - rover].motion.position_w[:, :2])
-    segment = 2 * np.pi / batch.sensors.lidar.n_segments
-    bearing = -np.pi + (seen["lidar"].argmin(axis=1) + 0.5) * segment
-    # Seen from the middle of one, the other is no wider than this.
-    assert (np.abs((bearing - ahead + np.pi) % (2 * np.pi) - np.pi) < 0.39 / nearest + segment).all()
-    robots = seen["lidar_3d_segmentation"].reshape(4, -1) == Segment.ROBOT
-    assert robots.any(axis=1).all()
-    batch.close()
-    alone = real_batch("flat", 1, **settings)
-    assert not (alone.observe()["lidar_3d_segmentation"] == Segment.ROBOT).any()
-    assert (alone.observe()["lidar"] == 12.0).all()
+# In the middle of the hull: above it, beams pass over the other's.
+SEES = {
+    "sensors": {
+        "enabled": ["goal", "lidar", "lidar_3d"],
+        "lidar": {"mount_b": [0.0, 0.0, 0.0]},
+        "lidar_3d": {"mount_b": [0.0, 0.0, 0.0], "outputs": ["segmentation"]},
+    },
+    "task": CLOSE,
+}
+
+
+@pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
+def test_each_sees_the_other(robots: list[str]) -> None:
+    simulation = simulation_of(robots, num_scenes=4, **SEES)
+    between = distance(simulation)
+    for name, ahead in bearings_of_each_other(simulation).items():
+        group, seen = simulation.group(name), observation(simulation, name)
+        apart = np.repeat(between, group.count)
+        nearest = seen["lidar"].min(axis=1)
+        # Round the other's origin its wheels reach to 0.38 m, and its hull is 0.1 m at least.
+        assert (nearest > apart - 0.39).all() and (nearest < apart - 0.1).all()
+        segment = 2 * np.pi / group.suite.conf.lidar.n_segments
+        toward = -np.pi + (seen["lidar"].argmin(axis=1) + 0.5) * segment
+        # Seen from the middle of one, the other is no wider than this.
+        off = np.abs((toward - ahead + np.pi) % (2 * np.pi) - np.pi)
+        assert (off < 0.39 / nearest + segment).all()
+        shown = seen["lidar_3d_segmentation"].reshape(len(apart), -1) == Segment.ROBOT
+        assert shown.any(axis=1).all()
+    simulation.close()
+
+
+def test_a_robot_does_not_see_itself() -> None:
+    alone = started_simulation("flat", 1, **SEES)
+    assert not (observation(alone)["lidar_3d_segmentation"] == Segment.ROBOT).any()
+    assert (observation(alone)["lidar"] == 12.0).all()
     alone.close()
 
 
 def test_a_dog_by_joints_that_is_done_stays_on_its_feet() -> None:
-    batch = batch_of(["rover_zero", {"name": "hyperdog", "action": "joints"}])
-    dog = batch.rovers[1]
+    simulation = simulation_of(["rover_zero", {"name": "hyperdog", "action": "joints"}])
+    dog = simulation.group("hyperdog")
     dog.done[:] = True
-    start = dog.motion.position_w.copy()
-    kicking = np.concatenate([np.zeros(2), np.ones(12)]).astype(np.float32)[None]
+    start = dog.body.motion.position_w.copy()
     for _ in range(30):
-        batch.step(kicking)
-    np.testing.assert_allclose(dog.motion.position_w, start, atol=6e-3)
-    batch.close()
+        act(simulation, hyperdog=np.ones(12))
+    np.testing.assert_allclose(dog.body.motion.position_w, start, atol=6e-3)
+    simulation.close()
 
 
 # 0.2 m over the ground, which is in the hull of each.
@@ -345,64 +395,61 @@ LOW = [
 
 @pytest.mark.parametrize("low", [True, False])
 def test_scanners_that_are_mounted_low_see_all_kinds_of_robots(low: bool) -> None:
-    names = [conf["name"] for conf in LOW]
-    region = {"region": [-2.0, 2.0, -2.0, 2.0]}
-    seen = np.zeros((3, 8))
-    batch = batch_of(LOW if low else names, num_scenes=8, sensors=["lidar", "goal"], task={"spawn": region})
-    for index in range(3):
-        seen[index] = batch.observe(index)["lidar"].min(axis=1)
-    batch.close()
-    assert (seen < 5.0).all() == low
+    robots = LOW if low else [conf["name"] for conf in LOW]
+    simulation = simulation_of(robots, num_scenes=8, sensors=["lidar", "goal"], task=CLOSE)
+    seen = [observation(simulation, group.name)["lidar"].min(axis=1) for group in simulation.external]
+    assert len(seen) == 3
+    assert (np.array(seen) < 5.0).all() == low
+    simulation.close()
 
 
-def test_a_camera_shows_the_other() -> None:
+@pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
+def test_a_camera_shows_the_other(robots: list[str]) -> None:
     sensors = {"enabled": ["camera"], "camera": {"outputs": ["segmentation", "depth"]}}
-    spawn = {"region": [-2.0, 2.0, -2.0, 2.0]}
-    batch = batch_of(TWINS, sensors=sensors, task={"spawn": spawn, "termination": {"goal_distance_m": 0.01}})
+    simulation = simulation_of(robots, sensors=sensors, task={**CLOSE, **NO_ARRIVAL})
     for _ in range(60):
-        batch.step(at_each_other(batch, 0.0))
-    for rover in range(2):
-        seen = batch.observe(rover)
-        shown = seen["camera_segmentation"][0] == Segment.ROBOT
-        assert shown.sum() > 20
-        assert abs(seen["camera_depth"][0][shown].min() - (distance(batch)[0] - 0.2 - 0.31)) < 0.15
-    batch.close()
+        drive_at_each_other(simulation, 0.0)
+    for group in simulation.external:
+        seen = observation(simulation, group.name)
+        for row in range(group.count):
+            shown = seen["camera_segmentation"][row] == Segment.ROBOT
+            assert shown.sum() > 20
+            assert abs(seen["camera_depth"][row][shown].min() - (distance(simulation)[0] - 0.2 - 0.31)) < 0.15
+    simulation.close()
 
 
-def test_a_walker_is_told_of_the_nearest_rover() -> None:
+def test_a_walker_observes_the_nearest_robot() -> None:
     walker = {"controller": "external"}
-    batch = batch_of(BOTH, "inspection", num_scenes=8, actors=[walker, walker])
-    position = np.stack([rovers.motion.position_w for rovers in batch.rovers], axis=1)
-    offset = batch.actors.poses[:, :, None, :2] - position[:, None, :, :2]
+    simulation = simulation_of([*KINDS, "rover_zero"], "inspection", num_scenes=8, actors=[walker, walker])
+    now = state_of_group(simulation, "walker")
+    people = now.by_scene(now.motion.position_w[:, :2])
+    offset = people[:, :, None] - positions(simulation)[:, None]
     apart = np.hypot(offset[..., 0], offset[..., 1])
-    assert len(set(apart.argmin(axis=2).ravel())) == 2
-    # At the start each actor keeps its distance from all of them.
+    assert len(set(apart.argmin(axis=2).ravel())) == 3
+    # At the start each walker keeps its distance from all of them.
     assert (apart > 2.0 - 0.01).all()
-    np.testing.assert_allclose(batch.observe_walkers()["rover"][..., 0], apart.min(axis=2), atol=1e-5)
-    batch.close()
+    seen = observation(simulation, "walker")["nearest_agent"]
+    np.testing.assert_allclose(seen[:, 0], apart.min(axis=2).ravel(), atol=1e-5)
+    simulation.close()
 
 
 # -- equal seeds -----------------------------------------------------------------------------------
 
 
 def digest_of_several(engine: Engine) -> str:
-    """A rollout of two scenes in which robots are driven at random, close together, with walkers."""
-    task = {"spawn": {"region": [-3.0, 3.0, -3.0, 3.0]}, "termination": {"max_steps": 25}}
-    batch = batch_of(
-        BOTH, num_scenes=2, physics=engine, actors="walkers", task=task, metrics={"energy": True}
+    """A rollout of two scenes in which three robots of two kinds drive at random, close together."""
+    task = {"spawn": {"region": [-3.0, 3.0, -3.0, 3.0]}, "terminations": {"time_limit": {"max_steps": 25}}}
+    simulation = simulation_of(
+        [*KINDS, "rover_zero"],
+        num_scenes=2,
+        physics=engine,
+        actors="walkers",
+        task=task,
+        metrics={"energy": True},
     )
-    rng, found = np.random.default_rng(2), hashlib.sha256()
-    for _ in range(60):
-        outcome = batch.step(rng.uniform([0.2, -1.0] * 2, [1.0, 1.0] * 2, (2, 4)).astype(np.float32))
-        ended = outcome.terminated | outcome.truncated
-        if ended.any():
-            batch.reset(ended)
-        for rover in range(2):
-            for value in (*batch.observe(rover).values(), batch.metrics(rover)):
-                found.update(value.tobytes())
-        found.update(outcome.rover_reward.tobytes() + outcome.others[0].reward.tobytes())
-    batch.close()
-    return found.hexdigest()
+    digest = digest_of(simulation, 60)
+    simulation.close()
+    return digest
 
 
 def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
@@ -419,32 +466,39 @@ def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
 
 
 @every_engine
-def test_a_restored_moment_goes_on_as_it_did(engine: Engine) -> None:
-    batch = batch_of(BOTH, num_scenes=2, actors="walkers", physics=engine)
+def test_a_restored_state_goes_on_as_it_did(engine: Engine) -> None:
+    simulation, again = (
+        simulation_of([*KINDS, "rover_zero"], num_scenes=2, actors="walkers", physics=engine)
+        for _ in range(2)
+    )
     rng = np.random.default_rng(0)
-    rows = rng.uniform(-1.0, 1.0, (30, 2, 4)).astype(np.float32)
-    for step, row in enumerate(rows[:20]):
-        if step == 7:
-            batch.reset(np.array([False, True]))
-        batch.step(row)
-    again = batch_of(BOTH, num_scenes=2, actors="walkers", physics=engine)
-    again.restore(batch.state())
+    rows = rng.uniform(-1.0, 1.0, (30, 6, 2))
+
+    def step(each: VectorSimulation, row: np.ndarray) -> None:
+        act(each, rover=row[:4], leo_rover=row[4:])
+
+    for count, row in enumerate(rows[:20]):
+        if count == 7:
+            simulation.reset(np.array([False, True]))
+        step(simulation, row)
+    again.restore(simulation.save_state())
     for row in rows[20:]:
-        batch.step(row)
-        again.step(row)
-    for rover in range(2):
-        for name, value in batch.observe(rover).items():
-            assert value.tobytes() == again.observe(rover)[name].tobytes()
-        assert batch.metrics(rover).tobytes() == again.metrics(rover).tobytes()
-    batch.close()
+        step(simulation, row)
+        step(again, row)
+    for group in simulation.external:
+        for name, value in observation(simulation, group.name).items():
+            assert value.tobytes() == observation(again, group.name)[name].tobytes()
+        assert metrics(simulation, group.name).tobytes() == metrics(again, group.name).tobytes()
+    simulation.close()
     again.close()
 
 
 def test_a_list_of_one_is_the_one_robot() -> None:
-    digests = [
-        golden(real_batch("flat", 2, **chosen), 20)
-        for chosen in ({"robots": ["leo_rover"]}, {"robot": "leo_rover"})
-    ]
+    digests = []
+    for chosen in ({"robots": ["leo_rover"]}, {"robot": "leo_rover"}):
+        simulation = started_simulation("flat", 2, **chosen)
+        digests.append(digest_of(simulation, 20))
+        simulation.close()
     assert digests[0] == digests[1]
 
 
@@ -457,8 +511,7 @@ def test_robots_by_name_with_values_that_differ() -> None:
     )
     words = compose_environment("flat", ["robots=[leo_rover,{name: rover_zero, wheel_friction: 0.8}]"])
     assert conf.robots == words.robots
-    assert conf.all_robots[1] == RoverZeroConf(wheel_friction=0.8)
-    assert compose_environment("flat").all_robots == (RoverZeroConf(),)
+    assert conf.robots[1] == RoverZeroConf(wheel_friction=0.8)
 
 
 @pytest.mark.parametrize(
@@ -484,15 +537,8 @@ def test_faulty_robots_are_told_in_one_line(robots: str, message: str) -> None:
     assert line.startswith(message)
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [
-        lambda: compose(["+world=flat", "robots=[rover_zero,leo_rover]"]),
-        lambda: dune_rl.gym_env("flat", robots=BOTH),
-        lambda: dune_rl.make("flat", 2, robots=BOTH),
-    ],
-    ids=["train", "gymnasium", "torchrl"],
-)
-def test_learners_of_one_robot_refuse_several(ask: Callable[[], Any]) -> None:
-    with pytest.raises(ConfigError, match="robots are agents of parallel_env alone; choose one here: robot="):
-        ask()
+def test_gymnasium_refuses_several() -> None:
+    with pytest.raises(
+        ConfigError, match="one agent group is driven here, and rover and leo_rover are external"
+    ):
+        dune_rl.gym_env("flat", robots=KINDS)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from batches import real_batch
-from rigs import MIDDLE, Rig, named, slope_world
+from robot_fixtures import MIDDLE, RoverOnGround, named, slope_world
+from rollouts import digest_of
 from scenes import GRAVITY_MPS2, MASS_KG, WHEEL_RADIUS_M, allowed, box, every_backend
-from test_determinism import golden
+from simulations import act, motion_of_group, started_simulation
 
-from dune_rl.env.scene import scene_spec
+from dune_rl.env.scene_spec import scene_spec
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
@@ -24,13 +24,13 @@ ROLLING_MASS_KG = MASS_KG + 4 * 0.01008 / WHEEL_RADIUS_M**2
 FREE_WHEELS = RoverZeroConf(drive=SkidSteerConf(max_torque_nm=1e-9))
 
 
-def slides(rig: Rig) -> bool:
+def slides(rover: RoverOnGround) -> bool:
     """Whether a rover with locked wheels gathers speed."""
-    rig.step(count=10)
-    speed, start = np.linalg.norm(rig.motion.velocity_w[0]), rig.position.copy()
-    rig.step(count=10)
-    faster = np.linalg.norm(rig.motion.velocity_w[0]) > speed + 0.02
-    assert (np.linalg.norm(rig.position - start) > 0.035) == faster
+    rover.step(count=10)
+    speed, start = np.linalg.norm(rover.motion.velocity_w[0]), rover.position.copy()
+    rover.step(count=10)
+    faster = np.linalg.norm(rover.motion.velocity_w[0]) > speed + 0.02
+    assert (np.linalg.norm(rover.position - start) > 0.035) == faster
     return bool(faster)
 
 
@@ -40,7 +40,7 @@ def test_a_rover_holds_on_a_slope_up_to_the_friction_of_its_surface(backend, nam
     surface = named(name)
     for share in (0.94, 1.06):
         slope = np.arctan(share * surface.friction)
-        assert slides(Rig(backend, slope_world(surface, slope))) == (share > 1.0)
+        assert slides(RoverOnGround(backend, slope_world(surface, slope))) == (share > 1.0)
 
 
 @every_backend
@@ -51,7 +51,7 @@ def test_a_scene_s_factor_multiplies_friction(backend, mapped):
     friction = surface.friction if mapped else 1.0
     for share in (0.9, 1.1):
         factor = np.tan(0.45) / friction * share
-        assert slides(Rig(backend, world, factors=(factor, 1.0))) == (share < 1.0)
+        assert slides(RoverOnGround(backend, world, factors=(factor, 1.0))) == (share < 1.0)
 
 
 @every_backend
@@ -60,10 +60,10 @@ def test_the_steepest_climb_is_what_friction_leaves_over_rolling_resistance(back
     surface = named(name)
     steepest = surface.friction - surface.rolling_resistance
     for tangent, climbs in ((0.9 * steepest, True), (1.06 * surface.friction, False)):
-        rig = Rig(backend, slope_world(surface, np.arctan(tangent)))
-        start = rig.position.copy()
-        rig.step(0.5 / WHEEL_RADIUS_M, count=50)
-        ahead = (rig.position - start) @ rig.motion.rotation[0, :, 0]
+        rover = RoverOnGround(backend, slope_world(surface, np.arctan(tangent)))
+        start = rover.position.copy()
+        rover.step(0.5 / WHEEL_RADIUS_M, count=50)
+        ahead = (rover.position - start) @ rover.motion.rotation[0, :, 0]
         assert (ahead > 0.5) if climbs else (ahead < 0.1)
 
 
@@ -77,13 +77,13 @@ def test_a_rover_coasts_as_far_as_rolling_resistance_lets_it(backend, name, sink
     surface = named(name)
     surfaces = SurfaceMap([[0]], terrain.extent, [surface], sinkage=sinkage)
     world = World("ramp", terrain, region=(-1, 1, -1, 1), surfaces=surfaces)
-    rig = Rig(backend, world, at=(-3.0, 7.0), conf=FREE_WHEELS)
-    while rig.position[0] < 0.6:
-        rig.step()
+    rover = RoverOnGround(backend, world, at=(-3.0, 7.0), conf=FREE_WHEELS)
+    while rover.position[0] < 0.6:
+        rover.step()
     speeds = []
-    while rig.position[0] < 4.5 and rig.speed > 0.3:
-        rig.step()
-        speeds.append(rig.speed)
+    while rover.position[0] < 4.5 and rover.speed > 0.3:
+        rover.step()
+        speeds.append(rover.speed)
     coefficient = surface.rolling_resistance
     if sinkage and surface.soil is not None:
         wheel = LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m
@@ -98,25 +98,25 @@ def test_a_rover_coasts_as_far_as_rolling_resistance_lets_it(backend, name, sink
 @pytest.mark.parametrize("name", ["concrete", "grass", "sand"])
 def test_a_rover_rolls_down_a_slope_as_fast_as_rolling_resistance_lets_it(backend, name):
     surface = named(name)
-    rig = Rig(backend, slope_world(surface, 0.3), conf=FREE_WHEELS)
-    rig.step(count=4)
-    speed = rig.speed
-    rig.step(count=10)
+    rover = RoverOnGround(backend, slope_world(surface, 0.3), conf=FREE_WHEELS)
+    rover.step(count=4)
+    speed = rover.speed
+    rover.step(count=10)
     pull = np.sin(0.3) - surface.rolling_resistance * np.cos(0.3)
     expected = GRAVITY_MPS2 * pull * MASS_KG / ROLLING_MASS_KG
-    assert (speed - rig.speed) / 0.5 == pytest.approx(expected, rel=0.03)
+    assert (speed - rover.speed) / 0.5 == pytest.approx(expected, rel=0.03)
 
 
 @every_backend
 def test_rolling_resistance_stops_a_rover_and_never_drives_it(backend):
     for slope in (0.0, 0.1):
-        rig = Rig(backend, slope_world(named("sand"), slope), conf=FREE_WHEELS)
+        rover = RoverOnGround(backend, slope_world(named("sand"), slope), conf=FREE_WHEELS)
         for _ in range(60):
-            rig.step()
+            rover.step()
             # Below what sand holds, a rover creeps by what gravity adds in one control step, and no more.
             creep = GRAVITY_MPS2 * np.sin(slope) * 0.05
-            assert -1.05 * creep - 1e-4 < rig.speed < 1e-3
-    free = Rig(backend, slope_world(named("concrete"), 0.1), conf=FREE_WHEELS)
+            assert -1.05 * creep - 1e-4 < rover.speed < 1e-3
+    free = RoverOnGround(backend, slope_world(named("concrete"), 0.1), conf=FREE_WHEELS)
     free.step(count=60)
     assert free.speed < -1.5
 
@@ -125,15 +125,15 @@ def test_rolling_resistance_stops_a_rover_and_never_drives_it(backend):
 @pytest.mark.parametrize("name", ["sand", "mud", "rock"])
 def test_wheels_stand_as_deep_as_bekker_says(backend, name):
     surface = named(name)
-    rig = Rig(backend, slope_world(surface, sinkage=True))
-    rig.step(count=40)
+    rover = RoverOnGround(backend, slope_world(surface, sinkage=True))
+    rover.step(count=40)
     depth = LOAD_N / surface.stiffness_npm
     if surface.soil is not None:
         depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m)
         assert depth > 1e-3
     # DART's ground is never harder than 2e5 N/m.
-    assert -rig.height == pytest.approx(depth, rel=0.03, abs=allowed(backend, 5e-5, 1.5e-4))
-    firm = Rig(backend, slope_world(surface))
+    assert -rover.height == pytest.approx(depth, rel=0.03, abs=allowed(backend, 5e-5, 1.5e-4))
+    firm = RoverOnGround(backend, slope_world(surface))
     firm.step(count=40)
     assert -firm.height < 1e-3
 
@@ -143,9 +143,9 @@ def test_wheels_stand_as_deep_as_bekker_says(backend, name):
 @pytest.mark.parametrize("stiffness", [2e3, 2e4])
 def test_ground_gives_way_by_load_over_stiffness(backend, stiffness, factor):
     surface = replace(named("grass"), stiffness_npm=stiffness, damping_nspm=200.0)
-    rig = Rig(backend, slope_world(surface), factors=(1.0, factor))
-    rig.step(count=60)
-    assert -rig.height == pytest.approx(LOAD_N / (stiffness * factor), rel=0.03)
+    rover = RoverOnGround(backend, slope_world(surface), factors=(1.0, factor))
+    rover.step(count=60)
+    assert -rover.height == pytest.approx(LOAD_N / (stiffness * factor), rel=0.03)
 
 
 @every_backend
@@ -154,11 +154,11 @@ def test_a_rover_bounces_as_restitution_says(backend, name):
     surface = named(name)
     bounces = []
     for drop_m in (0.2, 0.3, 0.4, 0.5):
-        rig = Rig(backend, slope_world(surface), drop_m=drop_m)
+        rover = RoverOnGround(backend, slope_world(surface), drop_m=drop_m)
         rises = []
         for _ in range(110):
-            rig.step(substeps=1)
-            rises.append(rig.motion.velocity_w[0, 2])
+            rover.step(substeps=1)
+            rises.append(rover.motion.velocity_w[0, 2])
         impact = int(np.argmin(rises))
         bounces.append(-max(rises[impact : impact + 25]) / rises[impact])
     # How deep a wheel is when the step of the impact ends is a matter of chance.
@@ -169,15 +169,14 @@ def test_a_rover_bounces_as_restitution_says(backend, name):
 @pytest.mark.parametrize("sinkage", [False, True])
 @pytest.mark.parametrize("name", SURFACE_NAMES)
 def test_no_surface_makes_a_rover_tremble(backend, name, sinkage):
-    rig = Rig(backend, slope_world(named(name), 0.15, sinkage=sinkage))
-    rig.step(count=30)
+    rover = RoverOnGround(backend, slope_world(named(name), 0.15, sinkage=sinkage))
+    rover.step(count=30)
     for _ in range(60):
-        rig.step(substeps=1)
-        assert np.abs(rig.motion.velocity_w).max() < 0.02
-        assert np.abs(rig.motion.angular_w).max() < 0.02
-    rig.step(0.5 / WHEEL_RADIUS_M, count=60)
-    assert not rig.motion.diverged.any()
-    assert rig.speed == pytest.approx(0.5, rel=0.05)
+        rover.step(substeps=1)
+        assert np.abs(rover.motion.velocity_w).max() < 0.02
+        assert np.abs(rover.motion.angular_w).max() < 0.02
+    rover.step(0.5 / WHEEL_RADIUS_M, count=60)
+    assert rover.speed == pytest.approx(0.5, rel=0.05)
 
 
 @every_backend
@@ -190,9 +189,9 @@ def test_grip_on_one_side_turns_a_rover(backend):
     for slippery, sign in ((0, -1.0), (1, 1.0)):
         rows[4:], rows[:4] = slippery, 1 - slippery
         world.surfaces = SurfaceMap(rows, terrain.extent, [named("concrete"), ice])
-        rig = Rig(backend, world, at=(-1.5, 0.0))
-        rig.step(0.5 / WHEEL_RADIUS_M, count=20)
-        assert sign * rig.motion.roll_pitch_yaw[0, 2] > 0.05
+        rover = RoverOnGround(backend, world, at=(-1.5, 0.0))
+        rover.step(0.5 / WHEEL_RADIUS_M, count=20)
+        assert sign * rover.motion.roll_pitch_yaw[0, 2] > 0.05
 
 
 class Witness:
@@ -210,14 +209,14 @@ def test_wheels_change_their_friction_one_after_another(backend):
     terrain = slope_world(None).terrain
     surfaces = SurfaceMap([[SURFACE_NAMES.index("concrete"), SURFACE_NAMES.index("mud")]], terrain.extent)
     world = World("border", terrain, region=(-1, 1, -1, 1), surfaces=surfaces)
-    rig = Rig(backend, world, at=(-0.5, -3.5), yaw=0.5)
+    rover = RoverOnGround(backend, world, at=(-0.5, -3.5), yaw=0.5)
     witness = Witness()
     crossed = []
     for _ in range(60):
-        rig.traction.update([witness], rig.motion)
-        wheels = rig.position + rig.rover.wheel_positions_b @ rig.motion.rotation[0].T
+        rover.traction.update([witness], rover.motion)
+        wheels = rover.position + rover.robot.wheel_positions_b @ rover.motion.rotation[0].T
         crossed.append((wheels[:, 0] > 0.0).tolist())
-        rig.step(0.6 / WHEEL_RADIUS_M)
+        rover.step(0.6 / WHEEL_RADIUS_M)
     assert crossed[0] == [False] * 4
     assert crossed[-1] == [True] * 4
     expected = [row for row, before in zip(crossed[1:], crossed, strict=False) if row != before]
@@ -235,12 +234,12 @@ def test_a_deck_is_of_its_own_surface_and_what_is_under_it_is_not(backend):
     prop = Prop("deck", "bridge", vertices, deck.faces, drivable=True, surface="wood")
     mud = SurfaceMap([[SURFACE_NAMES.index("mud")]], terrain.extent)
     world = World("bridge", terrain, [prop], region=(-1, 1, -1, 1), surfaces=mud)
-    under, beside = Rig(backend, world, at=(0.0, 0.0)), Rig(backend, world, at=(0.0, 3.0))
-    over = Rig(backend, world, at=(0.0, 0.0), drop_m=1.0)
+    under, beside = RoverOnGround(backend, world, at=(0.0, 0.0)), RoverOnGround(backend, world, at=(0.0, 3.0))
+    over = RoverOnGround(backend, world, at=(0.0, 0.0), drop_m=1.0)
     over.step(count=10)
     assert over.position[2] == pytest.approx(1.0 + WHEEL_RADIUS_M, abs=2e-3)
-    for rig, name in ((under, "mud"), (beside, "mud"), (over, "wood")):
-        assert {SURFACES[number].name for number in rig.traction.surfaces[0]} == {name}
+    for rover, name in ((under, "mud"), (beside, "mud"), (over, "wood")):
+        assert {SURFACES[number].name for number in rover.traction.surfaces[0]} == {name}
 
 
 @every_backend
@@ -250,11 +249,11 @@ def test_wheels_in_the_air_and_wheels_that_spin_roll_on_nothing(backend):
         (slope_world(surface), 1.0, 5.0),
         (slope_world(replace(surface, friction=1e-3)), 0.0, 5.0),
     ):
-        rig = Rig(backend, world, drop_m=drop_m)
-        rig.step(wheels, count=4)
-        force = rig.traction.update([rig.engine], rig.motion)
+        rover = RoverOnGround(backend, world, drop_m=drop_m)
+        rover.step(wheels, count=4)
+        force = rover.traction.update([rover.engine], rover.motion)
         assert np.abs(force).max() < 0.2
-    rolling = Rig(backend, slope_world(surface))
+    rolling = RoverOnGround(backend, slope_world(surface))
     rolling.step(5.0, count=20)
     force = rolling.traction.update([rolling.engine], rolling.motion)
     np.testing.assert_allclose(force[0], [-0.2 * MASS_KG * GRAVITY_MPS2, 0.0, 0.0], atol=0.1)
@@ -262,29 +261,33 @@ def test_wheels_in_the_air_and_wheels_that_spin_roll_on_nothing(backend):
 
 @every_backend
 def test_a_world_without_a_map_is_left_alone(backend):
-    rover = RoverZero(RoverZeroConf(), 1)
-    spec = scene_spec(slope_world(None), [rover], (), PhysicsConf())
+    robot = RoverZero(RoverZeroConf(), 1)
+    spec = scene_spec(slope_world(None), (robot.body,), (), PhysicsConf())
     assert [(body.friction, body.restitution) for body in spec.statics] == [(1.0, 0.0)]
-    rig = Rig(backend, slope_world(None), at=MIDDLE)
+    rover = RoverOnGround(backend, slope_world(None), at=MIDDLE)
     witness = Witness()
-    assert rig.traction.update([witness], rig.motion) is None
-    assert not rig.traction.needs_wheels
+    assert rover.traction.update([witness], rover.motion) is None
+    assert not rover.traction.needs_wheels
     assert witness.frictions == []
 
 
 NATURAL = {"surfaces": "natural", "sinkage": True}
 
 
-@pytest.mark.parametrize("world", ["flat", "island"])
-def test_natural_worlds_repeat_themselves(world):
+@pytest.mark.parametrize(("world", "robots"), [("flat", 2), ("island", 1)])
+def test_natural_worlds_repeat_themselves(world, robots):
     def rollout(**other: bool) -> str:
-        batch = real_batch(
-            {"name": world} | NATURAL | other, num_scenes=2, task={"termination": {"max_steps": 25}}
+        simulation = started_simulation(
+            {"name": world} | NATURAL | other,
+            num_scenes=2,
+            robots=["rover_zero"] * robots,
+            task={"terminations": {"time_limit": {"max_steps": 25}}},
         )
         digests = []
         for _ in range(2):
-            batch.reseed(0)
-            digests.append(golden(batch, 30))
+            simulation.reseed(0)
+            digests.append(digest_of(simulation, 30))
+        simulation.close()
         assert digests[0] == digests[1], "a reset leaves something behind"
         return digests[0]
 
@@ -292,15 +295,18 @@ def test_natural_worlds_repeat_themselves(world):
     assert rollout(sinkage=False) != rollout()
 
 
-def test_a_restored_batch_goes_on_alike():
-    batch = real_batch({"name": "flat"} | NATURAL, num_scenes=2)
-    ahead = np.tile(np.array([0.8, 0.1], np.float32), (2, 1))
+def test_a_restored_simulation_goes_on_alike():
+    simulation, other = (started_simulation({"name": "flat"} | NATURAL, num_scenes=2) for _ in range(2))
     for _ in range(15):
-        batch.step(ahead)
-    other = real_batch({"name": "flat"} | NATURAL, num_scenes=2)
-    other.restore(batch.state())
-    np.testing.assert_array_equal(other.traction.surfaces, batch.traction.surfaces)
+        act(simulation, [0.8, 0.1])
+    other.restore(simulation.save_state())
+    surfaces = [each.group().body.traction.surfaces for each in (simulation, other)]
+    np.testing.assert_array_equal(*surfaces)
     for _ in range(15):
-        batch.step(ahead)
-        other.step(ahead)
-        np.testing.assert_array_equal(other.motion.position_w, batch.motion.position_w)
+        positions = []
+        for each in (simulation, other):
+            act(each, [0.8, 0.1])
+            positions.append(motion_of_group(each).position_w)
+        np.testing.assert_array_equal(*positions)
+    simulation.close()
+    other.close()

@@ -2,9 +2,9 @@
 
 import numpy as np
 from mounted import camera_conf
+from people import meshes_of
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.scenery import Segment
@@ -16,7 +16,7 @@ from dune_rl.worlds.world import Prop, World
 EVERYTHING = ("rgb", "grey", "depth", "segmentation", "normals")
 STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
-PERSON = ActorConf()
+PERSON = PersonConf()
 HALF_M = 15.0
 # x, y, yaw, length, width and height of a box that stands on the ground.
 Box = tuple[float, float, float, float, float, float]
@@ -42,9 +42,9 @@ def with_boxes(*boxes: Box) -> World:
     return plain(*(standing(f"box_{i}", box) for i, box in enumerate(boxes)))
 
 
-def camera_in(world: World, actors: tuple[ActorConf, ...] = (), light=None, **settings) -> Camera:
+def camera_in(world: World, actors: tuple[PersonConf, ...] = (), light=None, **settings) -> Camera:
     conf = camera_conf(**({"outputs": EVERYTHING, "width": 32, "height": 24} | settings))
-    return Camera(conf, bake_world(world, light or LightConf()), actor_moving_meshes(actors))
+    return Camera(conf, bake_world(world, light or LightConf()), meshes_of(actors))
 
 
 def look(camera: Camera, position=STANDING, rotation=LEVEL, actors=()) -> dict[str, np.ndarray]:

@@ -38,7 +38,6 @@ METRIC_NAMES = (
 )
 STEP_S = 0.25
 GOAL_RADIUS_M = 0.5
-IMAGE_SHAPE = (12, 16, 3)
 _ENDS = ("done", "terminated", "truncated")
 _COLUMN = {name: index for index, name in enumerate(METRIC_NAMES)}
 
@@ -48,7 +47,8 @@ class PointMass(EnvBase):
 
     The goal terminates a point's own episode: it then stays and earns nothing.
     The scene's episode ends when all points are done, or after `limit` steps,
-    which truncate those that are not. Arrays have rows N = M * (all G), scene by scene.
+    which truncate those that are not. `image` (height, width, channels) adds a camera.
+    Arrays have rows N = M * (all G), scene by scene.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class PointMass(EnvBase):
         limit: int = 40,
         beams: int = 32,
         groups: Mapping[str, int] | None = None,
-        image: bool = False,
+        image: tuple[int, int, int] | None = None,
     ) -> None:
         super().__init__(device="cpu", batch_size=[num_scenes])
         self._limit, self._beams, self._image = limit, beams, image
@@ -90,8 +90,8 @@ class PointMass(EnvBase):
                 "goal": box([0.0, -pi], [100.0, pi], n),
                 "velocity": box([-1.0, -10.0], [1.0, 10.0], n),
             }
-            if self._image:
-                parts["camera_rgb"] = Bounded(0, 255, shape=(m, n, *IMAGE_SHAPE), dtype=torch.uint8)
+            if self._image is not None:
+                parts["camera_rgb"] = Bounded(0, 255, shape=(m, n, *self._image), dtype=torch.uint8)
             observation[name] = Composite(
                 observation=Composite(parts, shape=(m, n)),
                 metrics=Unbounded((m, n, len(METRIC_NAMES)), dtype=torch.float32),
@@ -165,11 +165,11 @@ class PointMass(EnvBase):
         shape = values["goal"].shape[:2]
         observation = {key: values.pop(key) for key in ("goal", "velocity")}
         observation |= {"lidar": torch.full((*shape, self._beams), 12.0), "imu": torch.zeros(*shape, 9)}
-        if self._image:
+        if self._image is not None:
             # Brighter where the goal is nearer, on the side on which it is.
             bright = (255 * torch.exp(-observation["goal"][..., 0])).to(torch.uint8)
-            image = bright[..., None, None, None].expand(*shape, *IMAGE_SHAPE).clone()
-            image[..., : IMAGE_SHAPE[1] // 2, :] *= (observation["goal"][..., 1] > 0)[..., None, None, None]
+            image = bright[..., None, None, None].expand(*shape, *self._image).clone()
+            image[..., : self._image[1] // 2, :] *= (observation["goal"][..., 1] > 0)[..., None, None, None]
             observation["camera_rgb"] = image
         return TensorDict({"observation": TensorDict(observation, shape), **values}, shape)
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 from mounted import lidar_conf
+from people import meshes_of
 from scenes import about
 from states import group_state, measure
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.lidar import Lidar, LidarConf
@@ -27,10 +27,12 @@ def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
     return World("test", ground.terrain, props, region=ground.region)
 
 
-def lidar_in(world: World, actors: tuple[ActorConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
+def lidar_in(world: World, actors: tuple[PersonConf, ...] = (), conf: LidarConf | None = None) -> Lidar:
     solid = world.solid_mesh()
     return Lidar(
-        conf or lidar_conf(), RayScene(solid.vertices, solid.faces), [each.rays for each in actor_moving_meshes(actors)]
+        conf or lidar_conf(),
+        RayScene(solid.vertices, solid.faces),
+        [each.rays for each in meshes_of(actors)],
     )
 
 

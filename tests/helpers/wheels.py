@@ -62,7 +62,7 @@ class Measured:
 
     def _now(self) -> GroupState:
         stage = self.drive.stage
-        self.motion = motion_of(stage.state, joints_from(np.array(stage.scene.drive_state())))
+        self.motion = motion_of(stage.state, joints_from(np.array(stage.engine.drive_state())))
         return group_state(self.motion, steps=self.steps)
 
     def begin(self) -> None:

@@ -9,15 +9,12 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from simulations import act, goals_w, metric, motion_of_group, simulation_on
 
-from dune_rl.config.schema import EnvConf
-from dune_rl.env.batch import Batch
+from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.physics.bullet.scene import BulletScene
-from dune_rl.robots.rover_zero.robot import RoverZero
 from dune_rl.tasks.spawn import SpawnConf, Spawner
-from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.world import Prop, World
 
 SEEDS = range(10)
@@ -27,8 +24,6 @@ MAX_SLOPE_DEG = 25.0
 
 # Less than half of the rover's width.
 _UNDER_M = 0.15
-
-_CONF = EnvConf(world=FlatConf(), sensors={"enabled": ["goal"]})
 
 
 def grid(xmin: float, xmax: float, ymin: float, ymax: float, step: float) -> np.ndarray:
@@ -146,52 +141,38 @@ def check_ways(world: World, count: int = 150) -> float:
     return float(main[inside].mean())
 
 
-def batch_in(world: World, scenes: int) -> Batch:
-    """Rovers in true physics in any world."""
-    return Batch(
-        world=world,
-        make_robot=lambda count: RoverZero(_CONF.robot, count),
-        make_scene=BulletScene,
-        actors=(),
-        sensors=_CONF.sensors,
-        physics=_CONF.physics,
-        task=_CONF.task,
-        metrics=_CONF.metrics,
-        num_scenes=scenes,
-        seed=0,
-    )
+def rovers_in(world: World, scenes: int) -> VectorSimulation:
+    """Rovers in true physics in any world, which are not reset."""
+    return simulation_on(world, scenes, sensors=["goal"])
 
 
-def stands(batch: Batch) -> bool:
+def all_stand(simulation: VectorSimulation) -> bool:
     """Whether all rovers, left alone for half a second after a reset, stand upright on the ground."""
-    batch.reset()
-    start = batch.motion.position_w[:, :2].copy()
+    simulation.reset()
+    start = motion_of_group(simulation).position_w[:, :2].copy()
     for _ in range(10):
-        batch.step(np.zeros((batch.num_scenes, 2), np.float32))
-    position = batch.motion.position_w
-    height = position[:, 2] - batch.world.terrain.height(position[:, :2])
-    upright = batch.motion.rotation[:, 2, 2] > np.cos(np.deg2rad(40.0))
+        act(simulation)
+    motion = motion_of_group(simulation)
+    position = motion.position_w
+    height = position[:, 2] - simulation.worlds.height(position[:, :2])
+    upright = motion.rotation[:, 2, 2] > np.cos(np.deg2rad(40.0))
     still = np.hypot(*(position[:, :2] - start).T) < 0.1
     return bool((upright & still & (height > 0.06) & (height < 0.25)).all())
 
 
-def goals_reached(batch: Batch, steps: int = 450) -> tuple[int, int]:
+def goals_reached(simulation: VectorSimulation, steps: int = 450) -> tuple[int, int]:
     """Of one episode a scene driven straight at its goal: goals reached, and collisions."""
-    batch.reset()
-    ended = np.zeros(batch.num_scenes, bool)
+    simulation.reset()
+    ended = np.zeros(simulation.num_scenes, bool)
     reached = collisions = 0
-    names = batch.metric_names
     for _ in range(steps):
-        away = batch.goals_w - batch.motion.position_w[:, :2]
-        turn = np.arctan2(away[:, 1], away[:, 0]) - batch.motion.roll_pitch_yaw[:, 2]
+        motion = motion_of_group(simulation)
+        away = goals_w(simulation) - motion.position_w[:, :2]
+        turn = np.arctan2(away[:, 1], away[:, 0]) - motion.yaw
         turn = (turn + np.pi) % (2 * np.pi) - np.pi
-        action = np.stack([0.7 * np.maximum(np.cos(turn), 0.0), turn], axis=1)
-        outcome = batch.step(action.astype(np.float32))
-        now = (outcome.terminated | outcome.truncated) & ~ended
-        if now.any():
-            rows = batch.metrics()[now]
-            reached += int(rows[:, names.index("reached")].sum())
-            collisions += int(rows[:, names.index("collisions")].sum())
+        now = act(simulation, np.stack([0.7 * np.maximum(np.cos(turn), 0.0), turn], axis=1)).done & ~ended
+        reached += int(metric(simulation, "reached")[now].sum())
+        collisions += int(metric(simulation, "collisions")[now].sum())
         ended |= now
         if ended.all():
             break

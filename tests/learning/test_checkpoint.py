@@ -6,33 +6,34 @@ from pathlib import Path
 import pytest
 import torch
 from point_mass import PointMass, make_point_mass
+from training import make_sac
 
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import find, read, write
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import Architecture, make_policy
-from dune_rl.learning.policies import load_policy, policy_content
+from dune_rl.learning.group_policy import Deterministic
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.saved_policies import load_policy, policy_entry
+
+SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
 
 
 @pytest.fixture
-def layout() -> Layout:
-    return Layout.of(make_point_mass(1, 0))
-
-
-@pytest.fixture
-def saved(tmp_path: Path, layout: Layout) -> Path:
+def saved(tmp_path: Path) -> Path:
     path = tmp_path / "policy.pt"
-    module = make_policy(layout, Architecture((8,)))
-    write(path, "policy", policy_content(module, layout, Architecture((8,)), {"seed": 1}))
+    groups = {"rover": policy_entry(make_sac(SPEC, tmp_path, hidden=(8,)))}
+    write(path, "policy", {"groups": groups, "config": {"seed": 1}, "frames": 0})
     return path
 
 
-def test_policy_acts_the_same_after_a_round_trip(saved: Path, layout: Layout) -> None:
-    policy, config = load_policy(saved, layout)
-    again, _ = load_policy(saved.parent, layout)
-    observation = make_point_mass(4, 0).reset()
-    assert torch.equal(policy(observation.clone())["action"], again(observation.clone())["action"])
+def test_policy_acts_the_same_after_a_round_trip(tmp_path: Path) -> None:
+    sac = make_sac(SPEC, tmp_path, hidden=(8,))
+    write(tmp_path / "policy.pt", "policy", {"groups": {"rover": policy_entry(sac)}, "config": {"seed": 1}})
+    env = make_point_mass(4, 0)
+    policy, config = load_policy(tmp_path, env)
+    now = env.reset()
+    expected = Deterministic(sac.policy)(now.clone())["rover", "action"]
+    assert torch.equal(policy(now.clone())["rover", "action"], expected)
     assert config == {"seed": 1}
 
 
@@ -69,25 +70,25 @@ def test_the_file_appears_only_when_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_truncated(saved: Path, layout: Layout, share: float) -> None:
+def test_truncated(saved: Path, share: float) -> None:
     data = saved.read_bytes()
     saved.write_bytes(data[: int(share * len(data))])
     with pytest.raises(CheckpointError, match="truncated"):
-        load_policy(saved, layout)
+        load_policy(saved, make_point_mass(1, 0))
 
 
-def test_damaged_inside(saved: Path, layout: Layout) -> None:
+def test_damaged_inside(saved: Path) -> None:
     data = bytearray(saved.read_bytes())
     start = data.index(b"data.pkl") + 60
     data[start : start + 40] = bytes(40)
     saved.write_bytes(bytes(data))
     with pytest.raises(CheckpointError, match="damaged"):
-        load_policy(saved, layout)
+        load_policy(saved, make_point_mass(1, 0))
 
 
-def test_missing(tmp_path: Path, layout: Layout) -> None:
+def test_missing(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="There is no"):
-        load_policy(tmp_path / "nowhere.pt", layout)
+        load_policy(tmp_path / "nowhere.pt", make_point_mass(1, 0))
     with pytest.raises(CheckpointError, match=r"holds no policy\.pt or checkpoint\.pt"):
         find(tmp_path, "policy.pt", "checkpoint.pt")
 
@@ -128,14 +129,14 @@ def test_wrong_kind(saved: Path) -> None:
 
 def test_another_observation_is_named(saved: Path) -> None:
     with pytest.raises(CheckpointError, match="lidar has 32 values there, 64 values here") as caught:
-        load_policy(saved, Layout.of(PointMass(1, 0, beams=64)))
+        load_policy(saved, PointMass(1, 0, beams=64))
     assert len(str(caught.value).splitlines()) == 2
 
 
-def test_missing_parts_and_other_bounds_are_named(layout: Layout) -> None:
-    here = Layout({"goal": 2, "camera": 9}, (-1.0, -1.0), (1.0, 1.0))
+def test_missing_parts_and_other_bounds_are_named() -> None:
+    here = PolicySpec({"goal": 2, "camera": 9}, (-1.0, -1.0), (1.0, 1.0))
     with pytest.raises(CheckpointError) as caught:
-        layout.require(here, "policy.pt")
+        SPEC.require(here, "policy.pt")
     message = str(caught.value)
     assert "camera is missing there, 9 values here" in message
     assert "imu has 9 values there, is missing here" in message

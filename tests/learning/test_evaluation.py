@@ -12,31 +12,41 @@ from point_mass import make_point_mass
 from rich.console import Console
 
 from dune_rl.learning.curve import draw_curve
-from dune_rl.learning.evaluation import averages, compare, evaluate, summary, write_csv
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import Architecture, make_policy
-from dune_rl.learning.policies import Deterministic, GoToGoal, UniformRandom
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.group_policy import Deterministic, GroupPolicy
+from dune_rl.learning.measures import averages, compare, score, summary, write_csv
+from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.policies import GoToGoal, UniformRandom
+from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.progress import Lines, Status
 from dune_rl.learning.statistics import mcnemar, mean, proportion
 from dune_rl.learning.table import results_table
 
-LAYOUT = Layout.of(make_point_mass(1, 0))
+SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
+GO_TO_GOAL = GoToGoal("rover", SPEC)
 
 
-@pytest.mark.parametrize("scenes", [1, 3, 7, 20])
-def test_every_episode_once_whatever_the_batch(scenes: int) -> None:
+def network() -> GroupPolicy:
+    return GroupPolicy("rover", SPEC, make_policy_network(SPEC, Architecture((8,))))
+
+
+def episodes(policy, scenes: int, count: int, seed: int = 5, **more):
+    return evaluate(policy, make_point_mass(scenes, 0), count, seed, **more)["rover"]
+
+
+def test_every_episode_once_whatever_the_batch() -> None:
     torch.manual_seed(1)
-    policy = Deterministic(make_policy(LAYOUT, Architecture((8,))))
-    for each in (GoToGoal(LAYOUT), policy):
-        alone = evaluate(each, make_point_mass(1, 0), 10, seed=5)
-        rows = evaluate(each, make_point_mass(scenes, 0), 10, seed=5)
-        assert [row["episode"] for row in rows] == list(range(10))
-        for a, b in zip(alone, rows, strict=True):
-            assert a == pytest.approx(b, nan_ok=True, abs=1e-5)
+    for policy in (GO_TO_GOAL, Deterministic(network())):
+        alone = episodes(policy, 1, 7)
+        assert [row["episode"] for row in alone] == list(range(7))
+        for scenes in (3, 7, 12):
+            for a, b in zip(alone, episodes(policy, scenes, 7), strict=True):
+                assert a == pytest.approx(b, nan_ok=True, abs=1e-5)
 
 
 def test_what_the_battery_gives_is_told_where_it_was_measured() -> None:
-    rows = evaluate(GoToGoal(LAYOUT), make_point_mass(2, 0), 2, seed=5)
+    rows = episodes(GO_TO_GOAL, 2, 2)
     measured = [row | {"energy_wh": 0.5, "battery_share": 0.0125, "range_km": 3.0} for row in rows]
     assert not {"energy", "battery", "range"} & set(summary(rows))
     assert summary(measured)["range"].value == 3.0
@@ -50,16 +60,16 @@ def test_what_the_battery_gives_is_told_where_it_was_measured() -> None:
 
 def test_an_environment_can_be_evaluated_on_again() -> None:
     env = make_point_mass(3, 0)
-    first = evaluate(GoToGoal(LAYOUT), env, 8, seed=5)
-    other = evaluate(GoToGoal(LAYOUT), env, 8, seed=6)
-    again = evaluate(GoToGoal(LAYOUT), env, 8, seed=5)
+    first = evaluate(GO_TO_GOAL, env, 8, seed=5)["rover"]
+    other = evaluate(GO_TO_GOAL, env, 8, seed=6)["rover"]
+    again = evaluate(GO_TO_GOAL, env, 8, seed=5)["rover"]
     assert all(a == pytest.approx(b, nan_ok=True) for a, b in zip(first, again, strict=True))
     assert [row["return"] for row in first] != [row["return"] for row in other]
 
 
 def test_references_do_as_they_say() -> None:
-    good = evaluate(GoToGoal(LAYOUT), make_point_mass(8, 0), 30, seed=5)
-    poor = evaluate(UniformRandom(LAYOUT), make_point_mass(8, 0), 30, seed=5)
+    good = episodes(GO_TO_GOAL, 8, 30)
+    poor = episodes(UniformRandom("rover", SPEC), 8, 30)
     assert summary(good)["SR"].value == 1
     assert summary(poor)["SR"].value < 0.5
     test = compare(good, poor)
@@ -70,8 +80,9 @@ def test_references_do_as_they_say() -> None:
 
 def test_go_to_goal_turns_before_it_drives() -> None:
     observation = make_point_mass(3, 0).reset()
-    observation["goal"] = torch.tensor([[2.0, 0.0], [2.0, 3.0], [2.0, -1.0]])
-    action = GoToGoal(LAYOUT)(observation)["action"]
+    goals = torch.tensor([[2.0, 0.0], [2.0, 3.0], [2.0, -1.0]])
+    observation["rover", "observation", "goal"] = goals.unsqueeze(1)
+    action = GO_TO_GOAL(observation)["rover", "action"].squeeze(1)
     assert torch.allclose(action[:, 1], torch.tensor([0.0, 3.0, -1.0]))
     assert torch.allclose(action[:, 0], torch.tensor([0.8, 0.0, 0.8 * math.cos(1)]))
 
@@ -85,23 +96,23 @@ def test_random_states_are_left_alone() -> None:
 
     def careless(observation: object) -> object:
         np.random.rand()
-        return observation.set("action", torch.rand(2, 2))  # type: ignore[attr-defined]
+        return observation.set(("rover", "action"), torch.rand(2, 1, 2))  # type: ignore[attr-defined]
 
-    evaluate(careless, make_point_mass(2, 0), 3, seed=5)  # type: ignore[arg-type]
+    episodes(careless, 2, 3)  # type: ignore[arg-type]
     assert torch.equal(torch.rand(3), expected[0])
     assert np.array_equal(np.random.rand(3), expected[1])
 
 
 def test_statistics_are_frozen_while_evaluating() -> None:
-    module = make_policy(LAYOUT, Architecture((8,)))
+    module = network()
     before = {key: value.clone() for key, value in module.state_dict().items()}
-    evaluate(Deterministic(module), make_point_mass(2, 0), 3, seed=5)
+    episodes(Deterministic(module), 2, 3)
     assert all(torch.equal(value, before[key]) for key, value in module.state_dict().items())
 
 
 def test_stopping_returns_what_is_done() -> None:
     calls = iter([False] * 60 + [True])
-    rows = evaluate(GoToGoal(LAYOUT), make_point_mass(2, 0), 1000, seed=5, stop=lambda: next(calls))
+    rows = episodes(GO_TO_GOAL, 2, 1000, stop=lambda: next(calls))
     assert 0 < len(rows) < 30
 
 
@@ -135,7 +146,7 @@ def test_exact_mcnemar() -> None:
 
 
 def test_csv_and_table_and_curve(tmp_path: Path) -> None:
-    rows = evaluate(GoToGoal(LAYOUT), make_point_mass(4, 0), 6, seed=5)
+    rows = episodes(GO_TO_GOAL, 4, 6)
     write_csv(tmp_path / "episodes.csv", rows)
     with (tmp_path / "episodes.csv").open() as file:
         read = list(csv.DictReader(file))
@@ -156,3 +167,14 @@ def test_lines_are_spaced_in_time() -> None:
         lines.update(Status(frames, 1_000_000, 2500.0, 120.0, 0.734))
     counts, figures = "training  500,000 of 1,000,000 frames", "2,500 frames/s  120 updates/s  success 73 %"
     assert told == [f"{counts}  {figures}  3:20 left"]
+
+
+def test_metrics_of_ones_own_are_summed_up_beside_the_known_ones() -> None:
+    rows = [{"agent": 0.0, "episode": float(e), "steps": 3.0, "return": e, "dust": 2.0 * e} for e in range(3)]
+    assert list(summary(rows)) == ["dust"]
+    figures = averages(rows)
+    assert figures == {"dust": 2.0, "return": 1.0, "steps": 3.0}
+    assert score(figures) == 1.0 and score(figures | {"SR": 0.5}) == 0.5
+    console = Console(record=True, width=80, file=io.StringIO())
+    console.print(results_table({"a": summary(rows)}, ""))
+    assert "dust" in console.export_text()

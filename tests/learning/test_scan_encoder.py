@@ -1,14 +1,17 @@
 """The convolutions round a scan, and what they learn from."""
 
+from pathlib import Path
+
 import pytest
 import torch
+from training import make_sac
 
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.networks import Architecture, make_policy
-from dune_rl.learning.sac import Sac, SacConf
-from dune_rl.learning.scan_encoder import ScanEncoder
+from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.scan_encoder import ScanEncoder
+from dune_rl.learning.policy_spec import PolicySpec
 
-LAYOUT = Layout(
+SPEC = PolicySpec(
     {"goal": 2, "lidar": 32, "lidar_past": 32, "velocity": 2},
     (-1.0, -3.0),
     (1.0, 3.0),
@@ -18,8 +21,8 @@ LAYOUT = Layout(
 
 def test_turned_scans_give_turned_features() -> None:
     torch.manual_seed(0)
-    encoder = ScanEncoder(LAYOUT, 4)
-    vectors = torch.rand(3, 5, LAYOUT.observation_size)
+    encoder = ScanEncoder(SPEC, 4)
+    vectors = torch.rand(3, 5, SPEC.observation_size)
     turned = vectors.clone()
     for start in (2, 34):
         turned[..., start : start + 32] = vectors[..., start : start + 32].roll(6, -1)
@@ -32,54 +35,54 @@ def test_turned_scans_give_turned_features() -> None:
 
 def test_scans_of_one_direction_are_compared() -> None:
     torch.manual_seed(0)
-    encoder = ScanEncoder(LAYOUT, 4)
-    vectors = torch.rand(1, LAYOUT.observation_size)
+    encoder = ScanEncoder(SPEC, 4)
+    vectors = torch.rand(1, SPEC.observation_size)
     other = vectors.clone()
     other[0, 34 + 8] += 1.0
     change = (encoder(vectors) - encoder(other))[0, 4:].unflatten(-1, (4, 16)).abs().sum(0)
     # Segment 8 reaches no more than four segments on either side.
     assert change[2:7].sum() > 0
-    assert change[:2].sum() + change[7:].sum() == 0
+    assert change[:2].sum() + change[7:].sum() < 1e-5
 
 
 @pytest.mark.parametrize("channels", [0, 4])
 def test_without_scans_or_channels_vectors_pass_unchanged(channels: int) -> None:
-    layout = LAYOUT if channels == 0 else Layout({"goal": 2, "range": 1}, (-1.0,), (1.0,), ("range",))
-    encoder = ScanEncoder(layout, channels)
-    vectors = torch.rand(2, layout.observation_size)
-    assert encoder.size == layout.observation_size
+    spec = SPEC if channels == 0 else PolicySpec({"goal": 2, "range": 1}, (-1.0,), (1.0,), ("range",))
+    encoder = ScanEncoder(spec, channels)
+    vectors = torch.rand(2, spec.observation_size)
+    assert encoder.size == spec.observation_size
     assert torch.equal(encoder(vectors), vectors)
 
 
 def test_scans_of_unequal_length_have_convolutions_of_their_own() -> None:
-    layout = Layout({"far": 16, "near": 9, "other": 16}, (-1.0,), (1.0,), ("far", "near", "other"))
-    encoder = ScanEncoder(layout, 3)
+    spec = PolicySpec({"far": 16, "near": 9, "other": 16}, (-1.0,), (1.0,), ("far", "near", "other"))
+    encoder = ScanEncoder(spec, 3)
     assert len(encoder.convolutions) == 2
     assert encoder(torch.rand(2, 41)).shape == (2, encoder.size) == (2, 3 * 8 + 3 * 5)
 
 
-def test_the_encoder_learns_from_the_critics_alone() -> None:
+def test_the_encoder_learns_from_the_critics_alone(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    conf = SacConf(hidden=(16,), scan_channels=4, precision="float32")
-    sac = Sac(conf, LAYOUT, 1)
-    rows = torch.rand(64, sac.transitions.width) + 0.1
-    batch = sac.transitions.batch(rows, sac.features.encode, conf.reward_scale)
+    sac = make_sac(SPEC, tmp_path, hidden=(16,), scan_channels=4)
+    rows = torch.rand(64, sac._codec.width) + 0.1
+    step, features = sac._step, sac.policy.network[0].module
     random_state = torch.get_rng_state()
-    weights = list(sac.features.parameters())
-    expected = torch.autograd.grad(sac._loss(batch)["loss_qvalue"], weights)
+    encoder = list(features.parameters())
+    loss = step.loss(sac._codec.decode(rows, features.encode, 1.0))["loss_qvalue"]
+    expected = torch.autograd.grad(loss, encoder)
     torch.set_rng_state(random_state)
     seen: list[torch.Tensor] = []
-    step = sac._optimiser.step
-    sac._optimiser.step = lambda: (seen.extend(w.grad.clone() for w in weights if w.grad is not None), step())  # type: ignore[assignment,func-returns-value]
-    before = [weight.detach().clone() for weight in weights]
-    sac._update(rows)
+    take = step.optimiser.step
+    step.optimiser.step = lambda: (seen.extend(w.grad.clone() for w in encoder if w.grad is not None), take())  # type: ignore[assignment,func-returns-value]
+    before = [weight.detach().clone() for weight in encoder]
+    sac._learn([rows])
     for ours, theirs in zip(seen, expected, strict=True):
         torch.testing.assert_close(ours, theirs)
-    assert all(not torch.equal(old, new) for old, new in zip(before, weights, strict=True))
+    assert all(not torch.equal(old, new) for old, new in zip(before, encoder, strict=True))
 
 
 def test_a_policy_keeps_its_encoder() -> None:
-    policy = make_policy(LAYOUT, Architecture((8,), scan_channels=4))
+    policy = make_policy_network(SPEC, Architecture((8,), scan_channels=4))
     assert any("convolutions" in key for key in policy.state_dict())
     plain = Architecture((8,), scan_channels=4).plain()
     assert Architecture.from_plain(plain) == Architecture((8,), scan_channels=4)

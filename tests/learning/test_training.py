@@ -5,27 +5,19 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from test_learning import SMALL, assert_halves_make_a_whole, trainer, weights
+from training import assert_halves_make_a_whole, small
 
-from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
 from dune_rl.train import train
 
-MAKE_ENV = partial(make_torchrl_env, compose(["+world=inspection", "task.termination.max_steps=60"]))
+CONF = compose(["+world=inspection", "task.terminations.time_limit.max_steps=40"])
+MAKE_ENV = partial(make_learning_env, CONF)
 
 
 def test_halves_make_a_whole_on_inspection(tmp_path: Path) -> None:
-    assert_halves_make_a_whole(MAKE_ENV, tmp_path)
-
-
-def test_a_run_stopped_during_its_warm_up_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
-    guided = SMALL.model_copy(update={"warm_up": "go_to_goal"})
-    trainer(tmp_path / "whole", sac=guided, make_env=MAKE_ENV).train(stop_after_frames=1024)
-    first = trainer(tmp_path / "halves", sac=guided, make_env=MAKE_ENV).train(stop_after_frames=256)
-    assert first.frames < guided.learning_starts and first.updates == 0
-    trainer(tmp_path / "halves", sac=guided, make_env=MAKE_ENV, resume=tmp_path / "halves").train(1024)
-    whole, halves = weights(tmp_path / "whole"), weights(tmp_path / "halves")
-    assert not [key for key, value in whole.items() if not value.equal(halves[key])]
+    learning = small(learning_starts=128, warm_up="go_to_goal", hidden=(16,))
+    assert_halves_make_a_whole(MAKE_ENV, tmp_path, learning, frames=512, half=300)
 
 
 @pytest.mark.slow

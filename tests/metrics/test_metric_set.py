@@ -62,12 +62,12 @@ class Episode:
 
     def begin(self, number: int) -> None:
         self.metrics.reset(np.array([True]), agents(episode=number))
-        self.steps = self.total = 0
+        self.number, self.steps, self.total = number, 0, 0
 
     def step(self, reward: float = 0.0, **changes: Any) -> None:
         self.steps += 1
         self.total += changes.get("new", 0)
-        group = agents(step=self.steps, total=self.total, **changes)
+        group = agents(episode=self.number, step=self.steps, total=self.total, **changes)
         self.metrics.update(state_of(group), group, np.array([reward]))
 
     def __getitem__(self, name: str) -> float:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batches import metric, real_batch
+from simulations import act, metric, motion_of_group, observation, started_simulation
 
 from dune_rl.physics.interface import ENGINES
 
@@ -30,32 +30,39 @@ WANDERING: dict[str, Any] = {
 }
 
 
+def robots_of(simulation):
+    return [scene.robots[0] for scene in simulation.scenes.built]
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     world = {"name": "island", "grass_cover": 0.3}
     settings = {**WANDERING, "robot": robot, "sensors": ROBOTS[robot]}
-    bullet, dart = (real_batch(world, 2, 6, physics=engine, **settings) for engine in ENGINES)
+    bullet, dart = (started_simulation(world, 2, 6, physics=engine, **settings) for engine in ENGINES)
     # Both have settled on their wheels or feet.
-    np.testing.assert_allclose(bullet.motion.position_w, dart.motion.position_w, atol=0.02)
+    np.testing.assert_allclose(
+        motion_of_group(bullet).position_w, motion_of_group(dart).position_w, atol=0.02
+    )
     # The one goes where the other does: what is drawn, seen and earned must then agree in each bit.
-    for leader, engine in zip(bullet.rovers[0].engines, dart.rovers[0].engines, strict=True):
+    for leader, engine in zip(*(robots_of(each) for each in (bullet, dart)), strict=True):
         for told in ("body_state", "drive_state", "contacts"):
             monkeypatch.setattr(engine, told, getattr(leader, told))
     dart.reseed(6)
     dart.reset()
     draws = np.random.default_rng(0)
-    low, high = bullet.robot.action_bounds()
+    low, high = bullet.group().action_bounds
     for step in range(14):
         ahead = draws.uniform(low, high, (2, len(low))).astype(np.float32)
         people = draws.uniform(-1.0, 1.0, (2, 1, 2)).astype(np.float32)
-        outcomes = [batch.step(ahead, people) for batch in (bullet, dart)]
-        np.testing.assert_array_equal(outcomes[0].rover_reward, outcomes[1].rover_reward)
-        np.testing.assert_array_equal(outcomes[0].walker_reward, outcomes[1].walker_reward)
+        steps = [act(each, ahead, walker=people).groups for each in (bullet, dart)]
+        for group in steps[0]:
+            np.testing.assert_array_equal(steps[0][group].reward, steps[1][group].reward)
         np.testing.assert_array_equal(bullet.metrics(), dart.metrics())
-        found = dart.observe() | dart.observe_walkers()
-        for name, expected in (bullet.observe() | bullet.observe_walkers()).items():
-            np.testing.assert_array_equal(found[name], expected, err_msg=f"{name}, step {step}")
-    assert np.ptp(bullet.observe()["currents"]) > 0.0
+        for group in steps[0]:
+            found = observation(dart, group)
+            for name, expected in observation(bullet, group).items():
+                np.testing.assert_array_equal(found[name], expected, err_msg=f"{name}, step {step}")
+    assert np.ptp(observation(bullet)["currents"]) > 0.0
     for batch in (bullet, dart):
         batch.close()
 
@@ -70,12 +77,15 @@ GRIPPING_LEO = {"name": "leo_rover", "sideways_friction_share": 1.0}
 def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
     found = []
     for engine in ENGINES:
-        batch = real_batch("flat", 4, 6, robot=robot, physics=engine, task=task, metrics={"energy": True})
-        start, speed = batch.motion.position_w.copy(), 0.7 * batch.robot.max_speed_mps
+        batch = started_simulation(
+            "flat", 4, 6, robot=robot, physics=engine, task=task, metrics={"energy": True}
+        )
+        start = motion_of_group(batch).position_w.copy()
+        speed = 0.7 * batch.group().body.robot.max_speed_mps
         for _ in range(60):
-            batch.step(np.tile(np.float32([speed, 0.05]), (4, 1)))
-        assert np.linalg.norm(batch.motion.position_w - start, axis=1).min() > 0.4
-        found.append((batch.motion.position_w, metric(batch, "return"), metric(batch, "energy_wh")))
+            act(batch, [speed, 0.05])
+        assert np.linalg.norm(motion_of_group(batch).position_w - start, axis=1).min() > 0.4
+        found.append((motion_of_group(batch).position_w, metric(batch, "return"), metric(batch, "energy_wh")))
         batch.close()
     (here, earned, used), (there, also_earned, also_used) = found
     np.testing.assert_allclose(here, there, atol=0.2)

@@ -1,6 +1,5 @@
 """Robots of one scene against formulae, on every backend: how they meet, and what is each one's own."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from scenes import (
     SUBSTEPS,
     TIMESTEP_S,
     WHEEL_RADIUS_M,
-    Backend,
+    Company,
     allowed,
     box,
     every_backend,
@@ -25,71 +24,14 @@ from scenes import (
     rover_body,
     walker,
 )
-from test_truth import block, body, link
+from simple_robots import block, body, link
 
-from dune_rl.physics.interface import KinematicCapsule, PhysicsRobot, RobotBody, SceneSpec, StaticBody
 from dune_rl.physics.varied_body import BodyVariation
 
 pytestmark = every_backend
 
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 # Between the wheels' middles.
 TRACK_M = 0.36
-
-
-class Company:
-    """Robots in one scene, that hold their joints still until they are told otherwise."""
-
-    def __init__(
-        self,
-        backend: Backend,
-        robots: Sequence[RobotBody],
-        statics: Sequence[StaticBody] | None = None,
-        kinematics: Sequence[KinematicCapsule] = (),
-        gravity_mps2: float = GRAVITY_MPS2,
-    ) -> None:
-        self.scene = backend(
-            SceneSpec(
-                tuple([plane()] if statics is None else statics),
-                tuple(kinematics),
-                tuple(robots),
-                timestep_s=TIMESTEP_S,
-                solver_iterations=10,
-                gravity_mps2=gravity_mps2,
-            )
-        )
-        self.robots: Sequence[PhysicsRobot] = self.scene.robots
-
-    def place(
-        self,
-        *places_w: Sequence[float],
-        quaternion: Sequence[float] = UPRIGHT,
-        actors: Sequence[Sequence[float]] = (),
-    ) -> None:
-        for robot, place in zip(self.robots, places_w, strict=True):
-            robot.set_start_pose([float(part) for part in place], quaternion)
-        self.actors = np.array(actors, float).reshape(-1, 4)
-        self.scene.reset(self.actors)
-
-    def step(self, count: int = SUBSTEPS, actors: Sequence[Sequence[float]] | None = None) -> None:
-        if actors is not None:
-            self.actors = np.array(actors, float)
-        self.scene.step(count, self.actors)
-
-    @property
-    def states(self) -> np.ndarray:
-        return np.array([robot.body_state() for robot in self.robots])
-
-    @property
-    def positions(self) -> np.ndarray:
-        return self.states[:, :3]
-
-    @property
-    def velocities(self) -> np.ndarray:
-        return self.states[:, 7:10]
-
-    def contacts(self) -> list[set[int]]:
-        return [set(robot.contacts()) for robot in self.robots]
 
 
 # -- collisions ------------------------------------------------------------------------------------

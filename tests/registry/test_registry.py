@@ -11,15 +11,14 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 from pydantic import BeforeValidator, Field, SerializeAsAny, TypeAdapter, ValidationError
+from user_packages import REGISTRIES, registries_restored
 
 import dune_rl
 from dune_rl.errors import RegistryError
-from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.metrics.registry import METRICS
 from dune_rl.registry import Registry
 from dune_rl.settings import Settings
-from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTermConf
-from dune_rl.worlds.registry import WORLDS
+from dune_rl.tasks.registry import REWARDS, RewardTermConf
 
 Entries = TypeAdapter(
     Annotated[
@@ -33,12 +32,8 @@ GROUP: Any = SimpleNamespace(speed=np.array([1.0, 3.0]))
 
 @pytest.fixture(autouse=True)
 def _no_parts_stay() -> Iterator[None]:
-    registries: tuple[Registry[Any], ...] = (REWARDS, TERMINATIONS, METRICS, ALGORITHMS)
-    before = [dict(registry._user_parts) for registry in registries]
-    yield
-    for registry, parts in zip(registries, before, strict=True):
-        registry._user_parts.clear()
-        registry._user_parts.update(parts)
+    with registries_restored():
+        yield
 
 
 def slow(state: Any, group: Any, *, top_mps: Annotated[float, Field(gt=0)] = 2.0) -> np.ndarray:
@@ -147,12 +142,15 @@ def test_values_of_a_users_term_are_checked() -> None:
 
 
 def test_only_classes_are_algorithms() -> None:
-    with pytest.raises(RegistryError, match="which must be a class of algorithms, and is <function slow"):
+    with pytest.raises(
+        RegistryError, match=r"class derived from .*Algorithm, and is <function slow"
+    ):
         dune_rl.register_algorithm(slow)
 
 
-@pytest.mark.parametrize("registry", [WORLDS, REWARDS, TERMINATIONS, METRICS])
+@pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.kind)
 def test_our_own_parts_are_there(registry: Registry[Any]) -> None:
+    assert registry.own
     for name in registry.own:
         settings = registry.settings_class(name)
         assert settings.model_fields[registry.tag].default == name

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from batches import real_batch
 from instruments import moment
 from mounted import camera_conf
 from scanning import flat_with, lidar_in
 from scipy import integrate
+from simulations import act, observation, started_simulation
 
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.errors import ConfigError
@@ -257,7 +257,7 @@ def test_a_scan_in_fog_passes_the_same_gate_as_faults():
 def test_weather_reaches_every_sensor_and_repeats():
     seen = {}
     for weather, scenes in (("clear", 1), ("fog", 1), ("fog", 2)):
-        batch = real_batch(
+        batch = started_simulation(
             {"name": "flat", "size_m": 20.0, "region_size_m": 6.0},
             scenes,
             seed=3,
@@ -265,8 +265,8 @@ def test_weather_reaches_every_sensor_and_repeats():
             sensors=["lidar", "lidar_3d", "camera", "depth_strip", "imu", "goal"],
         )
         for _ in range(3):
-            batch.step(np.tile(np.array([[0.5, 0.2]], np.float32), (scenes, 1)))
-        seen[weather, scenes] = {name: value[0].tobytes() for name, value in batch.observe().items()}
+            act(batch, [0.5, 0.2])
+        seen[weather, scenes] = {name: value[0].tobytes() for name, value in observation(batch).items()}
         batch.close()
     assert seen["fog", 1] == seen["fog", 2]
     changed = {name for name, value in seen["fog", 1].items() if value != seen["clear", 1][name]}

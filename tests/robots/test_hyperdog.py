@@ -4,18 +4,16 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
-from batches import every_engine, metric
 from defusedxml.ElementTree import parse
+from dune_rl.engine_comparison.watched import watched_batch
 from scenes import STEP_S, every_backend, plane, quaternion_of
+from simulations import act, every_engine, metric, motion_of_group, observation
 from walking_robots import Walk
 
-from dune_rl.config.build import build_robot, make_batch, make_torchrl_env
+from dune_rl.config.build import build_robot, make_simulation, make_torchrl_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.engine_comparison.watched import watched_batch
-from dune_rl.env.bounds import rover_observation_bounds
 from dune_rl.errors import ConfigError
-from dune_rl.learning.layout import Layout
-from dune_rl.learning.policies import GoToGoal
+from dune_rl.learning.policies import built_in_policy
 from dune_rl.paths import assets_folder
 from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
 
@@ -158,15 +156,16 @@ def _conf(*overrides: str):
 
 def _run(conf, scenes: int, steps: int = 25, first: int = 0, every: int = 4) -> list[np.ndarray]:
     """True states after each step of the scenes whose episodes are `first`, `first + every` and so on."""
-    batch = make_batch(conf, scenes, 3)
+    batch = make_simulation(conf, scenes, 3)
     batch.reseed(3, first)
     batch.reset()
-    low, high = batch.robot.action_bounds()
+    low, high = batch.group().action_bounds
     draws = np.random.default_rng(0).uniform(low, high, (steps, 4, len(low))).astype(np.float32)
     found = []
     for actions in draws:
-        batch.step(actions[first : first + scenes])
-        found.append(np.concatenate([batch.motion.position_w, batch.motion.angular_b], axis=1))
+        act(batch, actions[first : first + scenes])
+        motion = motion_of_group(batch)
+        found.append(np.concatenate([motion.position_w, motion.angular_b], axis=1))
     batch.close()
     return found
 
@@ -190,20 +189,20 @@ def test_fallen_and_kicking_it_observes_within_bounds(engine):
         [
             *("robot=hyperdog", "robot.action=joints", f"physics={engine}", "actors=walkers"),
             "sensors=[lidar,lidar_past,height_scan,depth_strip,imu,goal,velocity,encoders,currents,position]",
-            f"task.termination.flipped_rad={np.pi}",
+            "task.terminations.flipped.angle_deg=180",
         ],
     )
-    batch = make_batch(conf, 4, 2)
+    batch = make_simulation(conf, 4, 2)
     batch.reset()
-    draws, bounds = np.random.default_rng(1), rover_observation_bounds(batch)
-    low, high = batch.robot.action_bounds()
+    draws, bounds = np.random.default_rng(1), batch.group().observation_bounds
+    low, high = batch.group().action_bounds
     fell = np.zeros(4, bool)
     for step in range(100):
         if step % 4 == 0:
             actions = draws.uniform(low, high, (4, 12)).astype(np.float32)
-        batch.step(actions)
-        fell |= batch.motion.tilt() > np.deg2rad(100.0)
-        for name, reading in batch.observe().items():
+        act(batch, actions)
+        fell |= motion_of_group(batch).tilt > np.deg2rad(100.0)
+        for name, reading in observation(batch).items():
             assert ((bounds[name][0] <= reading) & (reading <= bounds[name][1])).all(), name
     assert fell.sum() >= 2
     batch.close()
@@ -214,12 +213,12 @@ def test_its_action_of_rest_stands(engine):
     conf = compose_environment(
         "flat", ["robot=hyperdog", "robot.action=joints", f"physics={engine}", "actors=none"]
     )
-    batch = make_batch(conf, 1, 0)
+    batch = make_simulation(conf, 1, 0)
     batch.reset()
-    start = batch.motion.position_w[0].copy()
+    start = motion_of_group(batch).position_w[0].copy()
     for _ in range(40):
-        batch.step(batch.robot.rest_action()[None].astype(np.float32))
-    np.testing.assert_allclose(batch.motion.position_w[0], start, atol=6e-3)
+        act(batch, batch.group().body.robot.rest_action())
+    np.testing.assert_allclose(motion_of_group(batch).position_w[0], start, atol=6e-3)
     batch.close()
 
 
@@ -227,7 +226,7 @@ def test_its_action_of_rest_stands(engine):
 def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     batch, scenes = watched_batch("flat", engine, "hyperdog", 4, 0, {})
     batch.reset()
-    low, high = batch.robot.action_bounds()
+    low, high = batch.group().action_bounds
     draws = np.random.default_rng(0)
     lying, longest, ended = np.zeros(4), 0.0, 0
     for step in range(240):
@@ -236,8 +235,8 @@ def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
         if step % 60 == 0:
             for scene, bearing in zip(scenes, draws.uniform(-np.pi, np.pi, 4), strict=True):
                 scene.robots[0].apply_force([200.0 * np.cos(bearing), 200.0 * np.sin(bearing), 0.0])
-        outcome = batch.step(actions)
-        lying = np.where(batch.motion.tilt() > np.deg2rad(40.0), lying + 1, 0)
+        outcome = act(batch, actions)
+        lying = np.where(motion_of_group(batch).tilt > np.deg2rad(40.0), lying + 1, 0)
         longest = max(longest, lying.max())
         if outcome.terminated.any():
             ended += outcome.terminated.sum()
@@ -250,20 +249,22 @@ def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
 
 def test_instruments_on_joints_read_twelve_and_odometry_is_refused():
     conf = _conf("sensors=[imu,encoders,currents]")
-    batch = make_batch(conf, 1, 0)
+    batch = make_simulation(conf, 1, 0)
     batch.reset()
-    readings = batch.observe()
+    readings = observation(batch)
     assert readings["encoders"].shape == (1, 24)
     assert readings["currents"].shape == (1, 12)
     batch.close()
     with pytest.raises(ConfigError, match="odometry is of wheels"):
-        make_batch(_conf("sensors=[odometry]"), 1, 0)
+        make_simulation(_conf("sensors=[odometry]"), 1, 0)
 
 
 def test_who_goes_to_goals_by_speed_and_heading_says_that_joints_are_not_for_it():
     env = make_torchrl_env(_conf("robot.action=joints"), 1, 0)
-    with pytest.raises(ConfigError, match=r"takes 12 numbers; take policy=random, .*learning.warm_up=random"):
-        GoToGoal(Layout.of(env))
+    with pytest.raises(
+        ConfigError, match=r"has 12 components; take policy=random, .*learning.warm_up=random"
+    ):
+        built_in_policy("go_to_goal", env)
     env.close()
 
 
@@ -273,10 +274,10 @@ def test_its_battery_lasts_about_the_fifty_minutes_that_its_authors_state(engine
         "flat",
         ["robot=hyperdog", "actors=none", "sensors=[imu]", "metrics.energy=true", f"physics={engine}"],
     )
-    batch = make_batch(conf, 1, 0)
+    batch = make_simulation(conf, 1, 0)
     batch.reset()
     for _ in range(100):
-        batch.step(np.array([[0.3, 0.0]], np.float32))
+        act(batch, [0.3, 0.0])
     share, range_km = metric(batch, "battery_share")[0], metric(batch, "range_km")[0]
     batch.close()
     assert 40.0 < 5.0 / share / 60.0 < 60.0

@@ -12,9 +12,9 @@ from dune_rl.robots.leo_rover import shapes as leo_shapes
 from dune_rl.robots.rover_zero import shapes as rover_zero_shapes
 
 ROBOTS = {
-    "hyperdog": hyperdog_shapes.shapes,
-    "leo_rover": leo_shapes.shapes,
-    "rover_zero": rover_zero_shapes.shapes,
+    "hyperdog": hyperdog_shapes.make_meshes,
+    "leo_rover": leo_shapes.make_meshes,
+    "rover_zero": rover_zero_shapes.make_meshes,
 }
 
 

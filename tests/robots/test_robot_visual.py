@@ -71,7 +71,7 @@ def test_links_are_where_pybullet_has_them(urdf):
         shapes = pybullet.getVisualShapeData(robot, physicsClientId=client)
     finally:
         pybullet.disconnect(client)
-    found = RobotVisual(urdf).bodies(position, rotation_matrices(quaternion), joints)
+    found = RobotVisual(urdf).posed_meshes(position, rotation_matrices(quaternion), joints)
     assert len(found) == len(poses)
     for where, turn in poses.values():
         nearest = min(found, key=lambda each: np.linalg.norm(each.position - where))
@@ -114,8 +114,8 @@ def _same_shape(drawn: PosedMesh, shapes: list[tuple]) -> None:
 
 def test_joint_angles_turn_the_wheels_and_nothing_else():
     visual = RobotVisual(ROVER_URDF)
-    still = visual.bodies(np.zeros(3), np.eye(3))
-    turned_by = visual.bodies(np.zeros(3), np.eye(3), {"front_left_wheel_joint": 0.7})
+    still = visual.posed_meshes(np.zeros(3), np.eye(3))
+    turned_by = visual.posed_meshes(np.zeros(3), np.eye(3), {"front_left_wheel_joint": 0.7})
     moved = [not np.allclose(a.rotation, b.rotation) for a, b in zip(still, turned_by, strict=True)]
     assert sum(moved) == 1
     wheel = turned_by[moved.index(True)]

@@ -10,9 +10,10 @@ import pytest
 import trimesh
 from defusedxml.ElementTree import parse
 from scenes import STEP_S, Drive, every_backend
+from simulations import act, metric, motion_of_group
 from urdf_files import CART, write_cart
 
-from dune_rl.config.build import make_batch
+from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError, RobotError
 from dune_rl.paths import assets_folder
@@ -109,7 +110,7 @@ def test_its_looks_come_from_its_package(tmp_path, material, redder):
     shell.export(path.parent.parent / "meshes" / "shell.glb")
     path.write_text(path.read_text().replace('shell.obj" scale', 'shell.glb" scale'))
     robot = UrdfRobot(UrdfConf(path=str(path)), 1)
-    (body,) = RobotVisual(robot.body.look).bodies(np.zeros(3), np.eye(3))
+    (body,) = RobotVisual(robot.body.look).posed_meshes(np.zeros(3), np.eye(3))
     shape = body.solid.shape
     np.testing.assert_allclose(np.ptp(shape.vertices, axis=0), [0.4, 0.3, 0.12], atol=1e-6)
     assert (shape.albedo[:, 0] > 5 * shape.albedo[:, 2]).all() == redder
@@ -249,14 +250,14 @@ def test_settings_that_do_not_fit_the_file_are_told(tmp_path, settings, message)
 def test_the_command_line_chooses_it(tmp_path, words):
     path = write_cart(tmp_path)
     conf = compose_environment("flat", ["actors=none", *words, f"robot.path={path}"])
-    batch = make_batch(conf, 2, 0)
+    batch = make_simulation(conf, 2, 0)
     batch.reset()
     for _ in range(20):
-        batch.step(np.array([[0.5, 0.0], [0.0, 0.5]], np.float32))
-    assert batch.metrics()[0, batch.metric_names.index("diverged")] == 0
-    assert batch.motion.velocity_b[0, 0] == pytest.approx(0.5, rel=0.1)
+        act(batch, [[0.5, 0.0], [0.0, 0.5]])
+    assert metric(batch, "diverged")[0] == 0
+    assert motion_of_group(batch).velocity_b[0, 0] == pytest.approx(0.5, rel=0.1)
     # Over the body, whose top is 0.16 m high.
-    assert batch.sensors.lidar.mount_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
+    assert batch.group().suite.conf.lidar.mount_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
     batch.close()
 
 
@@ -271,7 +272,7 @@ def test_a_mount_in_the_ground_is_refused(tmp_path):
         "flat", ["robot=urdf", f"robot.path={path}", "sensors.lidar.mount_b=[0,0,-0.1]"]
     )
     with pytest.raises(ConfigError, match=r"sensors\.lidar\.mount_b lies in the ground"):
-        make_batch(conf, 1, 0)
+        make_simulation(conf, 1, 0)
 
 
 def test_the_check_prints_what_is_derived_or_wrong(tmp_path, capsys):

@@ -8,17 +8,17 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
-from batches import idle, real_batch
 from cameras import EVERYTHING, PERSON, camera_in, look, standing
 from conformance import check_gymnasium, check_kept, check_parallel_api, check_seeding, check_torchrl
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulations import rest, started_simulation
 from states import begin, measure, state_at
 
 import dune_rl
-from dune_rl.actors.actor import ActorConf
+from dune_rl.bodies.person import PersonConf
 from dune_rl.config.compose import compose
-from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.geometry.frames import rotation_matrices, wrap_angle
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera_sensor import CameraSensor
@@ -35,7 +35,7 @@ def rough() -> World:
     return World("rough", HeightField(heights, 1.0, (-15.0, -15.0)), props, region=(-4, 4, -4, 4))
 
 
-CROWD = (PERSON, ActorConf(radius_m=0.4, height_m=1.6), PERSON)
+CROWD = (PERSON, PersonConf(radius_m=0.4, height_m=1.6), PERSON)
 
 
 def poses_in(scenes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -168,18 +168,20 @@ def test_a_reading_is_the_reader_s_own():
 
 def test_a_rover_s_camera_sees_what_lies_before_the_rover():
     walk = {"waypoints": ((2.5, -5.0), (2.5, 5.0)), "speed_mps": 3.0}
-    batch = real_batch("flat", 6, actors=[walk], sensors=SEEING)
+    scenes = started_simulation("flat", 6, actors=[walk], sensors=SEEING)
     seen, unseen = 0, 0
     for _ in range(25):
-        batch.step(idle(batch))
-        offset = batch.actors.poses[:, 0, :2] - batch.motion.position_w[:, :2]
-        bearing, apart = batch.motion.bearing(batch.actors.poses[:, 0, :2]), np.hypot(*offset.T)
-        there = (batch.observe()["camera_segmentation"] == Segment.ACTOR).any(axis=(1, 2, 3))
+        scenes.step(rest(scenes))
+        rover = scenes.state.groups["rover"]
+        offset = rover.neighbours[:, 0, :2] - rover.motion.position_w[:, :2]
+        bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - rover.motion.yaw)
+        apart = np.hypot(*offset.T)
+        there = (scenes.observe()["camera_segmentation"] == Segment.ACTOR).any(axis=(1, 2, 3, 4))
         ahead, aside = (np.abs(bearing) < 0.4) & (apart < 5.0), (np.abs(bearing) > 1.0) & (apart > 1.0)
         assert there[ahead].all()
         assert not there[aside].any()
         seen, unseen = seen + ahead.sum(), unseen + aside.sum()
-    batch.close()
+    scenes.close()
     assert seen > 5 and unseen > 5
 
 
@@ -189,7 +191,7 @@ SEEING = {
 }
 
 
-SHORT = {"termination": {"max_steps": 6}}
+SHORT = {"terminations": {"time_limit": {"max_steps": 6}}}
 
 
 @pytest.fixture(scope="module")
@@ -225,11 +227,13 @@ def test_the_gymnasium_environment_with_a_camera_keeps_the_rules():
 
 @pytest.mark.parametrize("scenes", [1, 3])
 def test_the_torchrl_environment_with_a_camera_keeps_the_rules(scenes):
-    env = dune_rl.make("flat", scenes, sensors=SEEING, task={"termination": {"max_steps": 2}})
+    env = dune_rl.make(
+        "flat", scenes, sensors=SEEING, task={"terminations": {"time_limit": {"max_steps": 2}}}
+    )
     check_torchrl(env)
-    spec = env.observation_spec["camera_rgb"]
+    spec = env.observation_spec["rover", "observation", "camera_rgb"]
     assert str(spec.dtype) == "torch.uint8"
-    assert spec.shape == (scenes, 12, 16, 3)
+    assert spec.shape == (scenes, 1, 12, 16, 3)
     assert (int(spec.low.min()), int(spec.high.max())) == (0, 255)
     env.close()
 

@@ -15,9 +15,9 @@ from cameras import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from people import meshes_of
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.sensors.lens import Lens
 
@@ -74,7 +74,7 @@ def test_walls_hide_actors_and_actors_walls():
     assert 0 < actor_pixels(aside).sum() < actor_pixels(out).sum()
 
 
-@pytest.mark.parametrize("confs", [(PERSON, PERSON), (PERSON, ActorConf(radius_m=0.4, height_m=1.6))])
+@pytest.mark.parametrize("confs", [(PERSON, PERSON), (PERSON, PersonConf(radius_m=0.4, height_m=1.6))])
 @pytest.mark.parametrize("swapped", [False, True])
 def test_of_two_actors_in_line_the_nearer_is_seen(confs, swapped):
     camera = camera_in(PLAIN, confs)
@@ -115,7 +115,7 @@ def test_no_pixel_of_an_actor_is_left_out(lens, x, y, z, quaternion):
     found = look(camera, STANDING, rotation, [(x, y, z, 1.0)])
     nobody = look(camera_in(PLAIN, **conf), STANDING, rotation)
     # Every pixel's ray cast at the actor, instead of those near it.
-    figure = actor_moving_meshes((PERSON,))[0]
+    figure = meshes_of((PERSON,))[0]
     rays = Lens(camera.conf).directions.reshape(-1, 3) @ rotation.T
     origin = np.tile(camera.origin(STANDING[None], rotation[None]), (len(rays), 1))
     ranges = np.full(len(rays), 100.0, np.float32)

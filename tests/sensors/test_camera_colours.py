@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from cameras import AHEAD, EVERYTHING, PERSON, Box, camera_in, look, plain, standing, with_boxes
 from mounted import camera_conf
+from people import meshes_of
 from PIL import Image
 from scanning import turned
 
-from dune_rl.actors.shapes import actor_moving_meshes
 from dune_rl.config.build import build_world
 from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.light import Light, LightConf
@@ -119,7 +119,9 @@ def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
         light = Light.from_conf(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
         camera = Camera(
-            camera_conf(width=16, height=12), BakedScenery(build_scenery(with_boxes(WALL)), light), actor_moving_meshes(())
+            camera_conf(width=16, height=12),
+            BakedScenery(build_scenery(with_boxes(WALL)), light),
+            meshes_of(()),
         )
         red, _, blue = look(camera)["rgb"][6].mean(axis=0)
         return red / blue

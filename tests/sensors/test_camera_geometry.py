@@ -19,7 +19,7 @@ from mounted import camera_conf
 from scanning import turned
 from scenes import about
 
-from dune_rl.actors.actor import ActorConf
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import CameraConf
@@ -157,7 +157,7 @@ def test_a_camera_s_pitch_is_the_rover_s():
 
 
 def test_left_is_left_and_up_is_up():
-    camera = camera_in(PLAIN, (PERSON, ActorConf(radius_m=0.1, height_m=0.3)))
+    camera = camera_in(PLAIN, (PERSON, PersonConf(radius_m=0.1, height_m=0.3)))
     found = look(camera, actors=[(3.0, 0.9, 0.0, 0.0), (3.0, -0.9, 0.0, 0.0)])
     rows, columns = np.nonzero(actor_pixels(found))
     left, right = columns < 16, columns >= 16

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mounted import depth_strip_conf
+from people import meshes_of
 from pydantic import ValidationError
 from scanning import flat_with, turned
 from scenes import about
 from states import begin, measure, state_at
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
@@ -22,15 +22,17 @@ from dune_rl.worlds.world import Prop, World
 STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
 NOBODY = np.zeros((1, 0, 4))
-PERSON = ActorConf()
+PERSON = PersonConf()
 # The middles of 32 columns over 1.5 rad.
 BEARINGS = 1.5 * ((np.arange(32) + 0.5) / 32 - 0.5)
 
 
-def strip_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 1, **conf: object) -> DepthStrip:
+def strip_in(
+    world: World, actors: tuple[PersonConf, ...] = (), scenes: int = 1, **conf: object
+) -> DepthStrip:
     solid = world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    return DepthStrip(depth_strip_conf(**conf), rays, actor_moving_meshes(actors), scenes)
+    return DepthStrip(depth_strip_conf(**conf), rays, meshes_of(actors), scenes)
 
 
 def depths(

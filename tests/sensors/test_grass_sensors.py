@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from mounted import camera_conf, depth_strip_conf, lidar_3d_conf
+from people import meshes_of
 from states import begin, episode_state
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera
@@ -18,8 +18,8 @@ from dune_rl.sensors.depth_strip import DepthStrip
 from dune_rl.sensors.lidar_3d import Lidar3d
 from dune_rl.sensors.medium import InGrass
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.world import World
 
 # Full grass where x > 2, from 2 cells before it on interpolated.
@@ -84,16 +84,18 @@ def test_rings_tell_grass_from_ground():
     assert (found["intensity"][green] > 0.0).all()
 
 
-def camera_in(world: World, air: ParticipatingMedia, actors: tuple[ActorConf, ...] = ()) -> Camera:
+def camera_in(world: World, air: ParticipatingMedia, actors: tuple[PersonConf, ...] = ()) -> Camera:
     conf = camera_conf(width=16, height=16, range_m=50.0, outputs=("rgb", "depth", "segmentation", "normals"))
-    return Camera(conf, bake_world(world, LightConf()), actor_moving_meshes(actors), air)
+    return Camera(conf, bake_world(world, LightConf()), meshes_of(actors), air)
 
 
 def test_pixels_show_the_grass_that_takes_half_their_light():
     world = ahead_world()
     person = np.array([[[8.0, -0.26, 0.0, 0.0]]])
-    bare = camera_in(world, ParticipatingMedia(), (ActorConf(),)).frames(STANDING, LEVEL, person)
-    seen = camera_in(world, ParticipatingMedia(foliage=world.grass.foliage), (ActorConf(),)).frames(STANDING, LEVEL, person)
+    bare = camera_in(world, ParticipatingMedia(), (PersonConf(),)).frames(STANDING, LEVEL, person)
+    seen = camera_in(world, ParticipatingMedia(foliage=world.grass.foliage), (PersonConf(),)).frames(
+        STANDING, LEVEL, person
+    )
     level = (0, 7, 8, 0)
     assert bare["segmentation"][level] == Segment.ACTOR
     assert seen["segmentation"][level] == Segment.VEGETATION
@@ -131,7 +133,8 @@ def test_a_picture_shows_it():
     look = bake_world(world, LightConf())
     view = Viewpoint((-1.0, 0.0, 0.8), (3.0, 0.0, 0.5))
     bare, grown = (
-        Renderer(look, air).render(view, 80, 60) for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
+        Renderer(look, air).render(view, 80, 60)
+        for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
     )
     np.testing.assert_array_equal(Renderer(look).render(view, 80, 60), bare)
     assert (grown[:4] == bare[:4]).all()

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from cameras import AHEAD, Box, standing
 from meadows import EVERYWHERE
+from people import meshes_of
 from scenes import STEP_S, about
 from states import group_state, joints_from, motion_of, state_of
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.env.sensing import sensor_context
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import SharedPerScene
-from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.foliage import BatchedFoliage
+from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.context import SensorCarrier, SensorContext
@@ -41,7 +41,7 @@ WORLDS = (
     hilly(1, AHEAD, (0.0, 4.0, 0.3, 3.0, 0.5, 2.0)),
     hilly(2, (-3.0, 0.5, 0.7, 1.0, 1.0, 0.4), (1.5, -1.0, 0.0, 0.5, 0.5, 0.3)),
 )
-WALKERS = (ActorConf(), ActorConf(radius_m=0.4, height_m=1.2))
+WALKERS = (PersonConf(), PersonConf(radius_m=0.4, height_m=1.2))
 CARRIER = SensorCarrier(
     scanner_b=(0.1, 0.05, 0.2),
     camera_b=(0.2, 0.0, 0.3),
@@ -89,7 +89,7 @@ FAULTS = {
 
 def context(worlds: tuple, rows: int, air: Callable[[int], BeamMedia] | None = None) -> SensorContext:
     sites = BatchedWorlds([(world, WeatherConf()) for world in worlds])
-    found = sensor_context(sites, CARRIER, actor_moving_meshes(WALKERS), num_rows=rows, step_s=STEP_S)
+    found = sensor_context(sites, CARRIER, meshes_of(WALKERS), num_rows=rows, step_s=STEP_S)
     return found if air is None else replace(found, air=air(len(worlds)))
 
 

@@ -9,10 +9,10 @@ from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
+from simulations import rest, started_simulation
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.config.build import build_world, make_batch
-from dune_rl.config.schema import EnvConf
+from dune_rl.bodies.person import PersonConf
+from dune_rl.config.build import build_world
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.sensors.lidar import beam_angles
@@ -24,7 +24,7 @@ CONF = lidar_conf()
 LEVEL = np.eye(3)
 STANDING = np.array([0.0, 0.0, 0.125])
 NOBODY = np.zeros((1, 0, 4))
-PERSON = ActorConf()
+PERSON = PersonConf()
 MAST_M = 0.125 + CONF.mount_b[2]
 
 
@@ -138,7 +138,7 @@ def test_people_stand_where_geometry_says(people):
 
 
 def test_actors_of_two_sizes_keep_their_own_shapes():
-    thin, tall = ActorConf(radius_m=0.1, height_m=0.25), ActorConf(radius_m=0.5, height_m=2.0)
+    thin, tall = PersonConf(radius_m=0.1, height_m=0.25), PersonConf(radius_m=0.5, height_m=2.0)
     poses = np.array([[0.174, 3.0, 0, 0], [3.0, 0, 0, 0], [0.174, -3.0, 0, 0], [-3.0, 0, 0, 0.0]])
     lidar = lidar_in(build_flat(FlatConf()), (tall, thin, tall, thin))
     ranges = lidar.ranges(STANDING[None], LEVEL[None], poses[None])[0]
@@ -265,21 +265,21 @@ def test_whatever_the_pose_ranges_are_within_range(x, y, z, quaternion, actor):
 
 
 def test_a_moving_actor_is_seen_where_it_is_at_that_instant():
-    walk = ActorConf(waypoints=((3.0, -4.0), (3.0, 4.0)), speed_mps=2.0)
-    batch = make_batch(EnvConf(world=FlatConf(), actors=(walk,)), 2, seed=4)
-    batch.reset()
+    walk = {"waypoints": ((3.0, -4.0), (3.0, 4.0)), "speed_mps": 2.0}
+    scenes = started_simulation("flat", 2, seed=4, actors=[walk])
     seen = 0
     for _ in range(60):
-        batch.step(np.zeros((2, 2), np.float32))
-        lidar = batch.observe()["lidar"]
+        scenes.step(rest(scenes))
+        lidar = scenes.observe()["lidar"][:, 0]
+        rover = scenes.state.groups["rover"]
         for scene in range(2):
-            origin = mount(batch.motion.position_w[scene], batch.motion.rotation[scene])
-            offset = batch.actors.poses[scene, 0, :2] - origin[:2]
+            origin = mount(rover.motion.position_w[scene], rover.motion.rotation[scene])
+            offset = rover.neighbours[scene, 0, :2] - origin[:2]
             apart = np.hypot(*offset)
             if not 1.0 < apart < 6.0:
                 continue
             seen += 1
             # 0.1 m of walking lies between this step and the one before; beams lie 0.05 rad apart.
             assert lidar[scene].min() == pytest.approx(apart - 0.25, abs=0.02)
-    batch.close()
+    scenes.close()
     assert seen > 30

@@ -5,39 +5,45 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mounted import lidar_3d_conf, lidar_conf
+from people import meshes_of
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
 from states import begin, measure, state_at
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.beam_surface import luminance
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
+from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.props import upright_box
-from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import Prop, World
 
 EVERYTHING = ("range", "intensity", "segmentation")
 STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
 NOBODY = np.zeros((1, 0, 4))
-PERSON = ActorConf()
+PERSON = PersonConf()
 # The mount's height over ground on which the rover stands.
 MAST_M = 0.125 + 0.196
 
 
-def lidar_3d_in(world: World, actors: tuple[ActorConf, ...] = (), scenes: int = 1, **conf: object) -> Lidar3d:
+def lidar_3d_in(
+    world: World, actors: tuple[PersonConf, ...] = (), scenes: int = 1, **conf: object
+) -> Lidar3d:
     solid = world.solid_mesh()
     settings = lidar_3d_conf(**{"outputs": EVERYTHING, **conf})
     return Lidar3d(
-        settings, RayScene(solid.vertices, solid.faces), beam_surface(world), actor_moving_meshes(actors), scenes
+        settings,
+        RayScene(solid.vertices, solid.faces),
+        beam_surface(world),
+        meshes_of(actors),
+        scenes,
     )
 
 
@@ -51,7 +57,7 @@ def scan(
 
 def test_its_level_ring_is_the_planar_lidar():
     world = build_inspection(InspectionConf(seed=2))
-    actors = (PERSON, ActorConf(radius_m=0.4))
+    actors = (PERSON, PersonConf(radius_m=0.4))
     conf = lidar_conf(n_beams=180, n_segments=180, range_m=20.0, fov_rad=4.0)
     planar = lidar_in(world, actors, conf)
     rings = lidar_3d_in(
@@ -160,7 +166,9 @@ def test_a_world_s_look_follows_its_solid_faces():
     for index in np.unique(owner[owner >= 0]):
         prop, of = world.props[index], np.flatnonzero(owner == index)
         assert (look.segments[of] == (Segment.DECK if prop.drivable else Segment.OBSTACLE)).all()
-        np.testing.assert_allclose(look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5)
+        np.testing.assert_allclose(
+            look.luminance[of], luminance(srgb_to_linear(np.array(prop.colour))), rtol=1e-5
+        )
     ground = look.luminance[:-1][owner < 0]
     # Grass and earth differ, and neither is black or white.
     assert 0.05 < ground.min() < 0.9 * ground.max() < 0.5
@@ -184,7 +192,7 @@ def test_people_are_seen_at_their_pose_of_that_instant():
 
 
 def test_the_nearer_of_two_people_hides_the_other_whatever_their_order():
-    lidar = lidar_3d_in(build_flat(FlatConf()), (PERSON, PERSON, ActorConf(radius_m=0.2)))
+    lidar = lidar_3d_in(build_flat(FlatConf()), (PERSON, PERSON, PersonConf(radius_m=0.2)))
     people = np.array([[4.0, 0.0, 0.0, 0.0], [2.0, 0.05, 0.0, 0.0], [6.0, 0.0, 0.0, 0.0]])
     seen = [scan(lidar, actors=people[None, [a, b, 2]])["range"] for a, b in ((0, 1), (1, 0))]
     np.testing.assert_array_equal(*seen)

@@ -5,11 +5,11 @@ import pybullet
 import pytest
 import trimesh
 from mounted import camera_conf, lidar_3d_conf, lidar_conf
+from people import meshes_of
 from scanning import lidar_in, turned
 from scenes import about
 
-from dune_rl.actors.actor import ActorConf
-from dune_rl.actors.shapes import actor_moving_meshes
+from dune_rl.bodies.person import PersonConf
 from dune_rl.config.build import build_world
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
@@ -19,11 +19,11 @@ from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.world import World
 
-PEOPLE = (ActorConf(), ActorConf(radius_m=0.4, height_m=1.6), ActorConf())
+PEOPLE = (PersonConf(), PersonConf(radius_m=0.4, height_m=1.6), PersonConf())
 TOLERANCE_M = 0.01
 # How far aside to look for the edge that explains a beam which differs: a person is drawn with flat
 # sides, up to 7 mm inside the capsule that PyBullet has.
@@ -60,7 +60,7 @@ class Site:
         body = pybullet.createMultiBody(0.0, solid, seen, physicsClientId=self.client)
         self.segments[body] = segment
 
-    def _add_person(self, conf: ActorConf) -> int:
+    def _add_person(self, conf: PersonConf) -> int:
         middle = conf.height_m - 2 * conf.radius_m
         solid = pybullet.createCollisionShape(
             pybullet.GEOM_CAPSULE, radius=conf.radius_m, height=middle, physicsClientId=self.client
@@ -199,7 +199,7 @@ def test_the_rings_are_pybullet_s(site):
     conf = lidar_3d_conf(outputs=("range", "segmentation"))
     solid = site.world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    lidar = Lidar3d(conf, rays, beam_surface(site.world), actor_moving_meshes(PEOPLE), 1)
+    lidar = Lidar3d(conf, rays, beam_surface(site.world), meshes_of(PEOPLE), 1)
     elevation, bearing = np.meshgrid(
         np.linspace(0.262, -0.262, 16), -np.pi + 2 * np.pi / 512 * np.arange(512), indexing="ij"
     )
@@ -224,7 +224,7 @@ def test_the_rings_are_pybullet_s(site):
 def test_the_camera_s_depths_are_pybullet_s(site):
     conf = camera_conf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_rad=0.1)
     look = bake_world(site.world, LightConf())
-    camera = Camera(conf, look, actor_moving_meshes(PEOPLE))
+    camera = Camera(conf, look, meshes_of(PEOPLE))
     upward = np.array([[0.0, 0.0, 1.0]], np.float32)
     errors, people_errors = [], []
     while len(errors) < 12:

@@ -5,7 +5,7 @@ import pytest
 from mounted import lidar_conf
 from scanning import flat_with, lidar_in, turned
 
-from dune_rl.actors.actor import ActorConf
+from dune_rl.bodies.person import PersonConf
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.past_scan import PastScan
 
@@ -59,7 +59,7 @@ def test_a_turn_and_a_drive_leave_walls_where_they_are():
 
 
 def test_what_moved_is_where_it_was():
-    walker = ActorConf(radius_m=0.3)
+    walker = PersonConf(radius_m=0.3)
     lidar = lidar_in(flat_with(), (walker,))
     past = PastScan(CONF, 1, 1)
     past.restart(ALL, sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 0.0, 0.0, 0.0]]]))[1])
@@ -74,7 +74,7 @@ def test_what_moved_is_where_it_was():
 
 
 def test_it_is_as_old_as_asked_for_and_no_older_than_its_episode():
-    lidar = lidar_in(flat_with(), (ActorConf(),))
+    lidar = lidar_in(flat_with(), (PersonConf(),))
     two = PastScan(CONF, 2, 3)
     rotation = np.stack([np.eye(3)] * 2)
     position = np.stack([STANDING] * 2)

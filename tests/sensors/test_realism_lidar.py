@@ -5,6 +5,7 @@ import pytest
 from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
+from simulations import started_simulation
 from states import begin, episode_state, measure
 from test_past_scan import STANDING, WALLS
 
@@ -209,14 +210,12 @@ def test_settings_out_of_range_are_refused(settings, message):
 
 
 def test_rings_have_the_same_faults():
-    from batches import real_batch
-
     settings = {
         "enabled": ["lidar_3d"],
         "lidar_3d": {"n_rings": 4, "n_beams": 64, "outputs": ["range", "segmentation"]},
     }
-    plain = real_batch("inspection", 2, sensors=settings).observe()
-    faulty = real_batch(
+    plain = started_simulation("inspection", 2, sensors=settings).observe()
+    faulty = started_simulation(
         "inspection", 2, sensors=settings | {"realism": {"lidar_3d": {"noise_m": 0.05, "dropout": 0.3}}}
     ).observe()
     true, seen = plain["lidar_3d_range"], faulty["lidar_3d_range"]

@@ -185,3 +185,42 @@ def test_steep_and_blocked_regions_say_so():
 def test_bad_regions_are_refused(region):
     with pytest.raises(ValidationError, match="region"):
         SpawnConf(region=region)
+
+
+# -- goals of an episode under way -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_another_goal_is_away_from_all_that_is_taken(seed: int) -> None:
+    world, conf = inspection(1), SpawnConf(min_goal_distance_m=3.0)
+    spawner, rng = Spawner(world, conf, RADIUS_M), np.random.default_rng(seed)
+    others = spawner.sample_points(rng, 6, RADIUS_M)
+    apart = rng.uniform(0.5, 1.5, 6)
+    start = spawner.sample_points(rng, 1, RADIUS_M)[0]
+    goals = np.array([spawner.sample_goal(rng, start, others, apart) for _ in range(100)])
+    assert np.hypot(*(goals - start).T).min() >= 3.0
+    assert (np.hypot(*np.moveaxis(goals[:, None] - others, -1, 0)) >= apart).all()
+    xmin, xmax, ymin, ymax = world.region
+    assert (goals >= [xmin, ymin]).all()
+    assert (goals <= [xmax, ymax]).all()
+    assert obstacle_points(world).query(goals)[0].min() >= RADIUS_M + conf.margin_m - 0.025
+    assert len(np.unique(goals, axis=0)) > 90
+
+
+def test_another_goal_is_found_even_where_hardly_any_is() -> None:
+    # Of 8 m by 8 m all but a corner of 1.2 m is within 9 m of another robot, at the corner across.
+    spawner = Spawner(build_flat(FlatConf()), SpawnConf(), RADIUS_M)
+    goals = samples_of_goals(spawner, np.zeros(2), np.array([[-4.0, -4.0]]), np.array([10.4]))
+    assert np.hypot(*(goals + 4.0).T).min() >= 10.4
+
+
+def test_another_goal_comes_as_close_as_it_can() -> None:
+    spawner = Spawner(build_flat(FlatConf()), SpawnConf(), RADIUS_M)
+    goals = samples_of_goals(spawner, np.array([3.0, 3.0]), np.array([[-4.0, -4.0]]), np.array([50.0]))
+    # The corner is the farthest from (-4, -4).
+    assert np.hypot(*(goals - 4.0).T).max() < 0.3
+
+
+def samples_of_goals(spawner: Spawner, start: np.ndarray, taken: np.ndarray, apart: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.array([spawner.sample_goal(rng, start, taken, apart) for _ in range(30)])

@@ -380,7 +380,7 @@ def test_with_terms_changes_what_it_is_given() -> None:
     ("rewards", "terminations", "said"),
     [
         ({"distance": {"sclae": 1.0}}, {}, r"rewards\.distance\.sclae\n  Extra inputs"),
-        ({"distnace": {}}, {}, r"no reward 'distnace'.*did you mean distance\?"),
+        ({"distanc": {}}, {}, r"no reward 'distanc'.*did you mean distance\?"),
         ({"distance": {"heading_limit_deg": 181.0}}, {}, r"heading_limit_deg\n.*less than or equal to 180"),
         ({"goal": {"unless": ["gaol"]}}, {}, r"rewards\.goal\.unless names no other reward: 'gaol'"),
         ({"goal": {"unless": ["goal"]}}, {}, r"rewards\.goal\.unless names no other reward: 'goal'"),

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 from batches import idle, real_batch
-from dune_rl.learning.layout import Layout
 from PIL import Image
+from training import make_sac
 
 import dune_rl
 from dune_rl import view
@@ -18,8 +18,8 @@ from dune_rl.config.compose import compose, compose_view
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import write
-from dune_rl.learning.networks import Architecture, make_policy
-from dune_rl.learning.policies import policy_content
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.saved_policies import policy_entry
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.visualization.contact_sheet import contact_sheet
@@ -119,12 +119,12 @@ def test_a_checkpoint_drives(
     robot: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     env = dune_rl.make("flat", 1, sensors=["goal", "velocity"], actors="none", robot=robot)
-    layout = Layout.of(env)
+    group = next(iter(env.group_map))
+    spec = PolicySpec.of(env, group)
     env.close()
     config = compose(["+world=flat", "sensors=[goal,velocity]", "actors=none", "seed=7", f"robot={robot}"])
-    module = make_policy(layout, Architecture((8,)))
-    content = policy_content(module, layout, Architecture((8,)), config.model_dump(mode="json"))
-    write(folder / "policy.pt", "policy", content)
+    groups = {group: policy_entry(make_sac(spec, folder, hidden=(8,)))}
+    write(folder / "policy.pt", "policy", {"groups": groups, "config": config.model_dump(mode="json")})
     words = [word for word in TINY if "=none" not in word and not word.startswith("+world")]
     assert call(*words, "checkpoint=policy.pt", "view=video", "longest_s=0.2", "seed=2") == 0
     assert len(frames_of(folder / "views" / "flat_seed2.mp4")[0]) == 3 + 15

@@ -7,7 +7,7 @@ from scipy import ndimage
 from world_digest import digest
 from world_measures import (
     SEEDS,
-    batch_in,
+    all_stand,
     bodies,
     cached,
     check_ways,
@@ -16,8 +16,8 @@ from world_measures import (
     grid,
     is_closed,
     obstructed_share,
+    rovers_in,
     slope_deg,
-    stands,
 )
 
 from dune_rl.errors import WorldError
@@ -170,8 +170,8 @@ def test_doors_must_fit_the_rooms():
 
 
 def test_rovers_stand_and_reach_goals():
-    batch = batch_in(construction(0), 8)
-    assert stands(batch)
+    batch = rovers_in(construction(0), 8)
+    assert all_stand(batch)
     # Most goals lie behind a wall, into which a rover that drives straight at them runs.
     reached, collisions = goals_reached(batch, 350)
     batch.close()

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from batches import real_batch
 from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN, SMALL, TALL_M
+from simulations import started_simulation
 
 from dune_rl.config.compose import compose
 from dune_rl.errors import ConfigError
@@ -157,11 +157,11 @@ def test_it_is_no_obstacle():
     bare, grown = (build_flat(FlatConf(size_m=20.0, grass_cover=cover)) for cover in (0.0, 0.9))
     assert grown.clearance([[0.0, 0.0]]) == np.inf
     np.testing.assert_array_equal(grown.solid_mesh().vertices, bare.solid_mesh().vertices)
-    without, within = (real_batch({**SMALL, "grass_cover": cover}, 2, seed=4) for cover in (0.0, 0.9))
+    without, within = (started_simulation({**SMALL, "grass_cover": cover}, 2, seed=4) for cover in (0.0, 0.9))
     np.testing.assert_array_equal(without.motion.position_w, within.motion.position_w)
     np.testing.assert_array_equal(without.goals_w, within.goals_w)
-    for batch in (without, within):
-        batch.close()
+    for simulation in (without, within):
+        simulation.close()
 
 
 def test_impossible_grass_is_refused():

@@ -5,10 +5,10 @@ import struct
 import numpy as np
 import pytest
 import tifffile
-from batches import idle
-from mesh_worlds import batch_in
+from mesh_worlds import rover_in
 from PIL import Image
 from pydantic import ValidationError
+from simulations import act, motion_of_group
 from world_files import SHARED_WORLDS, ground_height
 
 from dune_rl.errors import WorldError
@@ -216,9 +216,9 @@ def test_the_mars_yard():
     np.testing.assert_allclose(np.percentile(slope, [50, 90, 99]), [10.8, 27.5, 58.0], atol=1.0)
     place = Spawner(world, SpawnConf(), 0.45).sample(np.random.default_rng(0))
     assert np.rad2deg(world.terrain.slope(np.array([place.x, place.y]))) <= 25.0
-    batch = batch_in(world)
+    simulation = rover_in(world)
     for _ in range(20):
-        batch.step(idle(batch))
-    position = batch.motion.position_w[0]
+        act(simulation)
+    position = motion_of_group(simulation).position_w[0]
     assert 0.0 < float(position[2] - world.terrain.height(position[:2])) < 0.5
-    batch.close()
+    simulation.close()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mesh_worlds import batch_in
+from mesh_worlds import rover_in
 from world_files import bumpy_ground, ground_height
 
 from dune_rl.physics.bullet import scene as bullet
@@ -36,11 +36,11 @@ def test_a_mesh_within_the_bounds_is_left_as_it_is():
 
 def driven(world: World, steps: int = 60) -> np.ndarray:
     """Where a rover is that drives straight on from its start, (steps, 3), never far from the ground."""
-    batch = batch_in(world)
+    batch = rover_in(world)
     path = []
     for _ in range(steps):
         batch.step(np.array([[1.0, 0.0]]))
-        path.append(batch.motion.position_w[0].copy())
+        path.append(motion_of_group(batch).position_w[0].copy())
     batch.close()
     above = np.array(path)[:, 2] - world.terrain.height(np.array(path)[:, :2])
     assert above.min() > 0.05 and above.max() < 0.4

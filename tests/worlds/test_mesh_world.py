@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 import pytest
-from batches import idle, metric
-from mesh_worlds import FORMATS, batch_in
+from mesh_worlds import FORMATS, rover_in
 from pydantic import ValidationError
+from simulations import act, metric, motion_of_group, observation
 from world_files import (
     BENCH,
     CRATE,
@@ -120,17 +120,17 @@ def test_a_rover_stands_and_its_lidar_sees_the_things(tmp_path):
     path = write_yard(tmp_path, "glb")
     # Beside the crate, which is the nearest thing from all of it.
     world = build_mesh(MeshConf(path=str(path), region=(1.0, 3.0, 2.0, 4.0)))
-    batch = batch_in(world)
+    simulation = rover_in(world)
     for _ in range(30):
-        batch.step(idle(batch))
-    position = batch.motion.position_w[0]
+        act(simulation)
+    position = motion_of_group(simulation).position_w[0]
     assert 0.0 < float(position[2] - world.terrain.height(position[:2])) < 0.4
-    assert np.abs(batch.motion.velocity_w[0]).max() < 0.02
-    assert metric(batch, "collisions")[0] == 0
+    assert np.abs(motion_of_group(simulation).velocity_w[0]).max() < 0.02
+    assert metric(simulation, "collisions")[0] == 0
     away = np.maximum(np.abs(position[:2] - CRATE) - 0.5, 0.0)
     # The LiDAR sits 0.2 m from the rover's middle, and its beams are some 11 degrees apart.
-    assert batch.observe()["lidar"].min() == pytest.approx(np.hypot(*away), abs=0.35)
-    batch.close()
+    assert observation(simulation)["lidar"].min() == pytest.approx(np.hypot(*away), abs=0.35)
+    simulation.close()
 
 
 def test_a_mesh_far_from_its_origin_is_moved_there(tmp_path):

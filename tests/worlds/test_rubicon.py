@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from world_digest import digest
 from world_measures import (
     SEEDS,
-    batch_in,
+    all_stand,
     bodies,
     cached,
     check_ways,
@@ -15,9 +15,9 @@ from world_measures import (
     is_closed,
     obstructed_share,
     roughness_m,
+    rovers_in,
     slope_deg,
     spectrum,
-    stands,
 )
 
 from dune_rl.errors import WorldError
@@ -204,8 +204,8 @@ def test_bad_settings_are_refused(wrong):
 
 
 def test_rovers_stand_and_reach_goals():
-    batch = batch_in(rubicon(0), 6)
-    assert stands(batch)
+    batch = rovers_in(rubicon(0), 6)
+    assert all_stand(batch)
     # Driven straight, whatever lies between: some arrive, and not all of them without a touch.
     reached, _ = goals_reached(batch)
     batch.close()

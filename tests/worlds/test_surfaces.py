@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
-from batches import real_batch
 from defusedxml.ElementTree import parse
 from PIL import Image
 from scipy import integrate
+from simulations import act, motion_of_group, started_simulation
 from world_digest import digest
 
 from dune_rl.config.build import build_world
@@ -283,9 +283,11 @@ def test_imported_sinkage_needs_a_map(heights):
 
 
 def test_a_rover_drives_over_a_natural_world():
-    batch = real_batch({"name": "inspection", "surfaces": "natural", "sinkage": True}, num_scenes=2)
-    start = batch.motion.position_w.copy()
+    simulation = started_simulation(
+        {"name": "inspection", "surfaces": "natural", "sinkage": True}, num_scenes=2
+    )
+    start = motion_of_group(simulation).position_w.copy()
     for _ in range(40):
-        batch.step(np.tile(np.array([0.8, 0.0], np.float32), (2, 1)))
-    assert np.linalg.norm(batch.motion.position_w - start, axis=1).min() > 0.5
-    assert not batch.motion.diverged.any()
+        act(simulation, [0.8, 0.0])
+    assert np.linalg.norm(motion_of_group(simulation).position_w - start, axis=1).min() > 0.5
+    assert not motion_of_group(simulation).diverged.any()

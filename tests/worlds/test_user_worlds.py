@@ -13,8 +13,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from own_worlds import install, known, write
 from pydantic import Field
+from user_packages import install_package, packages_on_path, write_package
 
 import dune_rl
 from dune_rl.config.build import build_world
@@ -47,8 +47,8 @@ def dish(conf: DishConf) -> World:
 @pytest.fixture
 def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with the README's files, which is the current one and on Python's path."""
-    monkeypatch.chdir(write(README, tmp_path))
-    with known(tmp_path):
+    monkeypatch.chdir(write_package(README, tmp_path))
+    with packages_on_path(tmp_path):
         yield tmp_path
 
 
@@ -119,7 +119,7 @@ def test_a_folder_of_options_varies_any_world(user: Path) -> None:
         "rocks": 7,
     }
     env = dune_rl.make({"name": "deep", "rocks": 1}, 1, config_dirs=["my"], actors="none")
-    assert len(env.batch.world.props) == 2
+    assert len(env.simulation.worlds.worlds[0].props) == 2
     env.close()
 
 
@@ -155,7 +155,8 @@ def fails(seed: int = 0): return World(seed)
 def test_a_broken_package_is_named_and_harms_no_other_world(user: Path) -> None:
     (user / "broken.py").write_text(MODULE)
     points = {name: value for name, (value, _) in BROKEN.items()}
-    install(user, "broken-worlds", {**points, "nothing": "broken:nothing", "fails": "broken:fails"})
+    worlds = {**points, "nothing": "broken:nothing", "fails": "broken:fails"}
+    install_package(user, "broken-worlds", {"dune_rl.worlds": worlds})
     for name, (value, reason) in BROKEN.items():
         said = fault(f"+world={name}")
         assert said.startswith(f"world: the package broken-worlds brings the world {name!r} as {value}, ")
@@ -170,7 +171,8 @@ def test_a_broken_package_is_named_and_harms_no_other_world(user: Path) -> None:
 
 
 def test_names_that_clash(user: Path) -> None:
-    install(user, "rival-worlds", {"crater": "rival:crater", "flat": "rival:flat"})
+    worlds = {"crater": "rival:crater", "flat": "rival:flat"}
+    install_package(user, "rival-worlds", {"dune_rl.worlds": worlds})
     with pytest.warns(WorldWarning, match="rival-worlds brings the world 'flat' .* Give the entry point"):
         said = fault("+world=crater")
     assert re.search(r"the packages [\w-]+ and [\w-]+ both bring a world 'crater': uninstall one", said)

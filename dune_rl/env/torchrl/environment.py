@@ -65,6 +65,15 @@ class DuneEnv(EnvBase):
         """The simulation inside."""
         return self._simulation
 
+    @property
+    def metric_names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the columns of what `EpisodeMetrics` adds to each group; those without metrics are left out."""
+        return {
+            group.name: self._simulation.metric_names(group.name)
+            for group in self._groups
+            if group.metric_names
+        }
+
     # -- TorchRL's three --------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:

@@ -32,12 +32,8 @@ class EpisodeMetrics(Transform):
     @property
     def metric_names(self) -> dict[str, tuple[str, ...]]:
         """Names of the columns of each group's metrics; groups without metrics are left out."""
-        simulation = self._simulation
-        return {
-            group.name: simulation.metric_names(group.name)
-            for group in simulation.external
-            if group.metric_names
-        }
+        names: dict[str, tuple[str, ...]] = self.parent.base_env.metric_names
+        return names
 
     def _add(self, tensordict: TensorDictBase) -> TensorDictBase:
         for name in self.metric_names:

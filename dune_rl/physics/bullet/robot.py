@@ -1,11 +1,12 @@
 """A robot in a PyBullet scene."""
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.base_frame import InertialFrame
+from dune_rl.physics.base_frame import InertialFrame, Quadruple, Triple
 from dune_rl.physics.bullet.urdf import add_visual_stubs
 from dune_rl.physics.interface import Coupling, RobotBody
 from dune_rl.physics.motors import Servos, motor_power_w
@@ -25,6 +26,9 @@ _CONTACT_DISTANCE_M = 1e-3
 # above 10 it starts to oscillate. With 10 iterations Leo's rockers, on stones, have errors up to 1.2e-3 rad,
 # with 20 half of that.
 _GEAR_FORCE, _GEAR_ERP, GEAR_ITERATIONS = 1e4, 5.0, 20
+
+# Position, quaternion, linear and angular velocity.
+_BaseState = tuple[Triple, Quadruple, Triple, Triple]
 
 
 class BulletRobot:
@@ -64,6 +68,10 @@ class BulletRobot:
         self.measures_work = measures_work and bool(self._motors)
         self._work = 0.0
         self._speeds: Sequence[float] = ()
+        self._base_state: _BaseState | None = None
+        self._touched: set[int] = set()
+        self._reach_m: float | None = None
+        self.base_mass_kg = 0.0
 
     def set_body(self, variation: BodyVariation) -> None:
         self._motors = scale_motors(self._spec.motors, variation.motor_strength)
@@ -73,6 +81,8 @@ class BulletRobot:
             self._urdf = None
         else:
             self._urdf = add_visual_stubs(varied_urdf(self._spec.urdf, variation))
+        # The centre of mass, which the reach is about, may move.
+        self._reach_m = None
 
     def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         self._pose = (position_w, quaternion)
@@ -91,6 +101,10 @@ class BulletRobot:
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         self._force = None
         self._wheel_contacts = [() for _ in self._ground_links]
+        self._base_state = None
+        self._touched.clear()
+        if self._reach_m is None:
+            self._reach_m = self._measure_reach_m(self._robot)
         return self._robot
 
     def release(self) -> None:
@@ -144,6 +158,7 @@ class BulletRobot:
         info = pybullet.getDynamicsInfo(robot, -1, physicsClientId=client)
         frame = InertialFrame(info[3], info[4])
         self._frame = None if frame.is_identity else frame
+        self.base_mass_kg = info[0]
 
     def _name_joints(self, robot: int) -> None:
         client, spec = self._client, self._spec
@@ -238,13 +253,40 @@ class BulletRobot:
     def set_command(self, commands: Sequence[float]) -> None:
         self._commands = commands
 
-    def position_xy(self) -> tuple[float, float]:
-        """Horizontal position of the base's centre of mass [m]."""
-        (x, y, _), _ = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)
-        return x, y
+    def _measure_reach_m(self, robot: int) -> float:
+        """Upper bound of the distance of any point of the robot from the base's centre of mass.
+
+        Each link adds the distance of its joint from its parent's, whatever the angles of the joints are.
+        """
+        client = self._client
+        start, _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
+        joints, distances = {-1: start}, {-1: 0.0}
+        reach = _farthest_m(start, *pybullet.getAABB(robot, -1, physicsClientId=client))
+        for link in range(pybullet.getNumJoints(robot, physicsClientId=client)):
+            info = pybullet.getJointInfo(robot, link, physicsClientId=client)
+            position = pybullet.getLinkState(robot, link, physicsClientId=client)[4]
+            distance = distances[info[16]] + math.dist(position, joints[info[16]])
+            if info[2] == pybullet.JOINT_PRISMATIC:
+                low, high = info[8:10]
+                distance += max(abs(low), abs(high)) if low <= high else math.inf
+            joints[link], distances[link] = position, distance
+            box = pybullet.getAABB(robot, link, physicsClientId=client)
+            reach = max(reach, distance + _farthest_m(position, *box))
+        return reach
+
+    @property
+    def reach_m(self) -> float:
+        """See `GatedRobot`; the position is that of the base's centre of mass."""
+        return math.inf if self._reach_m is None else self._reach_m
+
+    def planar_motion(self) -> tuple[float, float, float]:
+        """See `GatedRobot`."""
+        position, _, velocity, _ = self._read_base()
+        return position[0], position[1], math.hypot(*velocity)
 
     def begin_step(self, count: int) -> None:
         """Pass the commands to the motors for the next `count` physics steps."""
+        self._touched.clear()
         if self.has_ideal_motors:
             self._set_motors(self._commands, self._torques)
         else:
@@ -319,11 +361,23 @@ class BulletRobot:
         angles, speeds, _, _ = zip(*states, strict=True)
         self._set_motors(*self._servos.targets(angles, speeds))
 
+    def mark_moved(self) -> None:
+        """Drop the state that was read before a physics step."""
+        self._base_state = None
+
+    def _read_base(self) -> _BaseState:
+        """Pose and velocities of the base's inertial frame, read once between physics steps."""
+        state = self._base_state
+        if state is None:
+            robot, client = self._robot, self._client
+            self._base_state = state = (
+                *pybullet.getBasePositionAndOrientation(robot, physicsClientId=client),
+                *pybullet.getBaseVelocity(robot, physicsClientId=client),
+            )
+        return state
+
     def body_state(self) -> tuple[float, ...]:
-        position, quaternion = pybullet.getBasePositionAndOrientation(
-            self._robot, physicsClientId=self._client
-        )
-        linear, angular = pybullet.getBaseVelocity(self._robot, physicsClientId=self._client)
+        position, quaternion, linear, angular = self._read_base()
         if self._frame is not None:
             position, quaternion, linear = self._frame.link_state(position, quaternion, linear, angular)
         return (*position, *quaternion, *linear, *angular)
@@ -340,12 +394,18 @@ class BulletRobot:
         states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
         return tuple(state[0] for state in states)
 
+    def record_contacts(self) -> None:
+        """Add what the robot touched in the last physics step to `contacts`."""
+        numbers, touched = self._body_numbers, self._touched
+        for contact in pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client):
+            # Ground has no number: what remains is collisions.
+            if contact[2] in numbers and contact[8] < _CONTACT_DISTANCE_M:
+                touched.add(numbers[contact[2]])
+
     def contacts(self) -> list[int]:
-        # Ground has no number: what remains is collisions.
-        contacts = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
-        numbers = self._body_numbers
-        return [
-            numbers[contact[2]]
-            for contact in contacts
-            if contact[2] in numbers and contact[8] < _CONTACT_DISTANCE_M
-        ]
+        return sorted(self._touched)
+
+
+def _farthest_m(point: Triple, low: Triple, high: Triple) -> float:
+    """Distance of the corner of a box that is farthest from a point."""
+    return math.hypot(*(max(abs(a - p), abs(b - p)) for p, a, b in zip(point, low, high, strict=True)))

@@ -1,6 +1,5 @@
 """The PyBullet backend."""
 
-import math
 import weakref
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,17 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
+from dune_rl.physics.bullet.kinematics import BulletCapsules
 from dune_rl.physics.bullet.robot import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
-from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicCapsule, SceneSpec, StaticBody
+from dune_rl.physics.contact_gate import ContactGate
+from dune_rl.physics.interface import SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():
     import pybullet
-
-# A kinematic body farther than this from all robots is moved once per control
-# step: it cannot touch a robot before the next one.
-_NEAR_M = 2.0
 
 # Limits of a mesh in PyBullet's wheel (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
 _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
@@ -65,11 +62,10 @@ class BulletScene:
                 handle = self._add_static(replace(body, vertices=vertices, faces=faces))
                 if not body.ground:
                     self._body_numbers[handle] = number
-        self._kinematics = [self._add_capsule(body) for body in spec.kinematics]
-        self._centre_heights = [body.height_m / 2 for body in spec.kinematics]
-        for index, handle in enumerate(self._kinematics):
+        self._kinematics = BulletCapsules(self._client, spec.kinematics, OBSTACLE, HULL)
+        for index, handle in enumerate(self._kinematics.handles):
             self._body_numbers[handle] = spec.kinematic_number(index)
-        self._poses = np.zeros((len(self._kinematics), 4))
+        self._gate = ContactGate(spec.statics, spec.kinematics)
         # The mask of a lone robot has no HULL: it is part of what makes runs bit-identical over versions.
         hull_mask = GROUND | OBSTACLE | (HULL if len(spec.robots) > 1 else 0)
         self.robots = [
@@ -110,18 +106,6 @@ class BulletScene:
         )
         return handle
 
-    def _add_capsule(self, body: KinematicCapsule) -> int:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_CAPSULE,
-            radius=body.radius_m,
-            height=body.height_m - 2 * body.radius_m,
-            physicsClientId=self._client,
-        )
-        handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        pybullet.setCollisionFilterGroupMask(handle, -1, OBSTACLE, HULL, physicsClientId=self._client)
-        pybullet.changeDynamics(handle, -1, lateralFriction=KINEMATIC_FRICTION, physicsClientId=self._client)
-        return handle
-
     def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
         # Setting poses and speeds back would keep the solver's warm-start
         # impulses (bullet3 #2442): a robot loaded anew has none.
@@ -131,51 +115,38 @@ class BulletScene:
         self._loaded = [robot.load() for robot in self.robots]
         for index, handle in enumerate(self._loaded):
             self._body_numbers[handle] = self._spec.robot_number(index)
-        for index in range(len(self._kinematics)):
-            self._move(index, kinematic_poses[index].tolist())
-        self._poses[:] = kinematic_poses
-
-    def _move(self, index: int, pose: list[float]) -> None:
-        x, y, z, yaw = pose
-        pybullet.resetBasePositionAndOrientation(
-            self._kinematics[index],
-            (x, y, z + self._centre_heights[index]),
-            (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)),
-            physicsClientId=self._client,
-        )
+        self._kinematics.reset(kinematic_poses)
 
     def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
-        forces: list[tuple[BulletRobot, Sequence[float]]] = []
-        for robot in self.robots:
+        robots = self.robots
+        forces: dict[int, Sequence[float]] = {}
+        for index, robot in enumerate(robots):
             force = robot.take_force()
             if force is not None:
-                forces.append((robot, force))
+                forces[index] = force
             robot.begin_step(count)
-        near: list[tuple[int, list[float], list[float]]] = []
-        if self._kinematics:
-            positions = [robot.position_xy() for robot in self.robots]
-            for index, (old, new) in enumerate(
-                zip(self._poses.tolist(), kinematic_poses.tolist(), strict=True)
-            ):
-                if any(abs(new[0] - x) < _NEAR_M and abs(new[1] - y) < _NEAR_M for x, y in positions):
-                    near.append((index, old, new))
-                else:
-                    self._move(index, new)
-            self._poses[:] = kinematic_poses
-        if not near and not forces:
+        poses = kinematic_poses.tolist()
+        near, exposed = self._gate.find_contacts(
+            robots, count * self._spec.timestep_s, forces, self._kinematics.poses, poses
+        )
+        self._kinematics.begin_step(poses, near)
+        watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
+        if not watched and not forces and not near:
             self.step_passive(count)
             return
         for substep in range(1, count + 1):
-            share = substep / count
-            for index, old, new in near:
-                position = [a + (b - a) * share for a, b in zip(old[:3], new[:3], strict=True)]
-                self._move(index, [*position, new[3]])
-            for robot, force in forces:
-                robot.act_force(force)
+            for body in near:
+                self._kinematics.move(body, substep / count)
+            for index, force in forces.items():
+                robots[index].act_force(force)
             self.step_passive(1)
+            for robot in watched:
+                robot.record_contacts()
 
     def step_passive(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation
+        for robot in self.robots:
+            robot.mark_moved()
         for _ in range(count):
             if not self._all_ideal:
                 for robot in self.robots:

@@ -103,12 +103,12 @@ class CollisionFilter:
             for other in others:
                 self._disable_pair(one, other)
 
-    def contacts(self, robot: int, result: Any) -> list[int]:
+    def contacts(self, robot: int, result: Any) -> set[int]:
         """Numbers of the bodies, without ground, that robot `robot` touches in a collision result."""
         # A result always has contacts with ground, so this test is what saves time.
         if not any(map(result.inCollision, self._reported)):
-            return []
-        numbers, own, found = self._numbers, self._first_number + robot, set()
+            return set()
+        numbers, own, found = self._numbers, self._first_number + robot, set[int]()
         for contact in result.getContacts():
             one = numbers.get(contact.collisionObject1.getShapeFrame())
             other = numbers.get(contact.collisionObject2.getShapeFrame())
@@ -116,7 +116,7 @@ class CollisionFilter:
                 found.add(other)
             elif other == own and one is not None:
                 found.add(one)
-        return sorted(found)
+        return found
 
 
 def _links_by_material(robot: DartRobot) -> Links:

@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.differential import Differential, configure_differential, is_chained
 from dune_rl.physics.dart.files import robot_urdf
 from dune_rl.physics.dart.gears import Gears, has_driven_coupling
 from dune_rl.physics.dart.grip import LateralSlip
-from dune_rl.physics.dart.joints import TYRE
+from dune_rl.physics.dart.joints import SLIP, TYRE
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.tyres import CompliantGround
 from dune_rl.physics.interface import RobotBody
@@ -29,6 +31,9 @@ ROBOT_FRICTION = 1e3
 _TYRE_STIFFNESS_NPM = 1e5
 _SOFTNESS = 0.07
 dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
+
+# More than any joint that stands for compliance or slip of a tyre moves in a physics step.
+_MAX_DEFLECTION_M = 0.05
 
 # No robot drives down a slope faster than this.
 _FALL_MPS = 0.5
@@ -64,6 +69,8 @@ class DartRobot:
         self._gears: Gears | None = None
         self._differentials: list[Differential] = []
         self._slip: LateralSlip | None = None
+        self._base_state: tuple[list[float], list[float]] | None = None
+        self.reach_m = self._measure_reach_m()
 
     @property
     def has_spherical_feet(self) -> bool:
@@ -94,6 +101,7 @@ class DartRobot:
         """Create the skeleton at the start pose, at rest, and return it."""
         self.skeleton = robot = self._template.clone()
         self._base, self._base_joint = robot.getBodyNode(0), robot.getJoint(0)
+        self._base_state = None
         position, (x, y, z, w) = self._pose
         self._base_joint.setTransform(
             dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position))
@@ -149,14 +157,45 @@ class DartRobot:
     def set_command(self, commands: Sequence[float]) -> None:
         self._commands = commands
 
-    def position_xy(self) -> tuple[float, float]:
-        """Horizontal position of the base link [m]."""
-        x, y = self._base_joint.getPositions()[3:5].tolist()
-        return x, y
+    def _measure_reach_m(self) -> float:
+        """Upper bound of the distance of any point of the robot from the base link's origin.
+
+        Each link adds the distance of its joint from its parent's, whatever the angles of the joints are.
+        """
+        reach, distances = 0.0, dict[str, float]()
+        for body in self._template.getBodyNodes():
+            joint, parent = body.getParentJoint(), body.getParentBodyNode()
+            distance = 0.0
+            if parent is not None:
+                step = body.getTransform(parent).translation()
+                distance = distances[parent.getName()] + float(np.linalg.norm(step))
+                if joint.getName().endswith((TYRE, SLIP)):
+                    distance += _MAX_DEFLECTION_M
+                elif joint.getType() == "PrismaticJoint":
+                    low, high = joint.getPositionLowerLimit(0), joint.getPositionUpperLimit(0)
+                    distance += max(abs(low), abs(high))
+            distances[body.getName()] = distance
+            for node in body.getShapeNodes():
+                if node.hasCollisionAspect():
+                    box, pose = node.getShape().getBoundingBox(), node.getRelativeTransform()
+                    middle = pose.multiply(0.5 * (box.getMin() + box.getMax()))
+                    half = 0.5 * np.linalg.norm(box.getMax() - box.getMin())
+                    reach = max(reach, distance + float(np.linalg.norm(middle) + half))
+        return reach
+
+    @property
+    def base_mass_kg(self) -> float:
+        """Mass of the base link."""
+        return float(self._base.getMass())
+
+    def planar_motion(self) -> tuple[float, float, float]:
+        """See `GatedRobot`; the position is that of the base link's origin."""
+        (_, _, _, x, y, _), (_, _, _, vx, vy, vz) = self._read_base()
+        return x, y, math.hypot(vx, vy, vz)
 
     def is_falling(self) -> bool:
         """Whether the base moves down faster than in any drive down a slope."""
-        return bool(self._base_joint.getVelocities()[5] < -_FALL_MPS)
+        return self._read_base()[1][5] < -_FALL_MPS
 
     def begin_step(self, count: int) -> None:
         """Pass the commands to the motors for the next `count` physics steps."""
@@ -279,11 +318,21 @@ class DartRobot:
             for impulse, gear_torque in zip(impulses, self._gear_torques, strict=True)
         ]
 
+    def mark_moved(self) -> None:
+        """Drop the state that was read before a physics step."""
+        self._base_state = None
+
+    def _read_base(self) -> tuple[list[float], list[float]]:
+        """Positions and velocities (6 each) of the base joint, read once between physics steps."""
+        state = self._base_state
+        if state is None:
+            # The joint's getters cost a tenth of the body's, which derives its state from the joint.
+            joint = self._base_joint
+            self._base_state = state = joint.getPositions().tolist(), joint.getVelocities().tolist()
+        return state
+
     def body_state(self) -> tuple[float, ...]:
-        # The joint's getters cost a tenth of the body's, which derives its state from the joint.
-        joint = self._base_joint
-        rx, ry, rz, px, py, pz = joint.getPositions().tolist()
-        ax, ay, az, vx, vy, vz = joint.getVelocities().tolist()
+        (rx, ry, rz, px, py, pz), (ax, ay, az, vx, vy, vz) = self._read_base()
         angle = math.sqrt(rx * rx + ry * ry + rz * rz)
         scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
         return (px, py, pz, scale * rx, scale * ry, scale * rz, math.cos(angle / 2), vx, vy, vz, ax, ay, az)

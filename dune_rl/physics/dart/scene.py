@@ -1,11 +1,12 @@
 """The DART backend."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.dart.bodies import (
     KinematicBodies,
     StaticGeometry,
@@ -17,10 +18,6 @@ from dune_rl.physics.dart.corners import CornerContacts
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.interface import SceneSpec
-
-# A kinematic body farther than this from all robots is moved once per control
-# step: it cannot touch a robot before the next one.
-_NEAR_M = 2.0
 
 # A smaller tolerance needs more sweeps and changes no yaw rate by 1 %.
 _CONE_TOLERANCE = 1e-3
@@ -35,6 +32,7 @@ class DartScene:
         self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
+        self._gate = ContactGate(spec.statics, spec.kinematics)
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
 
@@ -46,6 +44,7 @@ class DartScene:
         skeletons = [robot.load() for robot in self.robots]
         self._static_geometry.restore_friction()
         self._kinematics = KinematicBodies(spec, self.robots)
+        self._kinematic_poses = kinematic_poses.tolist()
         self._place_kinematics(self._centres(kinematic_poses))
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
@@ -62,7 +61,7 @@ class DartScene:
             self.robots, self._static_geometry, self._kinematics, spec.robot_number(0), self._engine_filter
         )
         for robot in self.robots:
-            robot.bind(world, self._static_geometry, self._collision_filter)
+            robot.bind(self._static_geometry, self._collision_filter)
         self._checks_corners_each_step = False
         self._corners = CornerContacts(self.robots, self._static_geometry.hull_ground)
         for skeleton in (self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons):
@@ -87,29 +86,33 @@ class DartScene:
         self._checks_corners_each_step = self._corners.has_boxes_left and any(
             robot.is_falling() for robot in self.robots
         )
-        forces: list[tuple[_SceneRobot, Sequence[float]]] = []
-        for robot in self.robots:
+        forces: dict[int, Sequence[float]] = {}
+        for index, robot in enumerate(self.robots):
             force = robot.take_force()
             if force is not None:
-                forces.append((robot, force))
+                forces[index] = force
             robot.begin_step(count)
-        if not len(kinematic_poses):
-            self._advance(count, forces)
-            return
+        duration_s = count * self._spec.timestep_s
+        near, exposed = self._gate.find_contacts(
+            self.robots, duration_s, forces, self._kinematic_poses, poses := kinematic_poses.tolist()
+        )
+        self._kinematic_poses = poses
         centres = self._centres(kinematic_poses)
-        positions = np.array([robot.position_xy() for robot in self.robots]).reshape(-1, 2)
-        near = (np.abs(centres[:, None, :2] - positions) < _NEAR_M).all(axis=2).any(axis=1)
-        if not near.any():
+        if near:
+            self._start_kinematics(centres, near, duration_s)
+        elif poses:
             self._place_kinematics(centres)
-            self._advance(count, forces)
-            return
-        start = np.where(near[:, None], self._kinematic_centres, centres)
+        self._advance(count, forces, exposed)
+        if near:
+            self._place_kinematics(centres)
+
+    def _start_kinematics(self, centres: NDArray[np.float64], near: Sequence[int], duration_s: float) -> None:
+        """Start the motion of the bodies `near` to `centres` (K, 3) [m]; put the others there at once."""
+        start = centres.copy()
+        start[near] = self._kinematic_centres[near]
         self._kinematics.skeleton.setPositions(start.ravel())
         # The engine moves them at these speeds, and contacts take the speeds into account.
-        speeds = (centres - start).ravel() / (count * self._spec.timestep_s)
-        self._kinematics.skeleton.setCommands(speeds)
-        self._advance(count, forces)
-        self._place_kinematics(centres)
+        self._kinematics.skeleton.setCommands((centres - start).ravel() / duration_s)
 
     def _clear_contact_cache(self) -> None:
         """Make the collision detector recompute all contacts in the next physics step.
@@ -124,26 +127,34 @@ class DartScene:
         self._engine_filter.addBodyNodePairToBlackList(base, base)
 
     def step_passive(self, count: int) -> None:
-        self._advance(count, ())
+        self._advance(count, {}, ())
 
-    def _advance(self, count: int, forces: "Sequence[tuple[_SceneRobot, Sequence[float]]]") -> None:
+    def _advance(self, count: int, forces: Mapping[int, Sequence[float]], exposed: Sequence[bool]) -> None:
         self._clear_contact_cache()
-        advance = self._world.step
-        before_each = [robot.before_physics_step for robot in self.robots if robot.acts_before_steps]
-        after_each = [robot.after_physics_step for robot in self.robots if robot.acts_after_steps]
+        robots, world = self.robots, self._world
+        advance = world.step
+        before_each = [robot.before_physics_step for robot in robots if robot.acts_before_steps]
+        after_each = [robot.after_physics_step for robot in robots if robot.acts_after_steps]
+        watched = [robot for robot, is_exposed in zip(robots, exposed, strict=False) if is_exposed]
+        for robot in robots:
+            robot.mark_moved()
         for _ in range(count):
-            for robot, force in forces:
-                robot.act_force(force)
+            for index, force in forces.items():
+                robots[index].act_force(force)
             for before in before_each:
                 before()
             # False: joints keep their commands.
             advance(False)
             for after in after_each:
                 after()
+            if watched:
+                result = world.getLastCollisionResult()
+                for robot in watched:
+                    robot.record_contacts(result)
             if self._checks_corners_each_step:
                 self._add_corners()
-        for robot, _ in forces:
-            robot.clear_force()
+        for index in forces:
+            robots[index].clear_force()
 
     def _add_corners(self) -> None:
         corners = self._corners
@@ -168,17 +179,21 @@ class _SceneRobot(DartRobot):
             terrain_friction=terrain_friction(spec.statics),
         )
         self._index = index
-        self._world: Any = None
+        self._touched: set[int] = set()
         self._collision_filter: Any = None
 
-    def bind(self, world: Any, static_geometry: StaticGeometry, collision_filter: CollisionFilter) -> None:
+    def bind(self, static_geometry: StaticGeometry, collision_filter: CollisionFilter) -> None:
         """Set the objects of the scene that contacts depend on."""
-        self._world, self._static_geometry = world, static_geometry
-        self._collision_filter = collision_filter
+        self._static_geometry, self._collision_filter = static_geometry, collision_filter
+        self._touched.clear()
 
     def release(self) -> None:
         super().release()
-        self._world = self._collision_filter = None
+        self._collision_filter = None
+
+    def begin_step(self, count: int) -> None:
+        self._touched.clear()
+        super().begin_step(count)
 
     def set_wheel_contacts(
         self,
@@ -191,8 +206,12 @@ class _SceneRobot(DartRobot):
         coefficients = [coefficient * ground for coefficient in friction]
         self.set_foot_contacts(coefficients, restitution, stiffness, damping)
 
+    def record_contacts(self, result: Any) -> None:
+        """Add what the robot touches in a collision result to `contacts`."""
+        self._touched.update(self._collision_filter.contacts(self._index, result))
+
     def contacts(self) -> list[int]:
-        return self._collision_filter.contacts(self._index, self._world.getLastCollisionResult())
+        return sorted(self._touched)
 
 
 def _cone_solver(sweeps: int) -> Any:

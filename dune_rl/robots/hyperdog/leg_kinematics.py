@@ -1,4 +1,4 @@
-"""Where a leg of three joints puts its foot, and back: hip roll, upper leg and lower leg."""
+"""Forward and inverse kinematics of a leg with three joints: hip roll, upper leg, lower leg."""
 
 from dataclasses import dataclass
 
@@ -12,12 +12,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Leg:
-    """Lengths of a leg [m], and the range of its joints [rad].
+    """Lengths of a leg [m], and the range of its knee [rad].
 
-    The hip turns about x and holds the leg `offset_m` outward; `upper_m` and
-    `lower_m` swing forward for positive angles (about -y). At zero the leg
-    hangs straight down. `knee_rad` is how far the knee can be bent: the lower
-    leg only goes forward of the upper one, as a dog's hind leg does.
+    The hip turns about x and holds the leg `offset_m` outward. Upper leg, `upper_m` long, and lower leg,
+    `lower_m` long, swing forward for positive angles (about -y). With all angles at zero the leg hangs
+    straight down. `knee_rad` limits the knee angle, lowest and highest: the lower leg bends forward only,
+    as in a dog's hind leg.
     """
 
     offset_m: float
@@ -26,10 +26,10 @@ class Leg:
     knee_rad: tuple[float, float]
 
     def foot(self, angles: Array, side: Array) -> Array:
-        """Position of the foot (..., 3) [m] from the hip joint, x forward, y left, z up.
+        """Position of the foot (..., 3) [m] relative to the hip joint: x forward, y left, z up.
 
-        `angles` (..., 3) [rad] are those of hip, upper and lower leg; `side`
-        (...) is 1 for a leg on the left, -1 on the right.
+        `angles` (..., 3) [rad] are those of hip, upper and lower leg; `side` (...) is 1 for a left leg, -1
+        for a right one.
         """
         hip, upper, lower = (angles[..., i] for i in range(3))
         ahead = self.upper_m * np.sin(upper) + self.lower_m * np.sin(upper + lower)
@@ -40,7 +40,7 @@ class Leg:
         return np.stack([ahead, across, up], axis=-1)
 
     def angles(self, foot: Array, side: Array) -> Array:
-        """Joint angles (..., 3) [rad] that put the foot at `foot` (..., 3) [m], or near it."""
+        """Joint angles (..., 3) [rad] for a foot at `foot` (..., 3) [m], or near it if out of reach."""
         ahead, across, up = (foot[..., i] for i in range(3))
         out = side * self.offset_m
         down = np.sqrt(np.maximum(across**2 + up**2 - self.offset_m**2, 1e-8))

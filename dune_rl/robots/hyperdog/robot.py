@@ -1,4 +1,4 @@
-"""HyperDog: a quadruped of twelve servos that walks where a rover would drive."""
+"""HyperDog: a quadruped with twelve servos, driven by speed and heading or by its joints' angles."""
 
 from typing import Literal
 
@@ -28,11 +28,12 @@ _LIMITS_RAD = np.array([[-1.57, 1.57], [-1.22, 3.14], [0.17, 2.62]])
 _LIMITS_OF_ALL = np.tile(_LIMITS_RAD, (4, 1)).T
 _LEG = Leg(offset_m=0.104, upper_m=0.150, lower_m=0.145, knee_rad=(0.17, 2.62))
 _FOOT_RADIUS_M = 0.02
+# Limits of the integrals of speed [m/s] and yaw rate [rad/s].
 _MAX_CORRECTION = np.array([0.06, 0.4])
 
 
 class HyperDogMountsConf(MountsConf):
-    """A LiDAR on the rear of the back, a camera in the head, and the inertial unit amid the body."""
+    """LiDAR on the rear of the back, camera in the head, IMU at the body's centre."""
 
     scanner_b: tuple[float, float, float] = (-0.04, 0.0, 0.1)
     camera_b: tuple[float, float, float] = (0.24, 0.0, 0.028)
@@ -41,11 +42,11 @@ class HyperDogMountsConf(MountsConf):
 
 
 class HyperDogConf(RobotSettings):
-    """Settings of the dog: what its actions are, its gait and its servos.
+    """Settings of the dog: kind of action, gait, servos, mounts and battery.
 
-    `action` is `speed_and_heading`, as for rovers, or `joints`: the twelve
-    angles, legs front left, front right, rear left, rear right, each hip,
-    upper and lower, from -1 to 1 over each joint's range.
+    `action` is `speed_and_heading`, as for rovers, or `joints`: twelve joint angles, each scaled to [-1, 1]
+    over the joint's range, of the legs front left, front right, rear left, rear right; of each leg hip,
+    upper, lower.
     """
 
     name: Literal["hyperdog"] = "hyperdog"
@@ -71,10 +72,9 @@ class HyperDogConf(RobotSettings):
 
 
 class HyperDog(RectangularHull):
-    """M dogs: a `Robot`.
+    """N dogs: a `Robot`.
 
-    Frame: x forward, y left, z up, origin at the body's centre,
-    `standing_height_m` above level ground.
+    Frame: x forward, y left, z up; the origin is the body's centre, `standing_height_m` above level ground.
     """
 
     length_m = 0.43
@@ -89,7 +89,7 @@ class HyperDog(RectangularHull):
         self.conf = conf
         self._heading = HeadingController(conf.heading, conf.max_yaw_rate_radps, num_robots)
         self._trot = Trot(conf.gait, _HIPS_B, num_robots)
-        self._wanted = np.zeros((num_robots, 2))
+        self._target = np.zeros((num_robots, 2))
         self._correction = np.zeros((num_robots, 2))
         self._yaw = np.full(num_robots, np.nan)
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
@@ -119,7 +119,7 @@ class HyperDog(RectangularHull):
 
     @property
     def contact_centres_b(self) -> Array:
-        """Middles (4, 3) [m] of the feet as it stands."""
+        """Centres (4, 3) [m] of the feet of the standing robot."""
         return self._trot.rest_b
 
     @property
@@ -134,50 +134,52 @@ class HyperDog(RectangularHull):
         return speed_and_heading_bounds(self.max_speed_mps)
 
     def rest_action(self) -> Array:
-        """No speed and no turn, (2,), or the angles (12,) at which it is put down."""
+        """Zero speed and no turn, (2,), or the scaled joint angles (12,) of the standing robot."""
         if self.conf.action == "joints":
             low, high = _LIMITS_OF_ALL
             return 2.0 * (np.array(self.body.rest_commands()) - low) / (high - low) - 1.0
         return np.zeros(2)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Stand still and forget the past in the scenes in `mask` (M,)."""
+        """Reset gait and controllers of the robots in `mask` (N,)."""
         self._heading.reset(mask)
         self._trot.reset(mask)
-        self._wanted[mask] = 0.0
+        self._target[mask] = 0.0
         self._correction[mask] = 0.0
         self._yaw[mask] = np.nan
 
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
-        """Angle of each joint [rad], (M, 12), to be reached at the end of the step."""
+        """Angle of each joint [rad], (N, 12), to be reached at the end of the step."""
         if self.conf.action == "joints":
             low, high = _LIMITS_OF_ALL
             return low + (clip(action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         tilt = motion.roll_pitch_yaw[:, :2]
-        twist = self._twist(action, self._trot.careful(tilt), motion, step_s)
+        twist = self._twist(action, self._trot.speed_share(tilt), motion, step_s)
         feet = self._trot.feet(twist, tilt, step_s)
         angles = _LEG.angles(feet - _HIPS_B, _SIDE)
         return clip(angles, *_LIMITS_RAD.T).reshape(len(action), 12)
 
-    def _twist(self, action: Array, careful: Array, motion: BodyMotion, step_s: float) -> Array:
-        """Speed [m/s] and yaw rate [rad/s] for the gait (M, 2)."""
+    def _twist(self, action: Array, speed_share: Array, motion: BodyMotion, step_s: float) -> Array:
+        """Speed [m/s] and yaw rate [rad/s] of the gait, (N, 2)."""
         conf = self.conf
-        most = conf.max_speed_mps
-        speed = careful * clip(action[:, 0], -most, most)
+        limit = conf.max_speed_mps
+        speed = speed_share * clip(action[:, 0], -limit, limit)
         turn = self._heading.yaw_rate(clip(action[:, 1], -np.pi, np.pi), step_s)
         gain = step_s * np.array([conf.max_acceleration_mps2, conf.max_yaw_acceleration_radps2])
-        wanted = np.column_stack([speed, turn])
-        self._wanted = clip(wanted, self._wanted - gain, self._wanted + gain)
-        # Feet slip: what is missing of the motion is added up.
-        # The turn from one step to the next: the body sways, and the rates at steps' ends are no mean.
+        target = np.column_stack([speed, turn])
+        self._target = clip(target, self._target - gain, self._target + gain)
+        # An integral of the error compensates for the slip of the feet. The yaw rate is measured over the
+        # control step, because the body sways and the rate at its end is not the mean.
         yaw = motion.roll_pitch_yaw[:, 2]
         turned = np.where(np.isnan(self._yaw), 0.0, wrap_angle(yaw - self._yaw))
         self._yaw = yaw.copy()
-        told = np.column_stack([motion.velocity_b[:, 0], turned / step_s])
-        missing = step_s * np.array([conf.speed_ki_per_s, conf.yaw_rate_ki_per_s]) * (self._wanted - told)
-        self._correction = clip(self._correction + missing, -_MAX_CORRECTION, _MAX_CORRECTION)
-        # Told to stand still it does, whatever the sum.
-        still = (speed == 0.0) & (turn == 0.0)
-        self._correction[still] = 0.0
-        # With care, it does not push on harder where it does not get along.
-        return self._wanted + self._correction * np.column_stack([careful, np.ones_like(careful)])
+        measured = np.column_stack([motion.velocity_b[:, 0], turned / step_s])
+        gains = np.array([conf.speed_ki_per_s, conf.yaw_rate_ki_per_s])
+        change = step_s * gains * (self._target - measured)
+        self._correction = clip(self._correction + change, -_MAX_CORRECTION, _MAX_CORRECTION)
+        # A robot that is commanded to stand does not walk to correct its position.
+        standing = (speed == 0.0) & (turn == 0.0)
+        self._correction[standing] = 0.0
+        # A tilted robot does not correct its speed fully: it would push harder against what stops it.
+        shares = np.column_stack([speed_share, np.ones_like(speed_share)])
+        return self._target + self._correction * shares

@@ -1,4 +1,4 @@
-"""A walking trot: two diagonal pairs of feet that take turns in the air."""
+"""Gait of a walking trot: the two diagonal pairs of feet swing alternately."""
 
 from typing import Self
 
@@ -12,22 +12,23 @@ from dune_rl.settings import Settings
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Front left with rear right, front right with rear left; legs in the order of the hips.
-_LATE = np.array([0.0, 0.5, 0.5, 0.0])
-_SLOWEST_MPS, _SLOWEST_RADPS = 0.01, 0.02
-_STEEPEST = 0.45
-# Share of the way to their places that feet go in a control step, when the walk ends.
-_SETTLE = 0.2
+# Phase offsets of the legs in the order of the hips: front left with rear right, front right with rear left.
+_PHASE_OFFSETS = np.array([0.0, 0.5, 0.5, 0.0])
+# Below both, the robot stands.
+_MIN_SPEED_MPS, _MIN_YAW_RATE_RADPS = 0.01, 0.02
+# Limit of the tangent of roll and pitch that foot placement compensates.
+_MAX_TILT_TANGENT = 0.45
+# Share of the distance to its rest position that a foot moves in a control step when the gait ends.
+_SETTLING_SHARE = 0.2
 
 
 class TrotConf(Settings):
     """Shape of the gait.
 
-    In a cycle of `cycle_s` each foot is in the air for `swing_share` of it,
-    rising by `lift_m` on half a sine. The hips are carried `height_m` over the
-    feet, which stand `out_m` outward of them. Tilted by more than
-    `careful_from_rad` it walks more slowly, down to `careful_share` of the
-    speed at `careful_to_rad`, which keeps it on its feet on stones and steps.
+    In a cycle of `cycle_s` each foot swings for `swing_share` of it, lifted by `lift_m` on half a sine. The
+    hips are `height_m` above the feet, which are `out_m` outward of them. From a tilt of `careful_from_rad`
+    to `careful_to_rad` the speed falls linearly to `careful_share` of the commanded one, which prevents
+    falls on stones and steps.
     """
 
     cycle_s: float = Field(0.5, ge=0.2, le=2.0)
@@ -50,68 +51,69 @@ class TrotConf(Settings):
 
 
 class Trot:
-    """Where the four feet of each of M robots go, in the body frame."""
+    """Positions of the four feet of N robots, in the body frame."""
 
-    def __init__(self, conf: TrotConf, hips_b: Array, num_scenes: int) -> None:
+    def __init__(self, conf: TrotConf, hips_b: Array, num_robots: int) -> None:
         self._conf = conf
         outward = conf.out_m * np.sign(hips_b[:, 1])
         self.rest_b: Array = hips_b + np.column_stack([np.zeros(4), outward, np.full(4, -conf.height_m)])
-        self._phase = np.zeros(num_scenes)
-        self._feet = np.tile(self.rest_b, (num_scenes, 1, 1))
+        self._phase = np.zeros(num_robots)
+        self._feet = np.tile(self.rest_b, (num_robots, 1, 1))
         self._lift_off = self._feet.copy()
 
     def reset(self, mask: Flags) -> None:
-        """Stand on all feet in the scenes in `mask` (M,)."""
+        """Put all feet of the robots in `mask` (N,) at their rest positions."""
         self._phase[mask] = 0.0
         self._feet[mask] = self.rest_b
         self._lift_off[mask] = self.rest_b
 
-    def careful(self, tilt: Array) -> Array:
-        """Share of the wanted speed (M,) that is walked at, by roll and pitch (M, 2) [rad]."""
+    def speed_share(self, tilt: Array) -> Array:
+        """Share (N,) of the commanded speed at which to walk, by roll and pitch (N, 2) [rad]."""
         conf = self._conf
-        steep = np.hypot(tilt[:, 0], tilt[:, 1]) - conf.careful_from_rad
-        share = clip(steep / (conf.careful_to_rad - conf.careful_from_rad), 0.0, 1.0)
+        excess = np.hypot(tilt[:, 0], tilt[:, 1]) - conf.careful_from_rad
+        share = clip(excess / (conf.careful_to_rad - conf.careful_from_rad), 0.0, 1.0)
         return 1.0 - (1.0 - conf.careful_share) * share
 
     def feet(self, twist: Array, tilt: Array, step_s: float) -> Array:
-        """Positions (M, 4, 3) [m] of the feet after a further `step_s`.
+        """Positions (N, 4, 3) [m] of the feet after another `step_s`.
 
-        `twist` (M, 2) is the speed to walk at [m/s] and the yaw rate [rad/s],
-        and `tilt` (M, 2) the body's roll and pitch [rad]: on a slope feet land
-        plumb under the hips. A robot that is to stand still stands on all feet.
+        `twist` (N, 2) is the speed [m/s] and the yaw rate [rad/s] of the walk, `tilt` (N, 2) the body's roll
+        and pitch [rad]: on a slope feet land vertically below the hips. With zero twist, feet move to
+        their rest positions.
         """
         conf = self._conf
-        going = (np.abs(twist[:, 0]) > _SLOWEST_MPS) | (np.abs(twist[:, 1]) > _SLOWEST_RADPS)
-        self._phase = np.where(going, (self._phase + step_s / conf.cycle_s) % 1.0, 0.0)
-        phase = (self._phase[:, None] + _LATE) % 1.0
-        swinging = (phase < conf.swing_share) & going[:, None]
+        walks = (np.abs(twist[:, 0]) > _MIN_SPEED_MPS) | (np.abs(twist[:, 1]) > _MIN_YAW_RATE_RADPS)
+        self._phase = np.where(walks, (self._phase + step_s / conf.cycle_s) % 1.0, 0.0)
+        phase = (self._phase[:, None] + _PHASE_OFFSETS) % 1.0
+        swinging = (phase < conf.swing_share) & walks[:, None]
         share = np.minimum(phase / conf.swing_share, 1.0)
-        passing, plumb = self._passing(twist), self._plumb(tilt)
-        # Half a stance ahead, so that the foot is plumb under its hip amid it.
-        landing = plumb + passing * (conf.cycle_s * (1.0 - conf.swing_share) / 2)
-        air = self._in_the_air(share, landing)
-        ground = self._feet - step_s * passing
-        ground[..., 2] = self.rest_b[:, 2]
-        stand = self._feet + _SETTLE * (plumb - self._feet)
-        self._feet = np.where(swinging[..., None], air, np.where(going[:, None, None], ground, stand))
+        velocity, below_hips = self._ground_velocity(twist), self._below_hips(tilt)
+        # Half a stance ahead, so that the foot is below its hip in the middle of the stance.
+        landing = below_hips + velocity * (conf.cycle_s * (1.0 - conf.swing_share) / 2)
+        swing = self._swing_positions(share, landing)
+        stance = self._feet - step_s * velocity
+        stance[..., 2] = self.rest_b[:, 2]
+        standing = self._feet + _SETTLING_SHARE * (below_hips - self._feet)
+        self._feet = np.where(swinging[..., None], swing, np.where(walks[:, None, None], stance, standing))
         self._lift_off = np.where(swinging[..., None], self._lift_off, self._feet)
         return self._feet
 
-    def _passing(self, twist: Array) -> Array:
-        """Velocity of the body over the ground at each foot's place (M, 4, 3) [m/s]."""
+    def _ground_velocity(self, twist: Array) -> Array:
+        """Velocity of the body over the ground at each foot's rest position, (N, 4, 3) [m/s]."""
         speed, turn = twist[:, :1], twist[:, 1:]
         along = speed - turn * self.rest_b[:, 1]
         across = turn * self.rest_b[:, 0]
         return np.stack([along, across, np.zeros_like(along)], axis=-1)
 
-    def _plumb(self, tilt: Array) -> Array:
-        """Where feet stand plumb under their hips (M, 4, 3) [m]."""
-        lean = self._conf.height_m * clip(np.tan(tilt), -_STEEPEST, _STEEPEST)
-        aside = np.stack([lean[:, 1], -lean[:, 0], np.zeros(len(tilt))], axis=-1)
-        return np.asarray(self.rest_b + aside[:, None])
+    def _below_hips(self, tilt: Array) -> Array:
+        """Positions (N, 4, 3) [m] of feet vertically below their hips."""
+        offset = self._conf.height_m * clip(np.tan(tilt), -_MAX_TILT_TANGENT, _MAX_TILT_TANGENT)
+        offsets = np.stack([offset[:, 1], -offset[:, 0], np.zeros(len(tilt))], axis=-1)
+        return np.asarray(self.rest_b + offsets[:, None])
 
-    def _in_the_air(self, share: Array, landing: Array) -> Array:
+    def _swing_positions(self, share: Array, landing: Array) -> Array:
+        """Positions (N, 4, 3) [m] of feet that have done `share` (N, 4) of a swing to `landing` (N, 4, 3)."""
         eased = 0.5 - 0.5 * np.cos(np.pi * share)
-        air = self._lift_off + eased[..., None] * (landing - self._lift_off)
-        air[..., 2] += self._conf.lift_m * np.sin(np.pi * share)
-        return air
+        positions = self._lift_off + eased[..., None] * (landing - self._lift_off)
+        positions[..., 2] += self._conf.lift_m * np.sin(np.pi * share)
+        return positions

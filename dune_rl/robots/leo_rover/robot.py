@@ -1,4 +1,4 @@
-"""Leo Rover: four wheels on two rockers, whose differential keeps all of them on the ground."""
+"""Leo Rover: four wheels on two rockers with a differential."""
 
 from typing import Literal
 
@@ -16,11 +16,11 @@ from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
 
 
 class LeoDriveConf(SkidSteerConf):
-    """Its limits; without load a wheel turns at battery voltage by the motors' torque constant.
+    """Geometry and limits of the drive, and its motors.
 
-    That is 11.1 V / 1.176 Nm/A, both the maker's, as are 0.4 m/s and 60 degrees
-    a second. The rotor's inertia is an estimate, of 9 g cm² behind gears of
-    73.2:1; the effective track is the one that makes turns come true here.
+    The no-load speed is the battery voltage over the motors' torque constant, 11.1 V / 1.176 Nm/A, both the
+    maker's figures, as are 0.4 m/s and 60 degrees per second. The rotor's inertia is an estimate: 9 g cm²
+    behind gears of 73.2:1. The effective track gives the commanded yaw rates in this simulation.
     """
 
     wheel_radius_m: float = Field(0.0625, gt=0.0)
@@ -37,7 +37,7 @@ class LeoDriveConf(SkidSteerConf):
 
 
 class LeoMountsConf(MountsConf):
-    """A LiDAR on a mast, as in the published simulation; camera and inertial unit as the maker has them."""
+    """LiDAR on a mast, as in the published simulation; camera and IMU at the maker's poses."""
 
     scanner_b: tuple[float, float, float] = (0.0, 0.0, 0.6)
     camera_b: tuple[float, float, float] = (0.097, 0.0, -0.043)
@@ -46,10 +46,10 @@ class LeoMountsConf(MountsConf):
 
 
 class LeoRoverConf(RobotSettings):
-    """Settings of the rover: heading controller, drive, tyres, rockers, its sensors' places and its battery.
+    """Settings of the rover: heading controller, drive, tyres, rockers, mounts and battery.
 
-    The battery is the maker's, 11.1 V and 5 Ah; what is drawn at rest makes it
-    last the four hours that the maker states.
+    The battery is the maker's, 11.1 V and 5 Ah. The power at rest makes it last the four hours that the
+    maker states.
     """
 
     name: Literal["leo_rover"] = "leo_rover"
@@ -69,11 +69,11 @@ class LeoRoverConf(RobotSettings):
 
 
 class LeoRover(WheeledRobot):
-    """M rovers driven by (speed, heading) commands: a `Robot`.
+    """N rovers with (speed, heading) actions: a `Robot`.
 
-    Frame: x forward, y left, z up, origin that of the maker's base link,
-    `standing_height_m` above level ground. A differential turns the right
-    rocker opposite to the left one, so that the body carries their mean.
+    Frame: x forward, y left, z up; the origin is that of the maker's base link, `standing_height_m` above
+    level ground. A differential turns the right rocker opposite to the left one: the body's pitch is the
+    mean of theirs.
     """
 
     length_m = 0.43
@@ -83,7 +83,7 @@ class LeoRover(WheeledRobot):
     contact_radius_m = 0.0625
     contact_width_m = 0.07
     mass_kg = 5.495
-    # Middles of the tyres where the rockers are level [m].
+    # Centres of the tyres with level rockers [m].
     wheel_positions_b = np.array(
         [[x, y, -0.1353] for x, y in ((0.1552, 0.1789), (0.1552, -0.1789), (-0.15, 0.1789), (-0.15, -0.1789))]
     )
@@ -111,5 +111,5 @@ class LeoRover(WheeledRobot):
             on_left=["left" in wheel for wheel in wheels],
             mounts=conf.mounts,
             battery=conf.battery,
-            num_scenes=num_robots,
+            num_robots=num_robots,
         )

@@ -1,4 +1,4 @@
-"""The meshes of leo_rover's looks, drawn from its published dimensions.
+"""Visual meshes of leo_rover, generated from its published dimensions.
 
 `python -m dune_rl.robots.leo_rover.shapes` writes them. Low in polygons, in metres,
 each in its link's frame (x forward, y left, z up); a file for each colour.
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
 from dune_rl.paths import assets_folder
-from dune_rl.robots.drawing import ACROSS, Mesh, bevelled, box, cylinder, joined, plate, tyre
+from dune_rl.robots.drawing import ACROSS, Mesh, bevelled_box, box, cylinder, join_meshes, rounded_plate, tyre
 
 Array = NDArray[np.float64]
 
@@ -22,38 +22,38 @@ _TREAD_RADIUS, _TYRE_WIDTH = 0.0625, 0.07
 _HINGE_TO_HUB = np.array([0.1526, -0.088])
 
 
-def shapes() -> dict[str, Mesh]:
-    """Each file's mesh by its name."""
+def make_meshes() -> dict[str, Mesh]:
+    """Each file's mesh, by the file's name without ending."""
     return {
-        "body": joined(_body()),
-        "trim": joined(_trim()),
+        "body": join_meshes(_body()),
+        "trim": join_meshes(_trim()),
         "lens": cylinder(0.011, 0.006, (0.1215, 0.0, -0.0485), (1.0, 0.0, -0.21)),
-        "mast": joined(_mast()),
-        "rocker": joined(_rocker()),
-        "motors": joined(_motors()),
+        "mast": join_meshes(_mast()),
+        "rocker": join_meshes(_rocker()),
+        "motors": join_meshes(_motors()),
         "tyre": tyre(_TREAD_RADIUS, _TYRE_WIDTH, 0.0355, 18, 0.0055, _TYRE_Y),
-        "hub": joined(_hub()),
-        "hub_cap": joined(_hub_cap()),
+        "hub": join_meshes(_hub()),
+        "hub_cap": join_meshes(_hub_cap()),
     }
 
 
-def write(folder: Path) -> None:
+def write_meshes(folder: Path) -> None:
     """Write the meshes as STL files."""
-    for name, mesh in shapes().items():
+    for name, mesh in make_meshes().items():
         mesh.export(folder / f"{name}.stl")
 
 
 def _body() -> list[Mesh]:
-    shell = bevelled((-0.008, 0.0, -0.046), (0.236, 0.206, 0.080), 0.014)
-    nose = bevelled((0.104, 0.0, -0.050), (0.030, 0.120, 0.056), 0.008)
+    shell = bevelled_box((-0.008, 0.0, -0.046), (0.236, 0.206, 0.080), 0.014)
+    nose = bevelled_box((0.104, 0.0, -0.050), (0.030, 0.120, 0.056), 0.008)
     return [shell, nose]
 
 
 def _trim() -> list[Mesh]:
-    deck = bevelled((-0.008, 0.0, -0.002), (0.246, 0.196, 0.009), 0.003)
-    belly = bevelled((-0.008, 0.0, -0.087), (0.210, 0.180, 0.010), 0.004)
+    deck = bevelled_box((-0.008, 0.0, -0.002), (0.246, 0.196, 0.009), 0.003)
+    belly = bevelled_box((-0.008, 0.0, -0.087), (0.210, 0.180, 0.010), 0.004)
     rails = [box((-0.008, side * 0.086, 0.007), (0.230, 0.012, 0.009)) for side in (-1, 1)]
-    battery = bevelled((-0.128, 0.0, -0.046), (0.026, 0.120, 0.058), 0.006)
+    battery = bevelled_box((-0.128, 0.0, -0.046), (0.026, 0.120, 0.058), 0.006)
     camera = box((0.1175, 0.0, -0.047), (0.010, 0.046, 0.034), 0.21)
     hinges = [cylinder(0.022, 0.014, (0.0026, side * 0.108, -0.0473)) for side in (-1, 1)]
     antenna = cylinder(0.0055, 0.056, (-0.0052, 0.056, 0.028), (0.0, 0.0, 1.0), 12)
@@ -73,11 +73,11 @@ def _mast() -> list[Mesh]:
 
 def _rocker() -> list[Mesh]:
     x, z = _HINGE_TO_HUB
-    parts = [plate(np.array([-0.045, 0.004]), np.array([0.045, 0.004]), (0.028, 0.028), 0.026)]
+    parts = [rounded_plate(np.array([-0.045, 0.004]), np.array([0.045, 0.004]), (0.028, 0.028), 0.026)]
     for end in (-1, 1):
         knee = np.array([end * 0.118, -0.012])
-        parts.append(plate(np.array([end * 0.045, 0.004]), knee, (0.026, 0.020), 0.026))
-        parts.append(plate(knee, np.array([end * x, z]), (0.020, 0.023), 0.026))
+        parts.append(rounded_plate(np.array([end * 0.045, 0.004]), knee, (0.026, 0.020), 0.026))
+        parts.append(rounded_plate(knee, np.array([end * x, z]), (0.020, 0.023), 0.026))
     return parts
 
 
@@ -106,4 +106,4 @@ def _hub_cap() -> list[Mesh]:
 
 
 if __name__ == "__main__":
-    write(assets_folder() / "robots" / "leo_rover" / "meshes")
+    write_meshes(assets_folder() / "robots" / "leo_rover" / "meshes")

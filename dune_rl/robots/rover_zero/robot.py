@@ -16,9 +16,9 @@ from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
 
 
 class RoverZeroConf(RobotSettings):
-    """Settings of the rover: its heading controller, drive and tyres, its sensors' places and its battery.
+    """Settings of the rover: heading controller, drive, tyres, mounts and battery.
 
-    The battery's figures are estimates: nothing is published of them.
+    The battery's figures are estimates: none are published.
     """
 
     name: Literal["rover_zero"] = "rover_zero"
@@ -35,10 +35,9 @@ class RoverZeroConf(RobotSettings):
 
 
 class RoverZero(WheeledRobot):
-    """M rovers driven by (speed, heading) commands: a `Robot`.
+    """N rovers with (speed, heading) actions: a `Robot`.
 
-    Frame: x forward, y left, z up, origin at the chassis centre,
-    `standing_height_m` above level ground.
+    Frame: x forward, y left, z up; the origin is the chassis centre, `standing_height_m` above level ground.
     """
 
     length_m = 0.62
@@ -48,7 +47,7 @@ class RoverZero(WheeledRobot):
     mass_kg = 11.0
     contact_width_m = 0.083
     contact_radius_m = 0.125
-    # Contact points of the wheels in the body frame [m]: where the rover stands on the ground.
+    # Centres of the wheels [m].
     wheel_positions_b = np.array(
         [[0.1415, 0.18, 0.0], [0.1415, -0.18, 0.0], [-0.145, 0.18, 0.0], [-0.145, -0.18, 0.0]]
     )
@@ -68,5 +67,5 @@ class RoverZero(WheeledRobot):
             on_left=["left" in wheel for wheel in wheels],
             mounts=conf.mounts,
             battery=conf.battery,
-            num_scenes=num_robots,
+            num_robots=num_robots,
         )

@@ -1,4 +1,4 @@
-"""A URDF's links joined to the bodies that move apart, and these as a URDF that every engine reads alike."""
+"""Rigid bodies of a URDF: links merged over fixed joints, written as a URDF that all engines read alike."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ _SECTIONS = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
-    """A convex shape of a body, at its place in the body's frame: `points` (N, 3) [m] are its corners."""
+class ConvexShape:
+    """Convex collision shape of a body; `points` (P, 3) [m] are its corners in the body's frame."""
 
     geometry: Geometry
     points: Array
@@ -29,88 +29,91 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """What moves as one: the links that fixed joints hold together, in the frame of the first.
+    """Links that are connected by fixed joints, in the frame of the first link.
 
-    `joint` is what moves it, None for the base; its `pose` is that in the parent body's frame, and `parent`
-    names that body. `pose_b` (4, 4) is this body's in the base's frame with all joints at zero.
+    `joint` connects it to its parent, None for the base; its `pose` is relative to the parent body's frame,
+    and `parent` is that body's name. `pose_b` (4, 4) is this body's pose in the base's frame with all joints
+    at zero.
     """
 
     name: str
     joint: Joint | None
     pose_b: Array
     inertial: Inertial
-    solids: tuple[Solid, ...]
+    shapes: tuple[ConvexShape, ...]
     visuals: tuple[Geometry, ...]
 
     def points_b(self) -> Array:
-        """Corners (N, 3) of all its shapes in the base's frame [m]."""
-        points = np.concatenate([np.zeros((0, 3)), *(solid.points for solid in self.solids)])
+        """Corners (P, 3) [m] of all its collision shapes, in the base's frame with all joints at zero."""
+        points = np.concatenate([np.zeros((0, 3)), *(shape.points for shape in self.shapes)])
         return points @ self.pose_b[:3, :3].T + self.pose_b[:3, 3]
 
 
-def rigid_bodies(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -> list[RigidBody]:
-    """The bodies, the base first and parents before children; joints not in `moving` are held at zero.
+def merge_links(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -> list[RigidBody]:
+    """The rigid bodies, the base first and parents before children; joints not in `moving` are fixed at zero.
 
-    Raises `RobotError` where what moves has no mass or a mesh cannot be read.
+    Raises `RobotError` if a moving body has no mass or a mesh cannot be read.
     """
-    found: list[RigidBody] = []
-    waiting: list[tuple[str, Joint | None, Array]] = [(model.root, None, np.eye(4))]
-    while waiting:
-        first, joint, pose_b = waiting.pop(0)
+    bodies: list[RigidBody] = []
+    roots: list[tuple[str, Joint | None, Array]] = [(model.root, None, np.eye(4))]
+    while roots:
+        first, joint, pose_b = roots.pop(0)
         inertials: list[Inertial] = []
-        solids: list[Solid] = []
+        shapes: list[ConvexShape] = []
         visuals: list[Geometry] = []
-        inside: list[tuple[str, Array]] = [(first, np.eye(4))]
-        while inside:
-            name, pose = inside.pop(0)
+        links: list[tuple[str, Array]] = [(first, np.eye(4))]
+        while links:
+            name, pose = links.pop(0)
             link = model.links[name]
             if link.inertial is not None:
                 inertials.append(link.inertial.transform(pose))
             for geometry in link.collisions:
-                solids.append(_solid(_placed(geometry, pose), name, meshes, model))
-            visuals += [_placed(geometry, pose) for geometry in link.visuals]
-            for below in model.joints_below(name):
-                there = pose @ below.pose
-                if below.name in moving:
-                    own = replace(below, pose=there, parent=first)
-                    waiting.append((below.child, own, pose_b @ there))
+                shapes.append(_convex_shape(_transformed(geometry, pose), name, meshes, model))
+            visuals += [_transformed(geometry, pose) for geometry in link.visuals]
+            for child in model.child_joints(name):
+                child_pose = pose @ child.pose
+                if child.name in moving:
+                    own = replace(child, pose=child_pose, parent=first)
+                    roots.append((child.child, own, pose_b @ child_pose))
                 else:
-                    inside.append((below.child, there @ _held(below)))
+                    links.append((child.child, child_pose @ _fixed_joint_pose(child)))
         if not inertials:
             by = "it is the base" if joint is None else f"joint {joint.name!r} moves it"
             raise RobotError(
                 f"{model.path.name}: link {first!r} has no mass, nor has what is fixed to it, and {by}; "
                 "give it an <inertial> with <mass> and <inertia>."
             )
-        found.append(RigidBody(first, joint, pose_b, _sum(inertials), tuple(solids), tuple(visuals)))
-    return found
+        inertial = _combined_inertial(inertials)
+        bodies.append(RigidBody(first, joint, pose_b, inertial, tuple(shapes), tuple(visuals)))
+    return bodies
 
 
 def write_urdfs(
     bodies: Sequence[RigidBody], model: UrdfModel, meshes: UrdfMeshes, folder: Path
 ) -> tuple[Path, Path]:
-    """Write the bodies into `folder` as two URDFs, for physics and for the eye, with the meshes they need.
+    """Write the bodies into `folder` as two URDFs, for physics and for rendering, with their meshes.
 
-    Physics gets convex hulls; engines refuse a file for looks that they cannot read.
+    Physics has convex hulls only, and a file without visual shapes: engines refuse formats that they cannot
+    read.
     """
     physics, look = (Element("robot", name=model.name) for _ in range(2))
     look.extend(model.materials)
     for number, body in enumerate(bodies):
         link = SubElement(physics, "link", name=body.name)
         _write_inertial(link, body.inertial)
-        for index, solid in enumerate(body.solids):
-            geometry = _write_shape(link, "collision", solid.geometry)
-            if solid.geometry.kind == "mesh":
-                # In the body's own frame and size already.
+        for index, shape in enumerate(body.shapes):
+            geometry = _write_shape(link, "collision", shape.geometry)
+            if shape.geometry.kind == "mesh":
+                # The points are in the body's frame and scaled.
                 file = f"hull_{number}_{index}.stl"
-                trimesh.Trimesh(solid.points, process=False).convex_hull.export(folder / file)
+                trimesh.Trimesh(shape.points, process=False).convex_hull.export(folder / file)
                 SubElement(geometry, "mesh", filename=file)
         link = SubElement(look, "link", name=body.name)
         for index, visual in enumerate(body.visuals):
             geometry = _write_shape(link, "visual", visual)
             if visual.mesh is not None:
                 file = f"look_{number}_{index}.ply"
-                _look(visual.mesh, meshes).export(folder / file)
+                _coloured_mesh(visual.mesh, meshes).export(folder / file)
                 SubElement(geometry, "mesh", filename=file, scale=" ".join(map(repr, visual.size)))
     for root in (physics, look):
         for body in bodies:
@@ -122,8 +125,8 @@ def write_urdfs(
     return paths
 
 
-def _look(name: str, meshes: UrdfMeshes) -> trimesh.Trimesh:
-    """A mesh file with the colours of its faces, textures and all, as one that needs no other file."""
+def _coloured_mesh(name: str, meshes: UrdfMeshes) -> trimesh.Trimesh:
+    """A mesh file as one mesh with face colours, those of textures included, that needs no other file."""
     parts = meshes.parts(name)
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
     colours = np.concatenate([part.colours for part in parts])
@@ -135,33 +138,33 @@ def _look(name: str, meshes: UrdfMeshes) -> trimesh.Trimesh:
     )
 
 
-def _placed(geometry: Geometry, pose: Array) -> Geometry:
+def _transformed(geometry: Geometry, pose: Array) -> Geometry:
     return replace(geometry, pose=pose @ geometry.pose)
 
 
-def _held(joint: Joint) -> Array:
-    """Where a joint that is held leaves its child: at zero, or at the limit nearest to it."""
+def _fixed_joint_pose(joint: Joint) -> Array:
+    """Pose (4, 4) of the child of a joint that is fixed at zero, or at the limit nearest to zero."""
     if joint.kind not in ("revolute", "prismatic"):
         return np.eye(4)
-    at = min(max(0.0, joint.lower), joint.upper)
+    value = min(max(0.0, joint.lower), joint.upper)
     if joint.kind == "revolute":
-        return np.asarray(trimesh.transformations.rotation_matrix(at, joint.axis))
-    return np.asarray(trimesh.transformations.translation_matrix(at * joint.axis))
+        return np.asarray(trimesh.transformations.rotation_matrix(value, joint.axis))
+    return np.asarray(trimesh.transformations.translation_matrix(value * joint.axis))
 
 
-def _sum(parts: list[Inertial]) -> Inertial:
+def _combined_inertial(parts: list[Inertial]) -> Inertial:
     if len(parts) == 1:
         return parts[0]
     mass = sum(part.mass for part in parts)
     centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for part in parts:
-        away = part.centre - centre
-        inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
+        offset = part.centre - centre
+        inertia += part.inertia + part.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     return Inertial(mass, centre, inertia)
 
 
-def _solid(geometry: Geometry, link: str, meshes: UrdfMeshes, model: UrdfModel) -> Solid:
+def _convex_shape(geometry: Geometry, link: str, meshes: UrdfMeshes, model: UrdfModel) -> ConvexShape:
     if geometry.kind == "mesh":
         assert geometry.mesh is not None
         try:
@@ -176,8 +179,8 @@ def _solid(geometry: Geometry, link: str, meshes: UrdfMeshes, model: UrdfModel) 
                 f"{model.path.name}: link {link!r}: the mesh {geometry.mesh!r} is flat or empty, so that "
                 "nothing can collide with it; take a box for its <collision>."
             ) from None
-        moved = corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3]
-        return Solid(replace(geometry, pose=np.eye(4)), moved)
+        points = corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3]
+        return ConvexShape(replace(geometry, pose=np.eye(4)), points)
     if geometry.kind == "box":
         half = np.array(geometry.size) / 2
         corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * half
@@ -186,7 +189,7 @@ def _solid(geometry: Geometry, link: str, meshes: UrdfMeshes, model: UrdfModel) 
         corners = np.asarray(trimesh.creation.cylinder(radius, length, sections=_SECTIONS).vertices)
     else:
         corners = np.asarray(trimesh.creation.icosphere(subdivisions=3, radius=geometry.size[0]).vertices)
-    return Solid(geometry, corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
+    return ConvexShape(geometry, corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
 
 
 def _write_origin(element: Element, pose: Array) -> None:
@@ -209,7 +212,7 @@ def _write_inertial(link: Element, inertial: Inertial) -> None:
 
 
 def _write_shape(link: Element, tag: str, geometry: Geometry) -> Element:
-    """The shape's element; a mesh is left for the caller to name."""
+    """The <geometry> element of a shape; the caller adds the <mesh> of a mesh."""
     element = SubElement(link, tag)
     _write_origin(element, geometry.pose)
     material = geometry.element.find("material")

@@ -1,4 +1,4 @@
-"""The mesh files that a URDF names: found beside it or in a package, read only within those folders."""
+"""Mesh files of a URDF: searched beside it and in packages, and read only within those folders."""
 
 import os
 from collections.abc import Iterator
@@ -15,13 +15,12 @@ _PACKAGE_FILE = "package.xml"
 
 
 class UrdfMeshes:
-    """The meshes of the URDF file at `urdf`.
+    """Mesh files of the URDF file at `urdf`.
 
-    A plain name is looked for beside the file, up to the root of its package
-    (the nearest folder above that has a package.xml). `package://NAME/...` is
-    looked for in the folders above the file that are called NAME or hold a
-    folder NAME, and in those of ROS_PACKAGE_PATH. Nothing outside the folder so
-    found is read, wherever links lead.
+    A plain name is relative to the file's folder, within the root of its package (the nearest parent folder
+    with a package.xml). `package://NAME/...` is searched in parent folders of the file that are called NAME
+    or have a subfolder NAME, and in those of ROS_PACKAGE_PATH. Nothing outside of that folder is read, even
+    through links.
     """
 
     def __init__(self, urdf: Path) -> None:
@@ -29,7 +28,7 @@ class UrdfMeshes:
         self._beside = urdf.resolve().parent
 
     def find(self, name: str) -> Path:
-        """The path of a mesh by its name in the URDF; `RobotError` where there is none to be read."""
+        """Path of the mesh with a name in the URDF; raises `RobotError` if there is none that may be read."""
         if name.startswith(_PACKAGE):
             package, _, rest = name.removeprefix(_PACKAGE).partition("/")
             folders = list(self._packages(package))
@@ -49,12 +48,12 @@ class UrdfMeshes:
             except FileNotFoundError:
                 continue
             except WorldError as error:
-                raise RobotError(_for_robots(error)) from None
+                raise RobotError(_robot_message(error)) from None
         where = ", ".join(str(folder.base) for folder in searched)
         raise RobotError(f"the mesh {printable(name)} is not in {where}; copy it there, or mend the name.")
 
     def parts(self, name: str) -> list[MeshPart]:
-        """The mesh as coloured parts in metres, in the axes of the file."""
+        """The mesh with a name in the URDF as coloured parts [m], in the axes of the file."""
         path = self.find(name)
         if path.suffix.lower() not in FORMATS:
             raise RobotError(
@@ -62,10 +61,10 @@ class UrdfMeshes:
                 f"meshes are read from {', '.join(FORMATS)}."
             )
         try:
-            # URDF reads files as they are: their own idea of up does not count.
+            # A URDF ignores the up axis that a file declares.
             return load_mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
         except WorldError as error:
-            raise RobotError(_for_robots(error)) from None
+            raise RobotError(_robot_message(error)) from None
 
     def _root(self) -> Path:
         for folder in (self._beside, *self._beside.parents):
@@ -91,5 +90,5 @@ class UrdfMeshes:
                 yield folder / name
 
 
-def _for_robots(error: WorldError) -> str:
+def _robot_message(error: WorldError) -> str:
     return str(error).replace("the world needs", "the robot needs").replace("world.path", "robot.path")

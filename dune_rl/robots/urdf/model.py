@@ -1,4 +1,4 @@
-"""A URDF as checked data: links with masses and shapes, and the tree of joints between them."""
+"""Reader of URDFs: links with masses and shapes, and the tree of joints, as checked data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ class Inertial:
     inertia: Array
 
     def transform(self, pose: Array) -> "Inertial":
-        """The same, as seen from the frame in which this one has `pose` (4, 4)."""
+        """The same in the frame in which this one's frame has `pose` (4, 4)."""
         turn = pose[:3, :3]
         return Inertial(self.mass, turn @ self.centre + pose[:3, 3], turn @ self.inertia @ turn.T)
 
@@ -40,8 +40,8 @@ class Inertial:
 class Geometry:
     """A box, cylinder (along z), sphere or mesh, at `pose` (4, 4) in its link.
 
-    `size` is (3,) lengths, (radius, length), (radius,), or a mesh's (3,) scale; `element` is the
-    URDF's own, for looks.
+    `size` is (3,) lengths, (radius, length), (radius,), or a mesh's (3,) scale; `element` is the URDF's
+    element, for the material.
     """
 
     kind: str
@@ -53,7 +53,7 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A link, with or without a mass."""
+    """A link; `inertial` is None without mass."""
 
     name: str
     inertial: Inertial | None
@@ -63,10 +63,10 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint; `pose` (4, 4) is the child's in the parent's frame at zero, `axis` (3,) a unit vector in it.
+    """A joint; `pose` (4, 4) is the child's in the parent's frame with the joint at zero.
 
-    `effort` and `velocity` are None where the URDF gives no limit; `mimic` is the joint followed and
-    how many times as far.
+    `axis` (3,) is a unit vector in the child's frame. `effort` and `velocity` are None if the URDF has no
+    limit; `mimic` is the name of the joint that this one follows, and the ratio of their angles.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel:
-    """A robot's links and joints by name, its root first; `materials` are the elements at its top."""
+    """Links and joints of a robot by name, the root first; `materials` are top-level <material> elements."""
 
     path: Path
     name: str
@@ -95,24 +95,24 @@ class UrdfModel:
     joints: dict[str, Joint]
     materials: tuple[Element, ...] = field(default=())
 
-    def joints_below(self, link: str) -> list[Joint]:
+    def child_joints(self, link: str) -> list[Joint]:
         """The joints whose parent is `link`, in the file's order."""
         return [joint for joint in self.joints.values() if joint.parent == link]
 
 
 def read_urdf(path: str | Path) -> UrdfModel:
-    """The URDF at `path`; `RobotError` names the file, the element and the remedy for whatever is wrong."""
+    """Read the URDF at `path`; a `RobotError` names the file, the element and the remedy for a fault."""
     file = Path(path).expanduser()
     if not file.exists():
         raise RobotError(f"there is no file {file}: robot.path must name a URDF that exists.")
     if file.suffix.lower() == f".{_XACRO}":
-        raise RobotError(_expand(file))
+        raise RobotError(_xacro_message(file))
     try:
         root = read_xml(read_bytes(file, _MAX_BYTES), file.name)
     except WorldError as error:
         raise RobotError(str(error).replace("world.path", "robot.path")) from None
     if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
-        raise RobotError(_expand(file))
+        raise RobotError(_xacro_message(file))
     if root.tag != "robot":
         raise RobotError(f"{file.name} begins with <{printable(str(root.tag))}>, and a URDF with <robot>.")
     try:
@@ -121,7 +121,7 @@ def read_urdf(path: str | Path) -> UrdfModel:
         raise RobotError(f"{file.name}: {fault}") from None
 
 
-def _expand(file: Path) -> str:
+def _xacro_message(file: Path) -> str:
     return f"{file.name} is a xacro file; expand it first: xacro {file.name} > {file.stem.split('.')[0]}.urdf"
 
 
@@ -251,7 +251,7 @@ def _inertial(element: Element, where: str) -> Inertial | None:
     if mass == 0.0:
         return None
     least, middle, most = np.linalg.eigvalsh(inertia)
-    # PyBullet takes none at all in place of such.
+    # PyBullet silently replaces such an inertia.
     if least <= 0.0 or most > 1.0001 * (least + middle):
         raise _FaultError(
             f"{where}: its <inertia> is that of no body; its moments must be above 0, and none above the sum "
@@ -310,7 +310,7 @@ def _numbers(
         found = tuple(float(word) for word in text.split())
     except ValueError:
         found = ()
-    # Beyond this, nothing is a robot's, and squares of it overflow.
+    # No robot has larger numbers, and squares of them overflow.
     if len(found) != count or not all(abs(value) < 1e9 for value in found):
         tag = "" if element is None else f"<{element.tag}> "
         raise _FaultError(f"{where}: {tag}{key}={printable(text)!r} must be {count} finite numbers.")

@@ -1,4 +1,4 @@
-"""Any robot on wheels, from its URDF: differential and skid-steer platforms with a few lines of settings."""
+"""Differential and skid-steer robots from a URDF."""
 
 import shutil
 import tempfile
@@ -19,7 +19,7 @@ from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf, Triple
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.robots.urdf.bodies import RigidBody, rigid_bodies, write_urdfs
+from dune_rl.robots.urdf.bodies import RigidBody, merge_links, write_urdfs
 from dune_rl.robots.urdf.meshes import UrdfMeshes
 from dune_rl.robots.urdf.model import Joint, UrdfModel, read_urdf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
@@ -27,24 +27,24 @@ from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 
-# How much wider a track is for wheels that scrub sideways: rover_zero's, measured.
-_SCRUBBING = 1.4
+# Effective over real track of wheels that scrub sideways: rover_zero's, measured.
+_SCRUB_RATIO = 1.4
 _ROUND = ("sphere", "cylinder", "mesh")
-_UPRIGHT = 0.3
+# Least absolute y component of a wheel's axis.
+_MIN_AXIS_Y = 0.97
 _GRAVITY_MPS2 = 9.81
 _DEFAULT_SPEED_MPS = 1.0
-_OVER_THE_TOP_M = 0.05
-# Casters may reach a little lower than the wheels.
-_DEEPEST_M = 0.02
+_SCANNER_OVER_TOP_M = 0.05
+# Casters may be a little lower than the wheels.
+_MAX_DEPTH_M = 0.02
 
 
 class UrdfDriveConf(Settings):
-    """As `SkidSteerConf`; what is None is derived from the URDF.
+    """As `SkidSteerConf`; values that are None are derived from the URDF.
 
-    That is: the radius from the wheels' shapes; the track from their places,
-    wider by what scrubs where there are more than two; the top speed from the
-    joints' velocity limits, else 1 m/s; the torque from their effort limits,
-    else what climbs a wall.
+    These are: the radius, from the wheels' shapes; the track, from their positions, wider for more than one
+    axle, whose wheels scrub; the top speed, from the joints' velocity limits, else 1 m/s; the torque, from
+    their effort limits, else enough to climb a wall.
     """
 
     wheel_radius_m: float | None = Field(None, gt=0.0)
@@ -63,7 +63,7 @@ class UrdfDriveConf(Settings):
 
 
 class UrdfMountsConf(Settings):
-    """As `MountsConf`; what is None is derived: over the middle, ahead at half the height, in the middle."""
+    """As `MountsConf`; values that are None are derived: above the centre, at the front, at the centre."""
 
     scanner_b: Triple | None = None
     camera_b: Triple | None = None
@@ -72,14 +72,12 @@ class UrdfMountsConf(Settings):
 
 
 class UrdfConf(RobotSettings):
-    """A URDF at `path`, and what cannot be read from it.
+    """A URDF at `path`, and settings that it does not contain.
 
-    `left_wheels` and `right_wheels` are names of joints; None takes all
-    continuous joints with a round shape that turn about the robot's y.
-    Continuous joints that are no wheels, and `free_joints`, turn as they are
-    pushed: casters and suspensions, with the URDF's friction, damping, limits
-    and `mimic`; all others are held at zero.
-    `hull_friction` is that of everything but the wheels: of ball casters, too.
+    `left_wheels` and `right_wheels` are names of joints; None selects all continuous joints about the
+    robot's y whose link has a round collision shape. Continuous joints of no wheel, and `free_joints`, have
+    no motor: casters and suspensions, with the URDF's friction, damping, limits and `mimic`. All other
+    joints are fixed at zero. `hull_friction` applies to all links but the wheels, ball casters included.
     """
 
     name: Literal["urdf"] = "urdf"
@@ -97,7 +95,7 @@ class UrdfConf(RobotSettings):
 
     @property
     def standing_height_m(self) -> float | None:
-        """Not known before the URDF is read."""
+        """None: unknown before the URDF is read."""
         return None
 
 
@@ -107,7 +105,7 @@ class _Wheel:
     body: RigidBody
     centre_b: Array
     radius_m: float
-    # Whether a positive turn rolls the robot back.
+    # Whether a positive speed of the joint drives the robot backward.
     backward: bool
 
     @property
@@ -116,10 +114,10 @@ class _Wheel:
 
 
 class UrdfRobot(WheeledRobot):
-    """M robots driven by (speed, heading) commands: a `Robot`.
+    """N robots with (speed, heading) actions: a `Robot`.
 
-    Frame: that of the URDF's root link, which must have x forward, y left and
-    z up. `RobotError` tells what in the file or the settings cannot be.
+    Frame: that of the URDF's root link, which must have x forward, y left and z up. Raises `RobotError` for
+    faults in the file or the settings.
     """
 
     def __init__(self, conf: UrdfConf, num_robots: int) -> None:
@@ -129,18 +127,18 @@ class UrdfRobot(WheeledRobot):
         named = _named_wheels(conf, model)
         moving = [joint.name for joint in model.joints.values() if joint.kind == "continuous"]
         _check_joints("free_joints", conf.free_joints, model)
-        bodies = rigid_bodies(model, {*moving, *conf.free_joints}, meshes)
-        wheels = _wheels(bodies, conf, named, model)
-        turning = {wheel.joint.name for wheel in wheels}
-        self._bodies = _forward(bodies, wheels)
+        bodies = merge_links(model, {*moving, *conf.free_joints}, meshes)
+        wheels = _find_wheels(bodies, conf, named, model)
+        driven = {wheel.joint.name for wheel in wheels}
+        self._bodies = _with_forward_axes(bodies, wheels)
         self._model = model
         self._measure(bodies, wheels)
         self.mass_kg = sum(body.inertial.mass for body in bodies)
-        drive = self._drive_conf_of(conf.drive, wheels, self.mass_kg)
+        drive = self._derive_drive(conf.drive, wheels, self.mass_kg)
         folder = Path(tempfile.mkdtemp(prefix="dune_rl_robot_"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         physics, look = write_urdfs(self._bodies, model, meshes, folder)
-        loose = [body.joint for body in bodies if body.joint is not None and body.joint.name not in turning]
+        passive = [body.joint for body in bodies if body.joint is not None and body.joint.name not in driven]
         super().__init__(
             heading=conf.heading,
             drive=drive,
@@ -153,18 +151,18 @@ class UrdfRobot(WheeledRobot):
                 hull_friction=conf.hull_friction,
                 sideways_friction_share=conf.sideways_friction_share,
                 ground_links_meet_obstacles=True,
-                passive=tuple(PassiveJoint(joint.name, joint.friction, joint.damping) for joint in loose),
-                couplings=_couplings(loose),
+                passive=tuple(PassiveJoint(joint.name, joint.friction, joint.damping) for joint in passive),
+                couplings=_couplings(passive),
             ),
             on_left=[wheel.on_left for wheel in wheels],
-            mounts=self._mounts(conf.mounts),
+            mounts=self._derive_mounts(conf.mounts),
             battery=conf.battery,
-            num_scenes=num_robots,
+            num_robots=num_robots,
         )
         self.drive = drive
 
     def summary(self) -> str:
-        """What was derived, a line each, for people."""
+        """Derived values, one per line, for people."""
         drive, wheels = self.drive, self.body.drive_joints
         left = [wheel for wheel, side in zip(wheels, self._on_left, strict=True) if side]
         right = [wheel for wheel in wheels if wheel not in left]
@@ -172,7 +170,7 @@ class UrdfRobot(WheeledRobot):
             f"{self._model.name}: {self.mass_kg:.2f} kg in {len(self._bodies)} moving parts",
             f"left wheels: {', '.join(left)}",
             f"right wheels: {', '.join(right)}",
-            f"turning freely: {', '.join(joint.joint for joint in self.body.passive) or '-'}",
+            f"joints without motor: {', '.join(joint.joint for joint in self.body.passive) or '-'}",
             f"size: {self.length_m:.3f} x {self.width_m:.3f} x {self.height_m:.3f} m, origin "
             f"{self.standing_height_m:.3f} m over the ground",
             f"wheel radius: {drive.wheel_radius_m:.4f} m; track for turns: {drive.effective_track_m:.3f} m",
@@ -197,38 +195,38 @@ class UrdfRobot(WheeledRobot):
             [np.zeros((0, 3)), *(body.points_b() for body in bodies if body not in [w.body for w in wheels])]
         )
         deeper = -self.standing_height_m - float(hull[:, 2].min(initial=np.inf))
-        if deeper > _DEEPEST_M:
+        if deeper > _MAX_DEPTH_M:
             raise RobotError(
                 f"{self._model.path.name}: its hull reaches {deeper:.3f} m "
                 "below its wheels, which would hang in the air; mend a <collision>, or name the wheels in "
                 "robot.left_wheels and robot.right_wheels."
             )
 
-    def _drive_conf_of(self, conf: UrdfDriveConf, wheels: Sequence[_Wheel], mass: float) -> SkidSteerConf:
+    def _derive_drive(self, conf: UrdfDriveConf, wheels: Sequence[_Wheel], mass: float) -> SkidSteerConf:
         radius = conf.wheel_radius_m or self.contact_radius_m
         across = self.wheel_positions_b[:, 1]
         track = float(across[across > 0].mean() - across[across <= 0].mean())
         scrubs = np.ptp(self.wheel_positions_b[:, 0]) > radius / 2
         speeds = [wheel.joint.velocity for wheel in wheels if wheel.joint.velocity is not None]
         efforts = [wheel.joint.effort for wheel in wheels if wheel.joint.effort is not None]
-        # Some write a limit of thousands to say that there is none.
+        # Some URDFs write a limit of thousands for none.
         top = min(10.0, min(speeds) * radius) if speeds else _DEFAULT_SPEED_MPS
-        enough = mass * _GRAVITY_MPS2 * radius / len(wheels)
+        climbing = mass * _GRAVITY_MPS2 * radius / len(wheels)
         values = conf.model_dump()
         return SkidSteerConf(
             **values
             | {
                 "wheel_radius_m": radius,
-                "effective_track_m": conf.effective_track_m or track * (_SCRUBBING if scrubs else 1.0),
+                "effective_track_m": conf.effective_track_m or track * (_SCRUB_RATIO if scrubs else 1.0),
                 "max_speed_mps": conf.max_speed_mps or top,
-                "max_torque_nm": conf.max_torque_nm or (min(efforts) if efforts else enough),
+                "max_torque_nm": conf.max_torque_nm or (min(efforts) if efforts else climbing),
             }
         )
 
-    def _mounts(self, conf: UrdfMountsConf) -> MountsConf:
+    def _derive_mounts(self, conf: UrdfMountsConf) -> MountsConf:
         middle = round(self._top_m - self.height_m / 2, 4)
         return MountsConf(
-            scanner_b=conf.scanner_b or (0.0, 0.0, round(self._top_m + _OVER_THE_TOP_M, 4)),
+            scanner_b=conf.scanner_b or (0.0, 0.0, round(self._top_m + _SCANNER_OVER_TOP_M, 4)),
             camera_b=conf.camera_b or (self._front_m, 0.0, round(self._top_m - self.height_m / 4, 4)),
             camera_pitch_rad=conf.camera_pitch_rad,
             imu_b=conf.imu_b or (0.0, 0.0, middle),
@@ -236,7 +234,7 @@ class UrdfRobot(WheeledRobot):
 
 
 def _named_wheels(conf: UrdfConf, model: UrdfModel) -> list[str]:
-    """The joints that the settings name as wheels; none where both sides are to be found out."""
+    """Joints of wheels in the settings; none if they are to be detected."""
     if conf.left_wheels is None and conf.right_wheels is None:
         return []
     if not conf.left_wheels or not conf.right_wheels:
@@ -269,7 +267,7 @@ def _listed(model: UrdfModel) -> str:
     return ", ".join(moving) or "no joints that move"
 
 
-def _wheels(
+def _find_wheels(
     bodies: Sequence[RigidBody], conf: UrdfConf, named: Sequence[str], model: UrdfModel
 ) -> list[_Wheel]:
     file = model.path.name
@@ -281,8 +279,8 @@ def _wheels(
         if named and joint.name not in named:
             continue
         axis = body.pose_b[:3, :3] @ joint.axis
-        across = abs(float(axis[1])) > 1.0 - _UPRIGHT / 10
-        rounds = [solid for solid in body.solids if solid.geometry.kind in _ROUND]
+        across = abs(float(axis[1])) > _MIN_AXIS_Y
+        rounds = [shape for shape in body.shapes if shape.geometry.kind in _ROUND]
         if named and not across:
             raise RobotError(
                 f"{file}: joint {joint.name} turns about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}), and "
@@ -300,7 +298,7 @@ def _wheels(
         radius = float(np.hypot(*(points - centre)[:, [0, 2]].T).max())
         found.append(_Wheel(joint, body, centre, radius, bool(axis[1] < 0.0)))
     if not named:
-        # What is held over the ground, such as a spinning scanner, is no wheel.
+        # A round link above the ground, such as a spinning scanner, is no wheel.
         bottom = min((wheel.centre_b[2] - wheel.radius_m for wheel in found), default=0.0)
         found = [wheel for wheel in found if wheel.centre_b[2] - wheel.radius_m < bottom + 0.02]
     sides = {wheel.on_left for wheel in found}
@@ -328,29 +326,29 @@ def _wheels(
     return found
 
 
-def _forward(bodies: Sequence[RigidBody], wheels: Sequence[_Wheel]) -> list[RigidBody]:
-    """The bodies, with the axes of wheels turned so that a positive turn rolls the robot forward."""
-    turned = {id(wheel.body) for wheel in wheels if wheel.backward}
-    found = []
+def _with_forward_axes(bodies: Sequence[RigidBody], wheels: Sequence[_Wheel]) -> list[RigidBody]:
+    """The bodies, with the axes of wheels oriented so that positive speeds drive the robot forward."""
+    reversed_bodies = {id(wheel.body) for wheel in wheels if wheel.backward}
+    oriented = []
     for body in bodies:
         joint = body.joint
-        if id(body) in turned and joint is not None:
+        if id(body) in reversed_bodies and joint is not None:
             body = RigidBody(
                 body.name,
                 Joint(**{**vars(joint), "axis": -joint.axis}),
                 body.pose_b,
                 body.inertial,
-                body.solids,
+                body.shapes,
                 body.visuals,
             )
-        found.append(body)
-    return found
+        oriented.append(body)
+    return oriented
 
 
-def _couplings(loose: Sequence[Joint]) -> tuple[Coupling, ...]:
-    names = {joint.name for joint in loose}
+def _couplings(passive: Sequence[Joint]) -> tuple[Coupling, ...]:
+    names = {joint.name for joint in passive}
     return tuple(
         Coupling(joint.mimic[0], joint.name, joint.mimic[1])
-        for joint in loose
+        for joint in passive
         if joint.mimic is not None and joint.mimic[0] in names and joint.mimic[0] != joint.name
     )

@@ -2,9 +2,9 @@
 
 import numpy as np
 from scenes import Backend, plane_field
+from states import joints_from, motion_of
 
-from dune_rl.env.motion import Motion
-from dune_rl.env.scene import scene_spec, standing_pose
+from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.traction import Traction
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
@@ -27,7 +27,7 @@ def named(name: str) -> Surface:
     return next(surface for surface in SURFACES if surface.name == name)
 
 
-class Rig:
+class RoverOnGround:
     """One rover on a world of surfaces, driven by wheel speeds."""
 
     def __init__(
@@ -44,22 +44,22 @@ class Rig:
         load: float = 1.0,
     ) -> None:
         self.world, self.physics = world, PhysicsConf()
-        self.rover = RoverZero(conf or RoverZeroConf(), 1)
-        self.scene = backend(scene_spec(world, [self.rover], (), self.physics))
+        self.robot = RoverZero(conf or RoverZeroConf(), 1)
+        self.scene = backend(scene_spec(world, (self.robot.body,), (), self.physics))
         self.engine = self.scene.robots[0]
-        self.motion = Motion(1, self.rover)
-        self.traction = Traction(self.rover, self.physics, 1)
+        self.traction = Traction(self.robot, self.physics, 1)
         self.traction.friction_factor[:], self.traction.stiffness_factor[:] = factors
         self.traction.tyre_factor[:], self.traction.load_factor[:] = tyres, load
-        position, quaternion = standing_pose(world, self.rover, *at, yaw)
+        position, quaternion = standing_pose(world, self.robot, *at, yaw)
         position[2] += drop_m
         self.engine.set_start_pose(position.tolist(), quaternion.tolist())
         self.scene.reset(np.zeros((0, 4)))
         self.traction.begin(0, world, self.engine, position, quaternion)
-        self._sense()
+        self._read()
 
-    def _sense(self) -> None:
-        self.motion.update(np.array([self.engine.body_state()]), np.array([self.engine.drive_state()]))
+    def _read(self) -> None:
+        joints = joints_from(np.array(self.engine.drive_state()))
+        self.motion = motion_of(np.array(self.engine.body_state()), joints)
 
     def step(self, wheels: float = 0.0, count: int = 1, substeps: int | None = None) -> None:
         for _ in range(count):
@@ -68,7 +68,7 @@ class Rig:
                 self.engine.apply_force(force[0].tolist())
             self.engine.set_command([wheels] * 4)
             self.scene.step(substeps or self.physics.substeps, np.zeros((0, 4)))
-            self._sense()
+            self._read()
 
     @property
     def position(self) -> np.ndarray:
@@ -82,6 +82,6 @@ class Rig:
     @property
     def height(self) -> float:
         """Of the wheels' bottoms over the ground [m], as if the ground were hard."""
-        bottoms = self.position + self.rover.wheel_positions_b @ self.motion.rotation[0].T
+        bottoms = self.position + self.robot.wheel_positions_b @ self.motion.rotation[0].T
         ground, normal = self.world.terrain.height_and_normal(bottoms[:, :2])
-        return float(((bottoms[:, 2] - ground) * normal[:, 2]).mean()) - self.rover.standing_height_m
+        return float(((bottoms[:, 2] - ground) * normal[:, 2]).mean()) - self.robot.standing_height_m

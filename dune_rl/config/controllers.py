@@ -1,0 +1,56 @@
+"""Controllers of agent groups, as they are configured: a behaviour, or a trained policy from a file."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
+from dune_rl.config.agents import Controller as ControllerConf
+from dune_rl.config.agents import FrozenPolicyConf
+from dune_rl.env.agent_group import AgentGroup, MakeController
+from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
+from dune_rl.sensors.sensor import Reading
+
+
+def controller_factory(conf: ControllerConf) -> MakeController | None:
+    """What makes the controller of a group; None for one that is driven from outside or walks its paths."""
+    if isinstance(conf, BehaviourSettings):
+        return partial(_behaviour, conf)
+    if isinstance(conf, FrozenPolicyConf):
+        return partial(_frozen_policy, conf)
+    return None
+
+
+def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
+    return BehaviourController(BEHAVIOURS.build(conf, group.num_rows))
+
+
+def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
+    """Raises `CheckpointError` where the file has no policy for what the group observes and does."""
+    # Only now: most groups need no PyTorch.
+    import torch
+    from tensordict import TensorDict
+
+    from dune_rl.learning.group_policy import Deterministic
+    from dune_rl.learning.policy_spec import PolicySpec
+    from dune_rl.learning.saved_policies import load_group_policy
+
+    spec = PolicySpec.of_bounds(group.observation_bounds, group.action_bounds)
+    policy = Deterministic(load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)[0])
+
+    def act(readings: dict[str, Reading]) -> NDArray[np.float64]:
+        rows = group.num_rows
+        observation = {
+            key: torch.from_numpy(reading).reshape(-1, group.count, *reading.shape[1:])
+            for key, reading in readings.items()
+        }
+        size = (rows // group.count, group.count)
+        inputs = TensorDict({group.name: {"observation": observation}}, batch_size=size[:1])
+        inputs[group.name].batch_size = size
+        inputs[group.name, "observation"].batch_size = size
+        action: torch.Tensor = policy(inputs)[group.name, "action"]
+        return action.reshape(rows, -1).numpy().astype(np.float64)
+
+    return PolicyController(act)

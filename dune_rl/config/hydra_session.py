@@ -1,0 +1,105 @@
+"""One Hydra session: where it looks for options, and the plain settings that it composes."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra import compose as hydra_compose
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.singleton import Singleton
+from hydra.errors import HydraException
+from hydra.version import setbase
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from dune_rl import paths
+from dune_rl.config.options import offer_user_parts
+from dune_rl.config.overrides import ParsedOverrides, sweep_values
+from dune_rl.errors import ConfigError
+
+
+@contextmanager
+def hydra_session(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
+    """Hydra, initialised with our options, those of `config_dirs` and users' parts; then as it was before."""
+    for folder in config_dirs:
+        if not Path(folder).is_dir():
+            raise ConfigError(f"there is no folder {folder} to read configurations from (--config-dir)")
+    # A process has one Hydra, which a caller may be using.
+    before = Singleton.get_state() if GlobalHydra.instance().is_initialized() else None
+    GlobalHydra.instance().clear()
+    try:
+        # Not `initialize_config_dir`, which searches one folder only.
+        setbase("1.3")
+        search_path = create_config_search_path(str(paths.conf_folder()))
+        offer_user_parts(config_dirs)
+        OmegaConf.register_new_resolver(
+            "config_dir", partial(_find_in_folders, tuple(config_dirs)), replace=True
+        )
+        for folder in config_dirs:
+            search_path.prepend("command-line", f"file://{Path(folder).resolve()}")
+        yield Hydra.create_main_hydra2("dune_rl", search_path).config_loader
+    except yaml.YAMLError as error:
+        raise ConfigError(f"a file of settings is no valid YAML: {' '.join(str(error).split())}") from None
+    finally:
+        GlobalHydra.instance().clear()
+        if before is not None:
+            Singleton.set_state(before)
+
+
+def _find_in_folders(folders: Sequence[str], name: str) -> str:
+    """The absolute path of a file in the user's folders of options: the value of `${config_dir:name}`."""
+    for folder in folders:
+        path = Path(folder).resolve() / name
+        if path.exists():
+            return str(path)
+    where = " or ".join(folders) or "a folder of options (--config-dir)"
+    raise ConfigError(f"there is no file {name} in {where}")
+
+
+def compose_config(name: str, request: ParsedOverrides) -> DictConfig:
+    """What Hydra composes of the file `name` and the overrides; `ConfigError` where it refuses."""
+    try:
+        return hydra_compose(name, request.hydra_words(present_groups(name, request)))
+    except (HydraException, OmegaConfBaseException) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError("\n".join([*request.faults, f"cannot compose the settings: {reason}"])) from None
+
+
+def present_groups(name: str, request: ParsedOverrides) -> frozenset[str]:
+    """The groups that are in the defaults list already, with those of an experiment."""
+    experiments = [o for o in request.groups if o.key_or_group == "experiment"]
+    words = tuple(f"+experiment={sweep_values(o)[0].value()}" for o in experiments)
+    return _present_groups_of(name, words, str(GlobalHydra.instance().config_loader().get_search_path()))
+
+
+@lru_cache(maxsize=32)
+def _present_groups_of(name: str, words: tuple[str, ...], _search_path: str) -> frozenset[str]:
+    config = hydra_compose(name, list(words), return_hydra_config=True)
+    choices = config.hydra.runtime.choices
+    return frozenset(group for group in choices if group != "experiment" and not group.startswith("hydra/"))
+
+
+def stated_keys(request: ParsedOverrides, present: frozenset[str]) -> set[str]:
+    """The overridden settings that a YAML file states, which need no `++`."""
+    config = hydra_compose(
+        "train", replace(request, values=(), engine=()).hydra_words(present, first_of_sweep=True)
+    )
+    keys = {override.key_or_group for override in request.values}
+    return {key for key in keys if OmegaConf.select(config, key, default=config) is not config}
+
+
+def to_plain(config: DictConfig) -> dict[str, Any]:
+    """The settings as plain containers, with interpolations resolved."""
+    try:
+        data = OmegaConf.to_container(config, resolve=True)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"cannot resolve the settings: {str(error).splitlines()[0]}") from None
+    assert isinstance(data, dict)
+    return {str(key): value for key, value in data.items()}

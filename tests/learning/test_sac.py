@@ -1,0 +1,141 @@
+"""Soft actor-critic: its targets, its replay buffer, its schedule."""
+
+import math
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from point_mass import PointMass, make_point_mass
+from tensordict import TensorDict
+from training import make_sac
+
+from dune_rl.learning.collector import TransitionCollector
+from dune_rl.learning.group_batch import agent_sequences, select_group
+from dune_rl.learning.group_policy import GroupPolicy
+from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.normaliser import Normaliser
+from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.sac.replay import Replay
+from dune_rl.learning.sac.returns import multi_step
+from dune_rl.learning.sac.settings import ReplayConf
+from dune_rl.learning.sac.transitions import TransitionCodec
+from dune_rl.learning.settings import CollectorConf
+
+SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
+TINY = PolicySpec({"goal": 2}, (-1.0,), (1.0,))
+
+
+def _one_step_episodes(spec: PolicySpec, *, terminated: bool, count: int = 64) -> TensorDict:
+    shape = [count, 1]
+    observation = TensorDict({key: torch.zeros(*shape, size) for key, size in spec.sizes.items()}, shape)
+    ended = torch.full((*shape, 1), terminated)
+    after = {
+        "observation": observation,
+        "reward": torch.ones(*shape, 1),
+        "terminated": ended,
+        "truncated": ~ended,
+        "done": torch.ones(*shape, 1, dtype=torch.bool),
+    }
+    now = {
+        "observation": observation,
+        "action": torch.zeros(*shape, spec.action_size),
+        "done": torch.zeros(*shape, 1, dtype=torch.bool),
+    }
+    return TensorDict({**now, "next": TensorDict(after, shape)}, shape)
+
+
+@pytest.mark.parametrize("terminated", [True, False])
+def test_time_limits_bootstrap_and_terminations_do_not(tmp_path: Path, terminated: bool) -> None:
+    torch.manual_seed(0)
+    sac = make_sac(
+        TINY, tmp_path, hidden=(16,), gamma=0.9, tau=0.2, learning_rate=2e-2, initial_entropy_coefficient=1e-9
+    )
+    rows = sac._codec.encode(_one_step_episodes(TINY, terminated=terminated))
+    sac._learn([rows] * 120)
+    loss = sac._step.loss
+    with loss.qvalue_network_params[0].to_module(loss.qvalue_network):
+        value = loss.qvalue_network.module(torch.zeros(1, 2), torch.zeros(1, 1)).item()
+    # A reward of 1 for ever is worth 1 / (1 - 0.9) = 10; one that ends the episode is worth 1.
+    if terminated:
+        assert value == pytest.approx(1.0, abs=0.3)
+    else:
+        assert value > 3
+
+
+def test_multi_step_returns_stop_at_ends() -> None:
+    reward = torch.tensor([[1.0, 2.0, 4.0, 8.0]])
+    done = torch.tensor([[False, True, False, False]])
+    total, steps = multi_step(reward, done, 3, 0.5)
+    assert steps.tolist() == [[2, 1, 2, 1]]
+    assert total.tolist() == [[2.0, 2.0, 8.0, 8.0]]
+
+
+def test_next_observation_is_the_final_one_not_the_reset_one() -> None:
+    make_env = partial(PointMass, limit=4)
+    codec = TransitionCodec(SPEC)
+    policy = GroupPolicy("rover", SPEC, make_policy_network(SPEC, Architecture((8,))))
+    conf = CollectorConf(mode="serial", scenes=2, steps=12)
+    collector = TransitionCollector(conf, make_env, {"rover": policy}, seed=0)
+    batch = agent_sequences(select_group(next(iter(collector)), "rover"))
+    collector.close()
+    ends = batch["next", "truncated"].squeeze(-1)
+    assert ends.sum() == 6
+    rows = codec.encode(batch).view(*batch.shape, -1)
+    n = SPEC.observation_size
+    moved = (rows[..., :2] - rows[..., n : n + 2]).abs()[..., 0]
+    # A point moves at most 0.2 m a step; a new episode's goal is somewhere else.
+    assert (moved[ends] <= 0.21).all()
+    after = rows[:, 1:, :n][ends[:, :-1]]
+    assert not torch.equal(after, rows[:, :-1, n : 2 * n][ends[:, :-1]])
+    decoded = codec.decode(
+        rows.flatten(0, 1),
+        lambda packed: Normaliser(torch.zeros(n, dtype=torch.bool), clip=10.0)(packed.floats),
+        reward_scale=1.0,
+    )
+    assert not decoded["next", "terminated"].any()
+
+
+def test_entropy_target_is_that_of_scaled_actions(tmp_path: Path) -> None:
+    sac = make_sac(SPEC, tmp_path, target_entropy=-2.0)
+    shift = math.log(0.8) + math.log(math.pi)
+    assert sac._step.loss.target_entropy.item() == pytest.approx(-2 + shift, abs=1e-5)
+    features = torch.zeros(20_000, SPEC.observation_size)
+    unit = PolicySpec(SPEC.sizes, (-1.0, -1.0), (1.0, 1.0))
+    entropies = []
+    for each in (SPEC, unit):
+        torch.manual_seed(0)
+        actor = make_policy_network(each, Architecture((8,)))[1]
+        distribution = actor.get_dist(TensorDict(features=features, batch_size=[20_000]))
+        entropies.append(-distribution.rsample_and_log_prob()[1].mean().item())
+    assert entropies[0] - entropies[1] == pytest.approx(shift, abs=1e-3)
+
+
+def test_replay_keeps_the_newest_rows_and_survives_a_save(tmp_path: Path) -> None:
+    replay = Replay(ReplayConf(capacity=100), 3, tmp_path / "ring")
+    for start in range(0, 250, 50):
+        replay.extend(torch.arange(start, start + 50).float()[:, None].expand(50, 3))
+    again = Replay(ReplayConf(capacity=100), 3, tmp_path / "ring2")
+    again.load(tmp_path / "r.npy", replay.save(tmp_path / "r.npy"))
+    for each in (replay, again):
+        assert {int(v) for rows in each.minibatches(40, 50) for v in rows[:, 0]} == set(range(150, 250))
+    for each in (replay, again):
+        each.extend(torch.full((10, 3), -1.0))
+    assert torch.equal(replay._buffer.storage[:], again._buffer.storage[:])
+
+
+def test_learning_rate_falls_linearly_to_its_end(tmp_path: Path) -> None:
+    sac = make_sac(TINY, tmp_path, hidden=(4,))
+    rates = [sac._step.schedule(share) for share in (0.0, 0.5, 1.0)]
+    assert rates == pytest.approx([3e-4, 1.75e-4, 5e-5])
+
+
+def test_half_precision_updates_stay_close(tmp_path: Path) -> None:
+    losses = []
+    for precision in ("float32", "bfloat16"):
+        torch.manual_seed(0)
+        sac = make_sac(SPEC, tmp_path, hidden=(32,), precision=precision)
+        losses.append(sac._learn([torch.randn(256, sac._codec.width)])["loss/critic"])
+    assert losses[0] != losses[1]
+    assert losses[1] == pytest.approx(losses[0], rel=0.05)
