@@ -119,7 +119,7 @@ class Pictures:
         self, view: Viewpoint, scene: int = 0, width: int = 1280, height: int = 720, samples: int = 1
     ) -> Picture:
         """RGB (height, width, 3) of a scene from any viewpoint."""
-        return self._painters[scene].paint(view, width, height, self.bodies(scene), samples)
+        return self._painters[scene].render(view, width, height, self.bodies(scene), samples)
 
     def of_the_place(
         self,
@@ -163,7 +163,7 @@ class Pictures:
 
 
 def _painter(look: WorldAppearance) -> Renderer:
-    return Renderer(bake_in_weather(look.world, look.weather), look.air)
+    return Renderer(bake_in_weather(look.world, look.weather), look.media)
 
 
 def _goal_flag() -> ColouredMesh:

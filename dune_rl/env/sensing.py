@@ -79,7 +79,7 @@ def robot_carrier(robot: Robot) -> SensorCarrier:
 
 def _cameras(worlds: BatchedWorlds, meshes: Sequence[MovingMesh], conf: CameraConf) -> Cameras:
     def camera(look: WorldAppearance) -> Camera:
-        return Camera(conf, bake_in_weather(look.world, look.weather), meshes, look.air)
+        return Camera(conf, bake_in_weather(look.world, look.weather), meshes, look.media)
 
     return Cameras(conf, worlds.appearances.map(camera))
 
@@ -87,7 +87,7 @@ def _cameras(worlds: BatchedWorlds, meshes: Sequence[MovingMesh], conf: CameraCo
 def _beam_air(worlds: BatchedWorlds, weather: WeatherConf, worlds_differ: bool) -> BeamMedia:
     grassy = worlds_differ or any(world.grass is not None for world, _ in worlds.worlds.groups)
     return BeamMedia(
-        Haze.of(with_own_sun(worlds.worlds[0], weather)),
+        Haze.from_weather(with_own_sun(worlds.worlds[0], weather)),
         BatchedFoliage(worlds.worlds.map(_foliage)) if grassy else None,
     )
 

@@ -1,4 +1,4 @@
-"""Scenery with its light worked out beforehand, so that a small picture costs little more than its rays."""
+"""Scenery with baked light, so that a small picture costs little more than its rays."""
 
 from collections.abc import Callable
 from copy import copy
@@ -17,78 +17,77 @@ from dune_rl.rendering.scenery import ColouredMesh, Scenery, Segment, join_meshe
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-# Things are cut into triangles of this size, so that shadows can fall on parts of them.
+# Longest edge of props' triangles, so that shadows can cover parts of a prop.
 _LONGEST_EDGE_M = 0.6
 _OFF_SURFACE_M = 0.02
-# The sky's share is smooth: it is looked for on a coarser grid.
+# The visible share of the sky is smooth, so it is computed on a coarser grid.
 _SKY_GRID_M = 0.5
 _SKY_RAYS = 24
 _SKY_STEPS = 64
 
+# The array that is cached last: if it is there, so are the others.
+LAST_CACHED = "sky share of props"
 
-# What is asked of `keep` last.
-LAST_KEPT = "sky share of things"
-
-Keep = Callable[[str, Callable[[], Floats]], Floats]
+# Gets an array by name from a cache, or computes it.
+GetOrCompute = Callable[[str, Callable[[], Floats]], Floats]
 
 
-def _made(_: str, make: Callable[[], Floats]) -> Floats:
+def _compute(_: str, make: Callable[[], Floats]) -> Floats:
     return make()
 
 
 class BakedScenery:
-    """Colours and segments of everything in a `Scenery` by where a ray meets it.
+    """Colours and segments of a `Scenery` at any point that a ray hits.
 
-    `rays` is what to cast against: the ground's faces first, then the things'.
-    `texture` is the pictures on things, None where there are none.
-    `keep(name, make)` gives what `make` does, or has given before for this
-    scenery in any light.
+    `rays` has the ground's faces first, then those of the props. `texture` is
+    the props' textures, None without any. `get_or_compute(name, make)` may
+    cache arrays, which depend on the scenery but not on the light.
     """
 
-    def __init__(self, scenery: Scenery, light: Light, keep: Keep = _made) -> None:
+    def __init__(self, scenery: Scenery, light: Light, get_or_compute: GetOrCompute = _compute) -> None:
         self.scenery = scenery
         self.terrain = scenery.terrain
         ground_vertices, ground_faces = self.terrain.mesh()
-        self.things = subdivide_mesh(scenery.things, _LONGEST_EDGE_M)
+        self.props = subdivide_mesh(scenery.props, _LONGEST_EDGE_M)
         ground = ColouredMesh(
             ground_vertices,
             ground_faces,
             np.zeros((len(ground_faces), 3), np.float32),
             np.full(len(ground_faces), Segment.GROUND, np.uint8),
         )
-        everything = join_meshes([ground, self.things])
+        everything = join_meshes([ground, self.props])
         self.rays = RayScene(everything.vertices, everything.faces)
         self.ground_faces = len(ground_faces)
-        # Index -1, a miss, finds the last entry.
+        # Index -1, for a miss, selects the last entry.
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
-        self.texture = None if self.things.texture is None else TextureSampler(self.things.texture)
-        self.sky_share = keep("sky share of the ground", self._ground_sky_share)
-        self._things_normals = _flat_normals(self.things)
-        self.things_sky_share = keep(LAST_KEPT, self._find_things_sky_share)
-        self._shine(light)
+        self.texture = None if self.props.texture is None else TextureSampler(self.props.texture)
+        self.sky_share = get_or_compute("sky share of the ground", self._ground_sky_share)
+        self._props_normals = _face_normals(self.props)
+        self.props_sky_share = get_or_compute(LAST_CACHED, self._props_sky_share)
+        self._bake(light)
 
     def relight(self, light: Light) -> "BakedScenery":
-        """The same in another light, at a fraction of the cost: the sky's share of each place is known."""
+        """The same scenery in another light, at a fraction of the cost: sky shares are reused."""
         other = copy(self)
-        other._shine(light)
+        other._bake(light)
         return other
 
-    def _shine(self, light: Light) -> None:
+    def _bake(self, light: Light) -> None:
         self.light = light
         self.ground = self._bake_ground()
         self.faces = np.concatenate(
-            [np.zeros((self.ground_faces, 3), np.uint8), self._bake_things(), np.zeros((1, 3), np.uint8)]
+            [np.zeros((self.ground_faces, 3), np.uint8), self._bake_props(), np.zeros((1, 3), np.uint8)]
         )
-        # Straight down to straight up; only upward directions meet the sky.
+        # From straight down to straight up; only upward directions show the sky.
         self.sky = to_srgb_bytes(light.sky(np.linspace(-1.0, 1.0, 2 * _SKY_STEPS, dtype=np.float32)))
 
     def ground_texel_positions(self) -> Array:
-        """Points (rows, columns, 3) on the ground in the middle of the texture's texels."""
+        """Points (rows, columns, 3) on the ground at the centres of the texture's texels."""
         rows, columns = self.scenery.ground.albedo.shape[:2]
-        return _grid_on(self.terrain, rows, columns)
+        return _ground_grid(self.terrain, rows, columns)
 
-    def on_grid(self, points: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-        """Row and column (N,) each, not whole, of points (N, 2 or 3) in a grid of cells over the ground."""
+    def grid_coordinates(self, points: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+        """Fractional rows and columns (N,) of points (N, 2 or 3) in a grid of `shape` over the ground."""
         xmin, xmax, ymin, ymax = self.terrain.extent
         rows, columns = shape
         row = (points[:, 1] - np.float32(ymin)) * np.float32(rows / (ymax - ymin)) - np.float32(0.5)
@@ -99,7 +98,7 @@ class BakedScenery:
         xmin, xmax, ymin, ymax = self.terrain.extent
         columns = max(2, min(256, round((xmax - xmin) / _SKY_GRID_M)))
         rows = max(2, min(256, round((ymax - ymin) / _SKY_GRID_M)))
-        points = _grid_on(self.terrain, rows, columns).reshape(-1, 3)
+        points = _ground_grid(self.terrain, rows, columns).reshape(-1, 3)
         normals = smooth_normals(self.terrain, points[:, :2])
         share = sky_share(self.rays, points, normals).reshape(rows, columns)
         return ndimage.gaussian_filter(share, 0.7)
@@ -110,41 +109,41 @@ class BakedScenery:
         normals = smooth_normals(self.terrain, points[:, :2])
         zoom = [a / b for a, b in zip(albedo.shape[:2], self.sky_share.shape, strict=True)]
         share = ndimage.zoom(self.sky_share, zoom, order=1, mode="nearest", grid_mode=True)
-        lit = self.light.on(
+        lit = self.light.shade(
             albedo.reshape(-1, 3), normals, sunlit(self.rays, self.light, points, normals), share.ravel()
         )
         return to_srgb_bytes(lit).reshape(albedo.shape)
 
-    def _things_centres(self) -> Array:
-        centres: Array = self.things.vertices[self.things.faces].mean(axis=1)
+    def _props_centres(self) -> Array:
+        centres: Array = self.props.vertices[self.props.faces].mean(axis=1)
         return centres
 
-    def _bake_things(self) -> NDArray[np.uint8]:
-        things, normals = self.things, self._things_normals
-        if not len(things.faces):
+    def _bake_props(self) -> NDArray[np.uint8]:
+        props, normals = self.props, self._props_normals
+        if not len(props.faces):
             return np.zeros((0, 3), np.uint8)
-        sun = sunlit(self.rays, self.light, self._things_centres(), normals)
+        sun = sunlit(self.rays, self.light, self._props_centres(), normals)
         if self.texture is not None:
-            white = np.ones_like(things.albedo)
-            self._light_on_things = self.light.on(white, normals, sun, self.things_sky_share)
-        return to_srgb_bytes(self.light.on(things.albedo, normals, sun, self.things_sky_share))
+            white = np.ones_like(props.albedo)
+            self._light_on_props = self.light.shade(white, normals, sun, self.props_sky_share)
+        return to_srgb_bytes(self.light.shade(props.albedo, normals, sun, self.props_sky_share))
 
-    def _find_things_sky_share(self) -> Floats:
-        return sky_share(self.rays, self._things_centres(), self._things_normals)
+    def _props_sky_share(self) -> Floats:
+        return sky_share(self.rays, self._props_centres(), self._props_normals)
 
     def textured_colours(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
-        """Bytes (N, 3) at `points` (N, 3) on the things' textured faces `face` (N,), in pixels so wide."""
+        """SRGB bytes (N, 3) at `points` (N, 3) on textured faces `face` (N,) of props; `pixel_m` is (N,)."""
         assert self.texture is not None
-        return to_srgb_bytes(self.texture.albedo(face, points, pixel_m) * self._light_on_things[face])
+        return to_srgb_bytes(self.texture.albedo(face, points, pixel_m) * self._light_on_props[face])
 
 
 def to_srgb_bytes(colour: Floats) -> NDArray[np.uint8]:
-    """Bytes (...) for a screen, of linear values (...)."""
+    """Tone-mapped sRGB bytes (...) of linear values (...)."""
     return (tone_map_to_srgb(colour) * 255.0 + 0.5).astype(np.uint8)
 
 
 def smooth_normals(terrain: HeightField, xy: Array) -> Floats:
-    """Unit normals (N, 3) at points (N, 2), turning evenly from vertex to vertex instead of at the edges."""
+    """Unit normals (N, 3) at points (N, 2), interpolated between the terrain's vertices."""
     rise_y, rise_x = np.gradient(terrain.heights, terrain.spacing_m)
     at = ((xy - terrain.origin) / terrain.spacing_m).T[::-1]
     slopes = [ndimage.map_coordinates(rise, at, order=1, mode="nearest") for rise in (rise_x, rise_y)]
@@ -165,8 +164,8 @@ def sunlit(rays: RayScene, light: Light, points: Array, normals: Floats) -> Floa
 
 
 def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
-    """Share of the hemisphere over points (N, 3) on surfaces with unit `normals` (N, 3) that is open sky."""
-    # Directions over the sphere, evenly, in a golden spiral; each surface uses those on its side.
+    """Cosine-weighted share of the hemisphere over points (N, 3) with unit `normals` (N, 3) that is free."""
+    # Uniform directions on the sphere, in a golden spiral; each surface uses those on its side.
     index = np.arange(2 * _SKY_RAYS) + 0.5
     z = 1.0 - index / _SKY_RAYS
     turn = np.pi * (1.0 + 5**0.5) * index
@@ -185,7 +184,7 @@ def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
     return (open_weight / np.maximum(weight, 1e-6)).astype(np.float32)
 
 
-def _flat_normals(shape: ColouredMesh) -> Floats:
+def _face_normals(shape: ColouredMesh) -> Floats:
     """Unit normals (F, 3) of the faces."""
     corners = shape.vertices[shape.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -194,7 +193,7 @@ def _flat_normals(shape: ColouredMesh) -> Floats:
     return unit
 
 
-def _grid_on(terrain: HeightField, rows: int, columns: int) -> Array:
+def _ground_grid(terrain: HeightField, rows: int, columns: int) -> Array:
     xmin, xmax, ymin, ymax = terrain.extent
     x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
     y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows

@@ -1,4 +1,4 @@
-"""What a beam meets: the segment of every face of a mesh, and how bright it is."""
+"""Surface properties that LiDAR beams measure: the segment and luminance of every face of a mesh."""
 
 from dataclasses import dataclass
 from typing import Any, Self
@@ -11,31 +11,31 @@ from dune_rl.rendering.scenery import Segment
 
 Floats = NDArray[np.float32]
 
-# Of linear red, green and blue (ITU-R BT.709).
+# Weights of linear red, green and blue (ITU-R BT.709).
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class BeamSurface:
-    """Segments (F + 1,) and albedo luminances (F + 1,), in [0, 1], of the F faces of a mesh.
+    """Segments (F + 1,) and albedo luminances (F + 1,) in [0, 1] of the F faces of a mesh.
 
-    The last entry is that of a ray that meets nothing, whose face is -1.
+    The last entry is for a ray without a hit, whose face is -1.
     """
 
     segments: NDArray[np.uint8]
     luminance: Floats
 
     def look_up(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
-        """Segments and luminances (N,) each of faces (N,)."""
+        """Segments (N,) and luminances (N,) of faces (N,)."""
         return self.segments.take(face, mode="wrap"), self.luminance.take(face, mode="wrap")
 
     def select_scenes(self, scenes: NDArray[np.int64]) -> Self:
-        """Itself: it is the same for all scenes; see `BatchedBeamSurfaces`."""
+        """Itself, since all scenes share it; see `BatchedBeamSurfaces`."""
         return self
 
     @classmethod
-    def of(cls, segments: NDArray[np.uint8], albedo: Floats) -> Self:
-        """That of faces with `segments` (F,) and `albedo` (F, 3) in linear RGB."""
+    def from_faces(cls, segments: NDArray[np.uint8], albedo: Floats) -> Self:
+        """The surface of faces with `segments` (F,) and `albedo` (F, 3) in linear RGB."""
         return cls(
             np.append(segments, np.uint8(Segment.SKY)),
             np.append(luminance(albedo), np.float32(0.0)),
@@ -43,7 +43,7 @@ class BeamSurface:
 
 
 class BatchedBeamSurfaces:
-    """A `BeamSurface` for each of M scenes; faces are those of all scenes, scene after scene."""
+    """A `BeamSurface` for each of M scenes; faces are scene-major."""
 
     def __init__(self, surfaces: SharedPerScene[BeamSurface] | DerivedCache[Any, BeamSurface]) -> None:
         self._surfaces = surfaces
@@ -60,11 +60,11 @@ class BatchedBeamSurfaces:
         return segments.ravel(), brightness.ravel()
 
     def select_scenes(self, scenes: NDArray[np.int64]) -> "BatchedBeamSurfaces":
-        """Those of some scenes (m,), counted from 0 in their order."""
+        """The surfaces of `scenes` (m,) only, renumbered from 0 in that order."""
         return BatchedBeamSurfaces(SharedPerScene([self._surfaces[scene] for scene in scenes.tolist()]))
 
 
 def luminance(albedo: Floats) -> Floats:
     """Luminance (...) of linear RGB (..., 3)."""
-    weighed: Floats = albedo @ _WEIGHTS
-    return weighed
+    weighted: Floats = albedo @ _WEIGHTS
+    return weighted

@@ -1,39 +1,33 @@
-"""Tall grass as rays meet it: a thin medium over the ground, in which they are lost by and by."""
+"""Tall grass as a participating medium above the ground."""
 
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
+from dune_rl.rendering.foliage_marching import TEXELS, march, sample_density
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-# Steps along a ray: metres close by, and how much of the range more. What beams need, what small pictures do,
-# whose pixels show the more the farther they look, and what tells single tufts in large ones.
+# Marching steps: constant part [m], and growth with the distance. For LiDAR beams, for small pictures, whose
+# pixels cover more at a distance, and for large pictures, which show single tufts.
 _BEAM_STEP, _PIXEL_STEP, _TUFT_STEP = (0.1, 0.0), (0.15, 0.03), (0.02, 0.003)
-# Tufts: a tile repeated over the ground, and where they blur to an even green.
-_TEXEL_M, _TEXELS = 0.02, 512
-_TUFTS_FADE_M = 22.0
-_MEDIAN = float(np.log(2.0))
-# Of optical depth: what is left of the light, less than a hundredth, would not show.
-_OPAQUE = 4.6
-_UNDER_M, _CLOSELY = 0.3, 0.3
-_GOLDEN = 0.6180339887498949
+_MEDIAN_DEPTH = float(np.log(2.0))
 
 
 class FoliageTransmission(NamedTuple):
-    """What grass does to rays (N,): the share of light that passes, and what is seen instead of the rest.
+    """Transmission of N rays through grass, and the mean properties of the grass that hides the rest.
 
-    `range` [m] is where half of the light is lost, inf where less is. Means over
-    what is seen are `distance` [m], `height`, from the ground (0) to the tips
-    (1), and `tint`, from fresh (0) to dry (1).
+    `passed` (N,) is the share of light that passes. `range` (N,) [m] is where
+    half of the light is lost, inf where less is. Means over the visible grass
+    are `distance` [m], `height`, from the ground (0) to the tips (1), and
+    `tint`, from fresh (0) to dry (1).
     """
 
     passed: Floats
@@ -44,13 +38,13 @@ class FoliageTransmission(NamedTuple):
 
 
 class Foliage:
-    """Grass of `height_m` over `terrain`, with a `density` (rows, columns) from 0 to 1.
+    """Grass of `height_m` above `terrain`, with a `density` (rows, columns) from 0 to 1.
 
-    The grid's cells share out the terrain's rectangle, the first at its lowest x
-    and y; between their centres density is interpolated, and beyond the edge it is
-    that of the edge. Light is lost by Beer and Lambert's law, as in any canopy of
-    small leaves (Monsi and Saeki, 1953): `extinction` [1/m] times the density per
-    metre of path, and `beam_extinction` for a LiDAR's beams.
+    The grid's cells divide the terrain's rectangle evenly, the first at its lowest
+    x and y; density is interpolated between their centres, and outside it is that
+    of the edge. Light is attenuated by the Beer-Lambert law, as in any canopy of
+    small leaves (Monsi and Saeki, 1953), with the coefficient `extinction` [1/m]
+    times density, and `beam_extinction` for LiDAR beams.
     """
 
     def __init__(
@@ -67,8 +61,8 @@ class Foliage:
         xmin, xmax, ymin, ymax = terrain.extent
         rows, columns = density.shape
         cell_x, cell_y = (xmax - xmin) / columns, (ymax - ymin) / rows
-        steepest = float(terrain.normal(_middles(terrain))[..., 2].min())
-        # From anywhere in a cell, so far at least to where interpolated density is above 0.
+        steepest = float(terrain.normal(_triangle_centres(terrain))[..., 2].min())
+        # From anywhere in a cell, a lower bound of the distance to interpolated density above 0.
         away = ndimage.distance_transform_edt(density <= 0.0, sampling=(cell_y, cell_x))
         if not (density > 0.0).any():
             away = np.full(density.shape, np.inf)
@@ -79,38 +73,38 @@ class Foliage:
 
     def density_at(self, points: Array) -> Array:
         """Density (N,) at points (N, 2 or 3)."""
-        found = np.empty(len(points))
-        _densities(self._cells, np.ascontiguousarray(points[:, :2], np.float64), found)
-        return found
+        density = np.empty(len(points))
+        sample_density(self._cells, np.ascontiguousarray(points[:, :2], np.float64), density)
+        return density
 
     def beam_ranges(self, origins: Floats, directions: Floats, ranges: Floats, depths: Floats) -> Floats:
-        """Where beams of `ranges` (N,) [m] have passed optical `depths` (N,), inf where they have not.
+        """Ranges (N,) [m] at which beams reach optical `depths` (N,), inf where not within `ranges` (N,).
 
         `origins` (S, 3) and unit `directions` (N, 3) are as for a `RayScene`.
-        With depths of -ln(u), u evenly in (0, 1), that is where each meets its first blade.
+        For depths of -ln(u), u uniform in (0, 1), these are random ranges of the first blade hit.
         """
-        return self._marched(origins, directions, ranges, depths, self._beam_extinction, _BEAM_STEP, 0)[0]
+        return self._march(origins, directions, ranges, depths, self._beam_extinction, _BEAM_STEP, 0)[0]
 
     def median_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> Floats:
-        """Where rays of `ranges` (N,) [m] have lost half their light, inf where they have not."""
-        depths = np.full(len(directions), _MEDIAN, np.float32)
-        return self._marched(origins, directions, ranges, depths, self.extinction, _BEAM_STEP, 0)[0]
+        """Ranges (N,) [m] at which rays have lost half their light, inf where not within `ranges` (N,)."""
+        depths = np.full(len(directions), _MEDIAN_DEPTH, np.float32)
+        return self._march(origins, directions, ranges, depths, self.extinction, _BEAM_STEP, 0)[0]
 
     def transmission(
         self, origins: Floats, directions: Floats, ranges: Floats, *, tufts: bool = False
     ) -> FoliageTransmission:
-        """What lies before rays of `ranges` (N,) [m]; `tufts` tells single ones near by apart."""
-        depths = np.full(len(directions), _MEDIAN, np.float32)
+        """Transmission of rays of `ranges` (N,) [m]; with `tufts`, single tufts are visible nearby."""
+        depths = np.full(len(directions), _MEDIAN_DEPTH, np.float32)
         step, detail = (_TUFT_STEP, 2) if tufts else (_PIXEL_STEP, 1)
-        crossing, found = self._marched(origins, directions, ranges, depths, self.extinction, step, detail)
-        return FoliageTransmission(found[0], crossing, *found[1:])
+        crossing, means = self._march(origins, directions, ranges, depths, self.extinction, step, detail)
+        return FoliageTransmission(means[0], crossing, *means[1:])
 
     def shade(self, points: Array) -> Floats:
         """Share (N,) of daylight that reaches the ground at points (N, 2 or 3)."""
         share: Floats = np.exp(-self.extinction * self.height_m * self.density_at(points)).astype(np.float32)
         return share
 
-    def _marched(
+    def _march(
         self,
         origins: Floats,
         directions: Floats,
@@ -121,27 +115,27 @@ class Foliage:
         detail: int,
     ) -> tuple[Floats, Floats]:
         crossing = np.full(len(directions), np.inf, np.float32)
-        found = np.zeros((4, len(directions) if detail else 0), np.float32)
-        _march(
+        means = np.zeros((4, len(directions) if detail else 0), np.float32)
+        march(
             self._ground,
             self._cells,
             self._canopy,
             _tufts(),
             (extinction, *step, detail),
-            _plain(origins),
-            _plain(directions),
-            _plain(ranges),
-            _plain(depths),
+            _contiguous(origins),
+            _contiguous(directions),
+            _contiguous(ranges),
+            _contiguous(depths),
             crossing,
-            found,
+            means,
         )
-        return crossing, found
+        return crossing, means
 
 
 class BatchedFoliage:
-    """Grass as the beams of M scenes meet it, of which each may have its own, or None.
+    """The `Foliage` of each of M scenes, None for a scene without grass.
 
-    Origins (S, 3) and rays (N, 3) are those of all scenes, scene after scene.
+    Origins (S, 3) and rays (N, 3) are scene-major, as for `BatchedRayScenes`.
     """
 
     def __init__(self, foliages: SharedPerScene[Foliage | None] | DerivedCache[Any, Foliage | None]) -> None:
@@ -149,35 +143,35 @@ class BatchedFoliage:
 
     @property
     def none(self) -> bool:
-        """Whether no scene has any."""
+        """Whether no scene has grass."""
         return all(foliage is None for foliage, _ in self._foliages.groups)
 
     def beam_ranges(self, origins: Floats, directions: Floats, ranges: Floats, depths: Floats) -> Floats:
         """As `Foliage.beam_ranges`."""
-        return self._each(Foliage.beam_ranges, origins, directions, ranges, depths)
+        return self._query(Foliage.beam_ranges, origins, directions, ranges, depths)
 
     def median_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> Floats:
         """As `Foliage.median_ranges`."""
-        return self._each(Foliage.median_ranges, origins, directions, ranges)
+        return self._query(Foliage.median_ranges, origins, directions, ranges)
 
-    def _each(self, ask: Callable[..., Floats], *rays: Floats) -> Floats:
+    def _query(self, query: Callable[..., Floats], *rays: Floats) -> Floats:
         groups = self._foliages.groups
         if len(groups) == 1 and groups[0][0] is not None:
-            return ask(groups[0][0], *rays)
-        by_scene = [part.reshape(len(self._foliages), -1, *part.shape[1:]) for part in rays]
+            return query(groups[0][0], *rays)
+        by_scene = [values.reshape(len(self._foliages), -1, *values.shape[1:]) for values in rays]
         count = len(rays[1]) // len(self._foliages)
-        found = np.full((len(self._foliages), count), np.inf, np.float32)
+        ranges = np.full((len(self._foliages), count), np.inf, np.float32)
         for foliage, rows in groups:
             if foliage is not None:
-                parts = [part[rows].reshape(-1, *part.shape[2:]) for part in by_scene]
-                found[rows] = ask(foliage, *parts).reshape(-1, count)
-        return found.ravel()
+                own = [values[rows].reshape(-1, *values.shape[2:]) for values in by_scene]
+                ranges[rows] = query(foliage, *own).reshape(-1, count)
+        return ranges.ravel()
 
 
 @lru_cache(maxsize=1)
 def _tufts() -> Floats:
-    """Relative height, relative density and tint (rows, columns, 3) of columns of grass; it repeats."""
-    draws = np.random.default_rng(11).standard_normal((3, _TEXELS, _TEXELS))
+    """Tile of relative height, relative density and tint (rows, columns, 3) of the grass."""
+    draws = np.random.default_rng(11).standard_normal((3, TEXELS, TEXELS))
 
     def noise(layer: int, *sigmas: float) -> Array:
         total = sum(ndimage.gaussian_filter(draws[layer], sigma, mode="wrap") * sigma for sigma in sigmas)
@@ -191,150 +185,14 @@ def _tufts() -> Floats:
     return np.stack([tall, dense / (dense * tall).mean(), tint], axis=-1).astype(np.float32)
 
 
-def _plain(values: Floats) -> Floats:
-    # Of one layout, so that one compiled function serves all.
+def _contiguous(values: Floats) -> Floats:
+    # One memory layout, so that each function is compiled once.
     values = np.ascontiguousarray(values, np.float32)
     return values if values.flags.writeable else values.copy()
 
 
-def _middles(terrain: HeightField) -> Array:
-    """Points (T, 2), one in the middle of each of the terrain's triangles."""
+def _triangle_centres(terrain: HeightField) -> Array:
+    """Centres (T, 2) of the terrain's triangles."""
     vertices, faces = terrain.mesh()
-    middles: Array = vertices[faces, :2].mean(axis=1)
-    return middles
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _height(heights: Any, x0: float, y0: float, per_m: float, x: float, y: float) -> float:
-    # As `HeightField.height`, for one point.
-    rows, columns = heights.shape
-    u = min(max((x - x0) * per_m, 0.0), columns - 1.0)
-    v = min(max((y - y0) * per_m, 0.0), rows - 1.0)
-    column, row = min(int(u), columns - 2), min(int(v), rows - 2)
-    u -= column
-    v -= row
-    low, high = heights[row, column], heights[row + 1, column + 1]
-    if u >= v:
-        corner = heights[row, column + 1]
-        return low + (corner - low) * u + (high - corner) * v
-    corner = heights[row + 1, column]
-    return low + (high - corner) * u + (corner - low) * v
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _density(density: Any, x0: float, y0: float, per_x: float, per_y: float, x: float, y: float) -> float:
-    rows, columns = density.shape
-    u = min(max((x - x0) * per_x - 0.5, 0.0), columns - 1.0)
-    v = min(max((y - y0) * per_y - 0.5, 0.0), rows - 1.0)
-    column, row = min(int(u), columns - 2), min(int(v), rows - 2)
-    u -= column
-    v -= row
-    low = density[row, column] * (1.0 - u) + density[row, column + 1] * u
-    high = density[row + 1, column] * (1.0 - u) + density[row + 1, column + 1] * u
-    return low * (1.0 - v) + high * v
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _densities(cells: Any, points: Any, found: Any) -> None:
-    density, _, x0, y0, per_x, per_y = cells
-    for k in range(len(points)):
-        found[k] = _density(density, x0, y0, per_x, per_y, points[k, 0], points[k, 1])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _open_way(reach: Any, x0: float, y0: float, per_x: float, per_y: float, x: float, y: float) -> float:
-    # How far it is at least to any grass, seen from above.
-    rows, columns = reach.shape
-    column = min(max(int((x - x0) * per_x), 0), columns - 1)
-    row = min(max(int((y - y0) * per_y), 0), rows - 1)
-    return reach[row, column]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _march(
-    ground: Any,
-    cells: Any,
-    canopy: Any,
-    tufts: Any,
-    medium: Any,
-    origins: Any,
-    directions: Any,
-    ranges: Any,
-    depths: Any,
-    crossing: Any,
-    found: Any,
-) -> None:
-    # Rays through the grass, one by one. Over the tips and between patches they leap as far as they
-    # cannot meet any, however steep the ground; in it they go step by step.
-    heights, ground_x, ground_y, per_m = ground
-    density, reach, x0, y0, per_x, per_y = cells
-    tall, steepest = canopy
-    extinction, least_step, step_share, detail = medium
-    per_origin = len(directions) // max(1, len(origins))
-    for ray in range(len(directions)):
-        ox, oy, oz = origins[ray // per_origin]
-        dx, dy, dz = directions[ray]
-        if not (abs(ox) + abs(oy) + abs(oz) < 1e7 and abs(dx) + abs(dy) + abs(dz) < 2.0):
-            # A ray from or to nowhere would be looked up outside the grids.
-            if detail > 0:
-                found[0, ray] = 1.0
-            continue
-        farthest, wanted = ranges[ray], depths[ray]
-        level = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-        closing = steepest * level - dz
-        depth, at, passed = 0.0, 0.0, 1.0
-        distance_sum, height_sum, tint_sum = 0.0, 0.0, 0.0
-        while at < farthest:
-            step = least_step + step_share * at
-            if detail > 1:
-                # Rays side by side that step alike would show it as bands.
-                step *= 0.7 + 0.6 * (ray * _GOLDEN % 1.0)
-            x, y = ox + dx * at, oy + dy * at
-            leap = _open_way(reach, x0, y0, per_x, per_y, x, y) / level
-            above = oz + dz * at - _height(heights, ground_x, ground_y, per_m, x, y)
-            if above > tall:
-                if closing <= 0.0:
-                    break
-                # The tips are looked for more closely than what is among them.
-                at += max(leap, (above - tall) / closing, _CLOSELY * step)
-                continue
-            elif above < -_UNDER_M:
-                # Beside the world, past its edge: grass is not seen from below the ground.
-                break
-            if leap > step:
-                at += leap
-                continue
-            step = min(step, farthest - at)
-            share = above / tall
-            thick = extinction * _density(density, x0, y0, per_x, per_y, x, y)
-            tint, top = 0.0, 1.0
-            if detail > 0 and thick > 0.0:
-                column, row = int(np.floor(x / _TEXEL_M)), int(np.floor(y / _TEXEL_M))
-                column, row = column & (_TEXELS - 1), row & (_TEXELS - 1)
-                tint = tufts[row, column, 2]
-                if detail > 1:
-                    near = np.exp(-at / _TUFTS_FADE_M)
-                    top = 1.0 + near * (tufts[row, column, 0] - 1.0)
-                    thick *= 1.0 + near * (tufts[row, column, 1] - 1.0)
-            if thick > 0.0 and share < top:
-                more = thick * step
-                if depth < wanted <= depth + more:
-                    crossing[ray] = at + (wanted - depth) / thick
-                    if detail == 0:
-                        break
-                if detail > 0:
-                    seen = passed * (1.0 - np.exp(-more))
-                    passed -= seen
-                    distance_sum += seen * (at + 0.5 * step)
-                    height_sum += seen * share / top
-                    tint_sum += seen * tint
-                depth += more
-                if depth > _OPAQUE and depth > wanted:
-                    break
-            at += step
-        if detail > 0:
-            found[0, ray] = passed
-            hidden = max(1.0 - passed, 1e-6)
-            found[1, ray] = distance_sum / hidden
-            found[2, ray] = height_sum / hidden
-            found[3, ray] = tint_sum / hidden
+    centres: Array = vertices[faces, :2].mean(axis=1)
+    return centres

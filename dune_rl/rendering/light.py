@@ -1,4 +1,4 @@
-"""Sun and sky: how bright and of what colour a surface appears, all in linear RGB."""
+"""Sun and sky, shading of surfaces, and conversion between linear RGB and sRGB."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,9 +18,9 @@ _HORIZON, _HORIZON_LOW = np.array([0.62, 0.74, 0.88]), np.array([0.85, 0.60, 0.4
 
 
 class LightConf(Settings):
-    """Where the sun stands: bearing from the world's x axis and height over the horizon.
+    """Position of the sun: bearing from the world's x axis, and elevation above the horizon.
 
-    `sun_colour` tints its light: of red, green and blue only the ratios count, and equal ones are no tint.
+    `sun_colour` tints its light: only the ratios of red, green and blue count, and equal values are no tint.
     `brightness` scales the light of sun and sky.
     """
 
@@ -33,7 +33,7 @@ class LightConf(Settings):
 
 @dataclass(frozen=True)
 class Light:
-    """The light of a `LightConf`: direction to the sun, and linear RGB of sun, zenith, horizon: each (3,)."""
+    """Unit vector to the sun, and linear RGB of sun, zenith and horizon, each (3,)."""
 
     to_sun: Floats
     sun: Floats
@@ -42,12 +42,12 @@ class Light:
     shadows: bool
 
     @classmethod
-    def of(cls, conf: LightConf) -> "Light":
-        """A low sun is dimmer and redder, and so is the sky round it."""
+    def from_conf(cls, conf: LightConf) -> "Light":
+        """The light of `conf`. A low sun is dimmer and redder, and so is the sky."""
         height = np.sin(conf.sun_elevation_rad)
         level = np.cos(conf.sun_elevation_rad)
         bearing = conf.sun_bearing_rad
-        # How much air the sunlight has passed: none of its warmth is left above some 35 degrees.
+        # The light turns from red to white with the elevation, up to about 33 degrees.
         high = min(1.0, height / 0.55) ** 0.7
         tint = np.array(conf.sun_colour) / max(*conf.sun_colour, 1e-6)
         bright = conf.brightness
@@ -59,11 +59,11 @@ class Light:
             conf.shadows,
         )
 
-    def on(self, albedo: Floats, normals: Floats, sunlit: Floats, sky_share: Floats) -> Floats:
-        """Linear RGB (..., 3) of matt surfaces of `albedo` (..., 3) and unit `normals` (..., 3).
+    def shade(self, albedo: Floats, normals: Floats, sunlit: Floats, sky_share: Floats) -> Floats:
+        """Linear RGB (..., 3) of diffuse surfaces with `albedo` (..., 3) and unit `normals` (..., 3).
 
-        `sunlit` (...) is the share of the sun and `sky_share` (...) that of the
-        sky that reach them. The ground gives some light back from below.
+        `sunlit` (...) and `sky_share` (...) are the visible shares of sun and
+        sky. Some light comes from the ground below, too.
         """
         facing = np.maximum(normals @ self.to_sun, 0.0) * sunlit
         upward = ((1.0 + normals[..., 2]) / 2 * sky_share)[..., None]
@@ -80,8 +80,8 @@ class Light:
 
 
 def tone_map_to_srgb(linear: Floats) -> Floats:
-    """Values in [0, 1] for a screen, of linear ones (...), the bright ones compressed instead of cut off."""
-    # Linear up to a half, then toward 1 with the same slope at the join.
+    """SRGB values in [0, 1] of linear values (...), with highlights compressed instead of clipped."""
+    # Linear up to 0.5, then exponentially towards 1 with a continuous slope.
     bright = 0.5 + 0.5 * (1.0 - np.exp(-(np.maximum(linear, 0.5) - 0.5) / 0.5))
     low = np.clip(np.where(linear > 0.5, bright, linear), 0.0, 1.0)
     encoded: Floats = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
@@ -89,14 +89,14 @@ def tone_map_to_srgb(linear: Floats) -> Floats:
 
 
 def linear_to_srgb(linear: Floats) -> Floats:
-    """Encoded (sRGB) values in [0, 1] of linear ones (...), none compressed: what `srgb_to_linear` undoes."""
+    """SRGB values in [0, 1] of linear values (...), clipped: the inverse of `srgb_to_linear`."""
     value = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
     encoded: Floats = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return encoded.astype(np.float32)
 
 
 def srgb_to_linear(encoded: Floats) -> Floats:
-    """Linear values (...) of sRGB ones in [0, 1], such as colours in files and settings."""
+    """Linear values (...) of sRGB values in [0, 1], such as colours in files and settings."""
     value = np.asarray(encoded, np.float32)
     decoded: Floats = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return decoded.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Things that move, each drawn in its own frame: one small ray scene serves all of the same shape."""
+"""Meshes of moving agents: one ray scene in the mesh's own frame serves all agents of a shape."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,22 +14,22 @@ Floats = NDArray[np.float32]
 
 
 class MovingMesh(RayMesh):
-    """A closed shape that stands upright, turns about its own z axis and is lit where it is.
+    """A closed mesh with four degrees of freedom: position and yaw. It is drawn upright.
 
-    `radius_m` is that of a sphere round `centre` (3,) that holds it, in its own frame.
+    `radius_m` is that of a sphere around `centre` (3,), in the mesh's frame, that encloses it.
     """
 
     def __init__(self, shape: ColouredMesh, segment: Segment = Segment.ACTOR) -> None:
         super().__init__(shape)
         self.segment = segment
-        # On its own axis, so that turning leaves it in place.
+        # On the yaw axis, so that yaw does not move it.
         self.centre = np.array([0.0, 0.0, self.centre[2]])
         self.radius_m = float(np.linalg.norm(shape.vertices - self.centre, axis=1).max())
 
     def hits(self, origins: Array, directions: Floats, poses: Array, ranges: Floats) -> Hits:
-        """First hits of world rays (R, 3) with figures at `poses` (R, 4: x, y, z, yaw), within `ranges` (R,).
+        """First hits of world rays (R, 3) with meshes at `poses` (R, 4: x, y, z, yaw) within `ranges` (R,).
 
-        Normals are unit vectors in the world frame.
+        Each ray has its own pose. Normals are unit vectors in the world frame.
         """
         cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
         offset = origins - poses[:, :3]
@@ -50,6 +50,6 @@ class MovingMesh(RayMesh):
         return Hits(face, ranges, world.astype(np.float32))
 
     def colours(self, light: Light, face: NDArray[np.int32], normal: Floats) -> NDArray[np.uint8]:
-        """Bytes (R, 3) of faces `face` (R,) with unit world `normal` (R, 3), in full light."""
-        everywhere = np.ones(len(face), np.float32)
-        return to_srgb_bytes(light.on(self.shape.albedo[face], normal, everywhere, everywhere))
+        """SRGB bytes (R, 3) of faces `face` (R,) with unit world `normal` (R, 3), unshadowed."""
+        full = np.ones(len(face), np.float32)
+        return to_srgb_bytes(light.shade(self.shape.albedo[face], normal, full, full))

@@ -1,4 +1,4 @@
-"""What lies between an eye and what it sees: haze, and tall grass."""
+"""Participating media between a sensor and surfaces: haze and tall grass."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ _FROM_BYTES = np.interp(np.arange(256), _ENCODED, _LINEAR).astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class BeamMedia:
-    """What beams of M scenes pass: a haze that is the same for all, and grass that may differ."""
+    """Media for the beams of M scenes: one haze for all, and grass for each scene."""
 
     haze: Haze | None
     foliage: BatchedFoliage | None
@@ -30,38 +30,39 @@ class BeamMedia:
 
 @dataclass(frozen=True, eq=False)
 class ParticipatingMedia:
-    """Both, or None for each that there is none of."""
+    """Haze and grass of one world; None for what is absent."""
 
     haze: Haze | None = None
     foliage: Foliage | None = None
 
     @property
     def clear(self) -> bool:
-        """Whether there is nothing in it."""
+        """Whether there are no media."""
         return self.haze is None and self.foliage is None
 
-    def through(
+    def attenuate(
         self,
         colours: Bytes,
         ranges: Floats,
         nothing: NDArray[np.bool_],
-        veil: FoliageTransmission | None,
+        transmission: FoliageTransmission | None,
         light: Light,
     ) -> Bytes:
-        """Bytes (N, 3), sRGB, of surfaces with `colours` (N, 3) at `ranges` (N,) [m], through haze and grass.
+        """Colours of surfaces seen through the media, sRGB bytes (N, 3).
 
-        `nothing` (N,) tells where only the sky is, whose colour has the haze in
-        it already. Light is mixed as light: in linear RGB.
+        `colours` (N, 3) are sRGB bytes without media, `ranges` (N,) [m]
+        distances. `nothing` (N,) marks rays to the sky, whose colour includes
+        the haze. Mixing is done in linear RGB.
         """
         mixed = _FROM_BYTES.take(colours)
         if self.haze is not None:
-            mixed = self.haze.over(mixed, np.where(nothing, np.float32(0.0), ranges))
-        if veil is not None:
-            hidden = np.flatnonzero(veil.passed < 1.0)
-            near = FoliageTransmission(*(part[hidden] for part in veil))
+            mixed = self.haze.blend_over(mixed, np.where(nothing, np.float32(0.0), ranges))
+        if transmission is not None:
+            hidden = np.flatnonzero(transmission.passed < 1.0)
+            near = FoliageTransmission(*(values[hidden] for values in transmission))
             grass = grass_colours(light, near.height, near.tint, np.ones(len(hidden), np.float32))
             if self.haze is not None:
-                grass = self.haze.over(grass, near.distance)
+                grass = self.haze.blend_over(grass, near.distance)
             mixed[hidden] = grass + (mixed[hidden] - grass) * near.passed[:, None]
         index = (mixed * np.float32((_TONES - 1) / _BRIGHTEST) + np.float32(0.5)).astype(np.int32)
         return _TO_BYTES.take(index, mode="clip")

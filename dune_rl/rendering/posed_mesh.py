@@ -1,4 +1,4 @@
-"""Rigid bodies in pictures: a shape at any pose."""
+"""Rigid meshes at any pose, for pictures."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +14,7 @@ Floats = NDArray[np.float32]
 
 
 class RayMesh:
-    """A `ColouredMesh` made ready for rays, in its own frame."""
+    """A `ColouredMesh` with its ray scene and bounding sphere, in its own frame."""
 
     def __init__(self, shape: ColouredMesh) -> None:
         self.shape = shape
@@ -26,7 +26,7 @@ class RayMesh:
 
 @dataclass(frozen=True)
 class PosedMesh:
-    """A solid at `position` (3,) [m], turned by `rotation` (3, 3) to the world."""
+    """A mesh at `position` (3,) [m] with `rotation` (3, 3) to the world frame."""
 
     solid: RayMesh
     position: Array
@@ -34,16 +34,16 @@ class PosedMesh:
 
     @property
     def shape(self) -> ColouredMesh:
-        """What it looks like, in its own frame."""
+        """The coloured mesh, in its own frame."""
         return self.solid.shape
 
     @cached_property
     def centre(self) -> Array:
-        """Middle of the sphere that holds it, world frame (3,)."""
+        """Centre of the bounding sphere, world frame (3,)."""
         return self.position + self.rotation @ self.solid.centre
 
-    def rays_near(self, eye: Floats, directions: Floats) -> NDArray[np.int64]:
-        """Which of the rays along `directions` (N, 3) from `eye` (3,) come near enough to be looked at."""
+    def candidate_rays(self, eye: Floats, directions: Floats) -> NDArray[np.int64]:
+        """Indices of the rays along `directions` (N, 3) from `eye` (3,) that hit the bounding sphere."""
         offset = (self.centre - eye).astype(np.float32)
         distance = float(np.linalg.norm(offset))
         if distance <= self.solid.radius_m:
@@ -51,8 +51,8 @@ class PosedMesh:
         cosine = np.sqrt(1.0 - (self.solid.radius_m / distance) ** 2)
         return np.flatnonzero(directions @ (offset / np.float32(distance)) >= cosine)
 
-    def points_in_shadow_of(self, points: Floats, to_sun: Floats) -> NDArray[np.int64]:
-        """Which of the points (N, 3) may lie in its shadow."""
+    def shadow_candidates(self, points: Floats, to_sun: Floats) -> NDArray[np.int64]:
+        """Indices of the points (N, 3) whose ray to the sun hits the bounding sphere."""
         offset = self.centre.astype(np.float32) - points
         along = offset @ to_sun
         aside = np.einsum("ij,ij->i", offset, offset) - along * along
@@ -60,16 +60,16 @@ class PosedMesh:
         return np.flatnonzero((aside <= radius * radius) & (along >= -radius))
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
-        """First hits of world rays (R, 3) within `ranges` (R,), normals in the world frame."""
-        local, carried = self._carried(origins, directions)
-        face, ranges, normal = self.solid.rays.hits(local, carried, ranges.copy())
+        """First hits of world rays (R, 3) within `ranges` (R,), with normals in the world frame."""
+        local, turned = self._to_own_frame(origins, directions)
+        face, ranges, normal = self.solid.rays.hits(local, turned, ranges.copy())
         return Hits(face, ranges, normal @ self.rotation.T.astype(np.float32))
 
-    def blocks(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
-        """Whether it lies on each of the world rays (R, 3), (R,)."""
-        local, carried = self._carried(origins, directions)
-        return self.solid.rays.any_hit(local, carried)
+    def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+        """Whether each of the world rays (R, 3) hits the mesh, (R,)."""
+        local, turned = self._to_own_frame(origins, directions)
+        return self.solid.rays.any_hit(local, turned)
 
-    def _carried(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    def _to_own_frame(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         turn = self.rotation.astype(np.float32)
         return (origins - self.position.astype(np.float32)) @ turn, directions @ turn

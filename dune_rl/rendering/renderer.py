@@ -1,4 +1,4 @@
-"""Large pictures: every pixel shaded by itself, with shadows, for people to look at."""
+"""Ray-traced pictures for people: every pixel is shaded separately, with shadows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ Floats = NDArray[np.float32]
 _RAYS_AT_ONCE = 65_536
 _FAR_M = 2_000.0
 _OFF_SURFACE_M = 0.01
-# Grain of the ground, finer than its texture: a tile repeated over it.
+# Noise finer than the ground's texture: a tile repeated over the ground.
 _GRAIN_TILE_M, _GRAIN_TEXELS, _GRAIN_STRENGTH = 2.56, 512, 0.16
 _GRAIN_FADES_M = 14.0
-# How far one sees through clear air until half of the colour is the sky's.
+# Distance in clear air at which half of the colour is that of the horizon.
 _AIR_M = 700.0
 _CLEAR = ParticipatingMedia()
 _TONES = 4096
@@ -34,14 +34,14 @@ _BRIGHTEST = 4.0
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A pinhole camera at `eye` (3,) that looks at `target` (3,) [m], level; `fov_rad` is across."""
+    """A pinhole camera at `eye` (3,) towards `target` (3,) [m], without roll; `fov_rad` is horizontal."""
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     fov_rad: float = 1.1
 
     def directions(self, width: int, height: int) -> Floats:
-        """Unit vectors (height, width, 3), world frame, through the middle of each pixel."""
+        """Unit vectors (height, width, 3), world frame, through the centre of each pixel."""
         ahead = np.subtract(self.target, self.eye)
         ahead = ahead / np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -56,13 +56,13 @@ class Viewpoint:
 
 
 class Renderer:
-    """Paints a world that has been baked, bodies in it, and what is in the `air` before them."""
+    """Renders a baked world, posed meshes in it, and the `media` in front of them."""
 
-    def __init__(self, baked: BakedScenery, air: ParticipatingMedia = _CLEAR) -> None:
+    def __init__(self, baked: BakedScenery, media: ParticipatingMedia = _CLEAR) -> None:
         self.baked = baked
-        self._air = air
+        self._media = media
         self._light = baked.light
-        self._sky = Sky(baked.light, air.haze)
+        self._sky = Sky(baked.light, media.haze)
         points = baked.ground_texel_positions()
         shape = points.shape[:2]
         self._albedo = baked.scenery.ground.albedo
@@ -76,7 +76,7 @@ class Renderer:
         tones = np.linspace(0.0, _BRIGHTEST, _TONES, dtype=np.float32)
         self._tones = (tone_map_to_srgb(tones) * 255.0 + 0.5).astype(np.uint8)
 
-    def paint(
+    def render(
         self,
         view: Viewpoint,
         width: int = 1280,
@@ -84,7 +84,7 @@ class Renderer:
         bodies: Sequence[PosedMesh] = (),
         samples: int = 1,
     ) -> NDArray[np.uint8]:
-        """RGB (height, width, 3). `samples` > 1 smooths edges at the square of the cost."""
+        """SRGB bytes (height, width, 3). `samples` > 1 antialiases, at a cost of `samples` squared."""
         directions = view.directions(width * samples, height * samples).reshape(-1, 3)
         eye = np.asarray(view.eye, np.float32)
         pixel_rad = 2.0 * np.tan(view.fov_rad / 2) / (width * samples)
@@ -93,7 +93,7 @@ class Renderer:
             part = slice(start, start + _RAYS_AT_ONCE)
             colours[part] = self._colours(eye, directions[part], bodies, pixel_rad)
         if samples > 1:
-            # Tones are averaged as the eye does: after too bright ones have been cut.
+            # Clipped before averaging, so that one very bright sample does not dominate a pixel.
             blocks = np.minimum(colours, _BRIGHTEST).reshape(height, samples, width, samples, 3)
             colours = blocks.mean(axis=(1, 3)).reshape(-1, 3)
         index = (colours * ((_TONES - 1) / _BRIGHTEST)).astype(np.int32)
@@ -102,13 +102,13 @@ class Renderer:
     def _colours(
         self, eye: Floats, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float
     ) -> Floats:
-        """Linear RGB (N, 3) of what is seen from `eye` (3,) along `directions` (N, 3), `pixel_rad` apart."""
+        """Linear RGB (N, 3) seen from `eye` (3,) along `directions` (N, 3), which are `pixel_rad` apart."""
         baked = self.baked
         ranges = np.full(len(directions), _FAR_M, np.float32)
         face, ranges, normal = baked.rays.hits(eye[None], directions, ranges)
         body_of = np.full(len(directions), -1, np.int32)
         for number, body in enumerate(bodies):
-            ray = body.rays_near(eye, directions)
+            ray = body.candidate_rays(eye, directions)
             if not len(ray):
                 continue
             hit = body.hits(np.broadcast_to(eye, (len(ray), 3)), directions[ray], ranges[ray])
@@ -119,20 +119,20 @@ class Renderer:
         colours = self._sky.colours(directions)
         seen = np.flatnonzero(face >= 0)
         if len(seen):
-            self._put_things(colours, eye, directions, seen, face, ranges, normal, body_of, bodies, pixel_rad)
-            colours[seen] = self._far(colours[seen], ranges[seen])
-        if self._air.foliage is not None:
-            self._put_grass(self._air.foliage, colours, eye, directions, ranges, bodies)
+            self._shade_hits(colours, eye, directions, seen, face, ranges, normal, body_of, bodies, pixel_rad)
+            colours[seen] = self._fade(colours[seen], ranges[seen])
+        if self._media.foliage is not None:
+            self._blend_grass(self._media.foliage, colours, eye, directions, ranges, bodies)
         return colours
 
-    def _far(self, colours: Floats, ranges: Floats) -> Floats:
-        """Linear RGB (N, 3) of things of `colours` (N, 3) seen through `ranges` (N,) [m] of air."""
-        # Distant things fade toward the horizon's colour, and in haze toward its own.
+    def _fade(self, colours: Floats, ranges: Floats) -> Floats:
+        """Linear RGB (N, 3) of surfaces of `colours` (N, 3) seen through `ranges` (N,) [m] of air."""
+        # Distant surfaces fade to the horizon's colour, and in haze to that of the haze.
         clear = np.exp(-ranges * np.float32(np.log(2.0) / _AIR_M))[:, None]
         faded: Floats = colours * clear + self._light.horizon * (1.0 - clear)
-        return faded if self._air.haze is None else self._air.haze.over(faded, ranges)
+        return faded if self._media.haze is None else self._media.haze.blend_over(faded, ranges)
 
-    def _put_things(
+    def _shade_hits(
         self,
         colours: Floats,
         eye: Floats,
@@ -145,19 +145,19 @@ class Renderer:
         bodies: Sequence[PosedMesh],
         pixel_rad: float,
     ) -> None:
-        """Put what rays `seen` have met into `colours` (N, 3), which change in place."""
+        """Write the shaded colours of the hits of rays `seen` to `colours` (N, 3)."""
         points = eye + directions[seen] * ranges[seen, None]
         albedo, normals, sky_share, gloss = self._surfaces(
             points, face[seen], normal[seen], body_of[seen], ranges[seen], bodies, pixel_rad
         )
         towards_eye = np.einsum("ij,ij->i", normals, directions[seen]) > 0.0
         normals[towards_eye] *= -1.0
-        lit = self._light.on(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
+        lit = self._light.shade(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
         if gloss.any():
-            lit = self._with_reflections(lit, gloss, normals, directions[seen])
+            lit = self._add_reflections(lit, gloss, normals, directions[seen])
         colours[seen] = lit
 
-    def _put_grass(
+    def _blend_grass(
         self,
         foliage: Foliage,
         colours: Floats,
@@ -166,17 +166,19 @@ class Renderer:
         ranges: Floats,
         bodies: Sequence[PosedMesh],
     ) -> None:
-        """Put grass before `colours` (N, 3), which change in place, of things at `ranges` (N,)."""
-        veil = foliage.transmission(eye[None], directions, ranges, tufts=True)
-        grown = np.flatnonzero(veil.passed < 0.998)
+        """Blend grass over `colours` (N, 3), in place, of surfaces at `ranges` (N,)."""
+        transmission = foliage.transmission(eye[None], directions, ranges, tufts=True)
+        grown = np.flatnonzero(transmission.passed < 0.998)
         if not len(grown):
             return
-        veil = FoliageTransmission(*(part[grown] for part in veil))
+        transmission = FoliageTransmission(*(values[grown] for values in transmission))
         upward = np.zeros((len(grown), 3), np.float32)
         upward[:, 2] = 1.0
-        sunlit = self._sunlit(eye + directions[grown] * veil.distance[:, None], upward, bodies)
-        grass = self._far(grass_colours(self._light, veil.height, veil.tint, sunlit), veil.distance)
-        colours[grown] = grass + (colours[grown] - grass) * veil.passed[:, None]
+        sunlit = self._sunlit(eye + directions[grown] * transmission.distance[:, None], upward, bodies)
+        grass = self._fade(
+            grass_colours(self._light, transmission.height, transmission.tint, sunlit), transmission.distance
+        )
+        colours[grown] = grass + (colours[grown] - grass) * transmission.passed[:, None]
 
     def _surfaces(
         self,
@@ -188,7 +190,7 @@ class Renderer:
         bodies: Sequence[PosedMesh],
         pixel_rad: float,
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Albedo (N, 3), unit normals (N, 3), share of the sky (N,) and gloss (N,) at `points` (N, 3)."""
+        """Albedo (N, 3), unit normals (N, 3), sky share (N,) and gloss (N,) at `points` (N, 3)."""
         baked = self.baked
         albedo = np.empty_like(points)
         normals = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -197,34 +199,34 @@ class Renderer:
         if len(ground):
             at = points[ground]
             albedo[ground] = self._ground_albedo(at, ranges[ground])
-            normals[ground] = _sampled(self._normals, baked.on_grid(at, self._normals.shape[:2]))
-            share[ground] = _sampled(baked.sky_share, baked.on_grid(at, baked.sky_share.shape))
-        thing = np.flatnonzero((body_of < 0) & (face >= baked.ground_faces))
-        if len(thing):
-            own = face[thing] - baked.ground_faces
-            # A little of the ground's grain keeps large walls from looking like plastic.
-            grained = 1.0 + 0.4 * self._grain_at(points[thing], ranges[thing])
-            albedo[thing] = baked.things.albedo[own] * grained
+            normals[ground] = _interpolate(self._normals, baked.grid_coordinates(at, self._normals.shape[:2]))
+            share[ground] = _interpolate(baked.sky_share, baked.grid_coordinates(at, baked.sky_share.shape))
+        prop = np.flatnonzero((body_of < 0) & (face >= baked.ground_faces))
+        if len(prop):
+            own = face[prop] - baked.ground_faces
+            # A little of the ground's noise keeps large walls from looking like plastic.
+            grained = 1.0 + 0.4 * self._grain_at(points[prop], ranges[prop])
+            albedo[prop] = baked.props.albedo[own] * grained
             if baked.texture is not None:
                 pictured = baked.texture.textured[own]
-                seen = thing[pictured]
+                seen = prop[pictured]
                 pixel_m = ranges[seen] * np.float32(pixel_rad)
                 albedo[seen] = baked.texture.albedo(own[pictured], points[seen], pixel_m, smooth=True)
-            share[thing] = baked.things_sky_share[own]
-            gloss[thing] = np.where(baked.things.segments[own] == Segment.WATER, 1.0, 0.0)
+            share[prop] = baked.props_sky_share[own]
+            gloss[prop] = np.where(baked.props.segments[own] == Segment.WATER, 1.0, 0.0)
         for number in np.unique(body_of[body_of >= 0]):
             mine = body_of == number
             albedo[mine] = bodies[number].shape.albedo[face[mine]]
         return albedo, normals, share, gloss
 
     def _ground_albedo(self, points: Floats, ranges: Floats) -> Floats:
-        at = self.baked.on_grid(points, self._albedo.shape[:2])
-        albedo: Floats = _sampled(self._albedo, at) * (1.0 + self._grain_at(points, ranges))
+        at = self.baked.grid_coordinates(points, self._albedo.shape[:2])
+        albedo: Floats = _interpolate(self._albedo, at) * (1.0 + self._grain_at(points, ranges))
         return albedo
 
     def _grain_at(self, points: Floats, ranges: Floats) -> Floats:
-        """Relative brightness less 1, (N, 1), at points (N, 3), gone where it would only flicker."""
-        # Slanted, so that upright walls have grain as well.
+        """Relative brightness noise (N, 1) about 0 at points (N, 3), faded out where it would flicker."""
+        # Sheared, so that vertical walls have noise, too.
         slanted = points[:, :2] + points[:, 2:] * np.float32(0.71)
         cell = (slanted * np.float32(_GRAIN_TEXELS / _GRAIN_TILE_M)).astype(np.int32) & (_GRAIN_TEXELS - 1)
         grain = self._grain.ravel().take(cell[:, 1] * _GRAIN_TEXELS + cell[:, 0])
@@ -243,13 +245,13 @@ class Renderer:
         directions = np.tile(to_sun, (len(origins), 1))
         free = ~self.baked.rays.any_hit(origins, directions)
         for body in bodies:
-            near = body.points_in_shadow_of(origins, to_sun)
+            near = body.shadow_candidates(origins, to_sun)
             if len(near):
-                free[near] &= ~body.blocks(origins[near], directions[near])
+                free[near] &= ~body.any_hit(origins[near], directions[near])
         sunlit[facing] = free
         return sunlit
 
-    def _with_reflections(self, lit: Floats, gloss: Floats, normals: Floats, directions: Floats) -> Floats:
+    def _add_reflections(self, lit: Floats, gloss: Floats, normals: Floats, directions: Floats) -> Floats:
         shiny = np.flatnonzero(gloss)
         into, normal = directions[shiny], normals[shiny]
         cosine = -np.einsum("ij,ij->i", into, normal)
@@ -261,8 +263,8 @@ class Renderer:
         return lit
 
 
-def _sampled(grid: Floats, at: tuple[Floats, Floats]) -> Floats:
-    """Values of a grid (rows, columns, ...) between its points, at rows and columns (N,) each."""
+def _interpolate(grid: Floats, at: tuple[Floats, Floats]) -> Floats:
+    """Bilinear values (N, ...) of a grid (rows, columns, ...) at fractional rows and columns (N,)."""
     rows, columns = grid.shape[:2]
     y, x = at
     y0, x0 = y.astype(np.int32), x.astype(np.int32)

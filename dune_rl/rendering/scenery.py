@@ -1,4 +1,4 @@
-"""What a world looks like: ground with a texture, and things with a colour for each face."""
+"""Scenery: textured ground, and meshes with a colour per face."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -14,7 +14,7 @@ Floats = NDArray[np.float32]
 
 
 class Segment(IntEnum):
-    """What a pixel or a beam shows: the values of segmentations."""
+    """Semantic classes: the values of segmentations of pixels and beams."""
 
     SKY = 0
     GROUND = 1
@@ -28,9 +28,9 @@ class Segment(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ColouredMesh:
-    """Triangles: `vertices` (V, 3) [m], `faces` (F, 3), `albedo` (F, 3) in linear RGB, `segments` (F,).
+    """A mesh: `vertices` (V, 3) [m], `faces` (F, 3), `albedo` (F, 3) in linear RGB, `segments` (F,).
 
-    Where faces have pictures, these are the `texture`, and `albedo` is their mean.
+    On faces with a `texture`, `albedo` is its mean.
     """
 
     vertices: NDArray[np.float64]
@@ -42,9 +42,9 @@ class ColouredMesh:
 
 @dataclass(frozen=True, eq=False)
 class GroundTexture:
-    """Linear RGB albedo (rows, columns, 3) of the ground, stretched over a rectangle seen from above.
+    """Linear RGB albedo (rows, columns, 3) of the ground, over the terrain's rectangle.
 
-    The rectangle is that of the terrain; row 0 lies at its lowest y, column 0 at its lowest x.
+    Row 0 is at the lowest y, column 0 at the lowest x.
     """
 
     albedo: Floats
@@ -52,15 +52,15 @@ class GroundTexture:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """All of a world that stands still and can be seen."""
+    """Everything static and visible in a world."""
 
     terrain: HeightField
     ground: GroundTexture
-    things: ColouredMesh
+    props: ColouredMesh
 
 
 def join_meshes(shapes: list[ColouredMesh]) -> ColouredMesh:
-    """Several shapes as one, in their order."""
+    """Several meshes as one, in their order."""
     if not shapes:
         return ColouredMesh(
             np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
@@ -78,7 +78,7 @@ def join_meshes(shapes: list[ColouredMesh]) -> ColouredMesh:
 
 
 def subdivide_mesh(shape: ColouredMesh, longest_m: float) -> ColouredMesh:
-    """The same surface in triangles whose edges are at most `longest_m`, so that light can vary over it."""
+    """The same surface with edges of at most `longest_m`, so that baked light can vary over it."""
     if not len(shape.faces):
         return shape
     vertices, faces, origin = trimesh.remesh.subdivide_to_size(

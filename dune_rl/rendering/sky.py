@@ -1,4 +1,4 @@
-"""A sky to look at: the light's colours, a glow round the sun, and fair-weather clouds."""
+"""The sky of pictures: the light's colours, a glow around the sun, and fair-weather clouds."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,14 @@ from dune_rl.rendering.weather import Haze
 Floats = NDArray[np.float32]
 
 _TEXELS = 512
-# One turn of the cloud tile, in heights of the cloud layer.
+# Size of the repeated tile of clouds, in heights of the cloud layer.
 _TILE = 6.0
 
 
 class Sky:
-    """The sky of a `Light`, with clouds that are the same in every picture, as far as `haze` shows them.
+    """The sky of a `Light`, with equal clouds in every picture, attenuated by `haze`.
 
-    The light has the haze in it already.
+    The light must include the haze.
     """
 
     def __init__(self, light: Light, haze: Haze | None = None) -> None:
@@ -44,10 +44,10 @@ class Sky:
             at = directions[high, :2] / (up[high, None] + 0.06) * np.float32(_TEXELS / _TILE)
             cell = at.astype(np.int32) & (_TEXELS - 1)
             cover = self._cover.take(cell[:, 1] * _TEXELS + cell[:, 0])
-            # Clouds thin out toward the horizon, where the air hides them.
+            # Clouds fade towards the horizon, where the air hides them.
             cover *= np.clip((up[high] - 0.02) * 5.0, 0.0, 1.0) * 0.75
             if self._haze is not None:
-                cover *= self._haze.above(up[high])
+                cover *= self._haze.sky_transmittance(up[high])
             white = 0.42 * light.sun + 0.2 * light.horizon
             colours[high] += cover[:, None] * (white - colours[high])
         return colours.astype(np.float32)

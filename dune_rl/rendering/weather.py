@@ -1,4 +1,4 @@
-"""Fog, dust and the time of day: what the air does to light on its way."""
+"""Fog, dust and time of day: attenuation of light, and the sun's position."""
 
 from dataclasses import dataclass, replace
 
@@ -11,24 +11,24 @@ from dune_rl.settings import Settings
 
 Floats = NDArray[np.float32]
 
-# Koschmieder (1924): something black is seen as far as it differs from the sky by 2 %; -ln 0.02 = 3.912.
+# Koschmieder (1924): black objects are visible up to a contrast of 2 % with the sky; -ln 0.02 = 3.912.
 _KOSCHMIEDER = 3.912
-# A fog bank or a dust cloud reaches this high; toward the horizon one looks through this much of it.
+# Height of fog banks and dust clouds, and the largest path length through them, towards the horizon.
 _LAYER_M, _TO_HORIZON_M = 150.0, 5_000.0
-# An overcast sky is brighter overhead than at the horizon: up to three times by the standard of the CIE.
+# Ratio of zenith to horizon of a hazy sky; the CIE's standard overcast sky has 3.
 _BRIGHTER_OVERHEAD = 1.8
-# Where the sun stands is told for this latitude, north.
+# Northern latitude of the sun's path.
 _LATITUDE_RAD = np.pi / 4
 _RAD_PER_HOUR = np.pi / 12
 
 
 class WeatherConf(Settings):
-    """How far one sees through fog and through dust, their colours, and the light.
+    """Visibilities and colours (sRGB) of fog and dust, and the light.
 
-    Null is as far as one likes. Visibility is the distance at which black things fade to 2 % of contrast.
-    Colours are sRGB. `time_of_day_h`, where it is given, puts the sun where it
-    stands at that solar time at an equinox, 45 degrees north, in a world whose
-    x axis points east, instead of where `light` has it.
+    Visibility is the distance at which the contrast of black objects falls to
+    2 %; null: clear air. `time_of_day_h`, if given, replaces the sun's
+    position in `light` by that at this solar time at an equinox, 45 degrees
+    north, in a world whose x axis points east.
     """
 
     fog_visibility_m: float | None = Field(None, gt=0.0, le=1e6)
@@ -40,7 +40,7 @@ class WeatherConf(Settings):
 
     @property
     def sunlight(self) -> LightConf:
-        """`light`, its sun moved to the time of day."""
+        """`light` with the sun's position of the time of day."""
         if self.time_of_day_h is None:
             return self.light
         bearing, elevation = sun_position(self.time_of_day_h)
@@ -49,14 +49,14 @@ class WeatherConf(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Haze:
-    """Fog and dust together: extinction [1/m], and the linear RGB (3,) that they glow with in daylight."""
+    """Fog and dust together: extinction [1/m], and the linear RGB (3,) of the light that they scatter."""
 
     extinction: float
     colour: Floats
 
     @classmethod
-    def of(cls, weather: WeatherConf) -> "Haze | None":
-        """That of a weather, None in clear air."""
+    def from_weather(cls, weather: WeatherConf) -> "Haze | None":
+        """The haze of a weather; None in clear air."""
         parts = [
             (_KOSCHMIEDER / visibility, srgb_to_linear(np.array(colour)))
             for visibility, colour in (
@@ -69,31 +69,31 @@ class Haze:
             return None
         extinction = sum(share for share, _ in parts)
         colour = sum((share / extinction * colour for share, colour in parts), np.zeros(3))
-        clear = Light.of(weather.sunlight)
-        # Droplets and grains are lit by sky and sun from all sides, wherever one looks.
+        clear = Light.from_conf(weather.sunlight)
+        # Droplets and grains scatter the light of sun and sky equally into all directions.
         glow = colour * (0.5 * clear.horizon + 0.2 * clear.sun)
         return cls(extinction, glow.astype(np.float32))
 
     def transmittance(self, ranges: Floats) -> Floats:
-        """Share (...) of light that passes `ranges` (...) [m] of it: Beer and Lambert's law."""
+        """Share (...) of light that passes `ranges` (...) [m] of haze, by the Beer-Lambert law."""
         passed: Floats = np.exp(ranges * np.float32(-self.extinction))
         return passed
 
-    def above(self, up: Floats) -> Floats:
-        """Share (...) of light that comes down through it where the direction's z is `up` (...), above 0."""
+    def sky_transmittance(self, up: Floats) -> Floats:
+        """Share (...) of light from the sky that passes the haze, for directions of z `up` (...) > 0."""
         return self.transmittance(np.minimum(np.float32(_LAYER_M) / up, np.float32(_TO_HORIZON_M)))
 
-    def over(self, colours: Floats, ranges: Floats) -> Floats:
-        """Linear RGB (N, 3) of things of `colours` (N, 3) seen through `ranges` (N,) [m] of it."""
+    def blend_over(self, colours: Floats, ranges: Floats) -> Floats:
+        """Linear RGB (N, 3) of surfaces of `colours` (N, 3) seen through `ranges` (N,) [m] of haze."""
         return self.colour + (colours - self.colour) * self.transmittance(ranges)[:, None]
 
 
 def weather_light(weather: WeatherConf) -> Light:
-    """Sun and sky of a weather: haze takes from the sun and covers the sky, most toward the horizon."""
-    clear, haze = Light.of(weather.sunlight), Haze.of(weather)
+    """Sun and sky of a weather: haze dims the sun and covers the sky, mostly towards the horizon."""
+    clear, haze = Light.from_conf(weather.sunlight), Haze.from_weather(weather)
     if haze is None:
         return clear
-    to_sun, up, level = haze.above(np.array([clear.to_sun[2], 1.0, 1e-6], np.float32))
+    to_sun, up, level = haze.sky_transmittance(np.array([clear.to_sun[2], 1.0, 1e-6], np.float32))
     overhead = _BRIGHTER_OVERHEAD * haze.colour
     return replace(
         clear,
@@ -106,7 +106,7 @@ def weather_light(weather: WeatherConf) -> Light:
 def sun_position(hour: float) -> tuple[float, float]:
     """Bearing from the x axis and elevation [rad] of the sun at a solar `hour` [h]; see `WeatherConf`.
 
-    From the rotation of the Earth alone: at an equinox the sun stands over the equator.
+    It follows from the Earth's rotation, since the sun is above the equator at an equinox.
     """
     turn = (hour - 12.0) * _RAD_PER_HOUR
     east, north = -np.sin(turn), -np.cos(turn) * np.sin(_LATITUDE_RAD)

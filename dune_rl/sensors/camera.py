@@ -238,7 +238,7 @@ class Camera:
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])
-            colour[:] = _packed(self._air.through(bare, ranges, nothing, veil, self._baked.light))
+            colour[:] = _packed(self._air.attenuate(bare, ranges, nothing, veil, self._baked.light))
         if veil is not None:
             hidden = veil.range < ranges
             ranges[hidden] = veil.range[hidden]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.rendering.baked_scenery import LAST_KEPT, BakedScenery
+from dune_rl.rendering.baked_scenery import LAST_CACHED, BakedScenery
 from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, join_meshes
 from dune_rl.rendering.weather import Haze, WeatherConf, weather_light
@@ -26,13 +26,13 @@ def build_scenery(world: World) -> Scenery:
 
 def bake_world(world: World, light: LightConf) -> BakedScenery:
     """The world in that light and clear air; cached with the world."""
-    return _bake(world, light, lambda: Light.of(light))
+    return _bake(world, light, lambda: Light.from_conf(light))
 
 
 def bake_in_weather(world: World, weather: WeatherConf) -> BakedScenery:
     """The world in the light of a weather, without the haze between surfaces and the camera."""
     weather = with_own_sun(world, weather)
-    if Haze.of(weather) is None:
+    if Haze.from_weather(weather) is None:
         return bake_world(world, weather.sunlight)
     return _bake(world, weather, lambda: weather_light(weather))
 
@@ -57,12 +57,12 @@ def _bake(world: World, key: Hashable, light: Callable[[], Light]) -> BakedScene
 
 def precompute_appearance(world: World) -> None:
     """Compute what every picture of a world needs, so that its disk cache holds it."""
-    BakedScenery(build_scenery(world), Light.of(LightConf()), world.disk_cached)
+    BakedScenery(build_scenery(world), Light.from_conf(LightConf()), world.disk_cached)
 
 
 def is_appearance_cached(disk_cache: DiskCache) -> bool:
     """Whether `precompute_appearance` has filled that disk cache."""
-    return disk_cache.contains(LAST_KEPT)
+    return disk_cache.contains(LAST_CACHED)
 
 
 def _ground_albedo(world: World) -> NDArray[np.float32]:

@@ -24,11 +24,12 @@ class WorldAppearance:
     weather: WeatherConf
 
     @property
-    def air(self) -> ParticipatingMedia:
+    def media(self) -> ParticipatingMedia:
         """Haze and grass that light passes on its way to a camera."""
         grass = self.world.grass
         return ParticipatingMedia(
-            Haze.of(with_own_sun(self.world, self.weather)), None if grass is None else grass.foliage
+            Haze.from_weather(with_own_sun(self.world, self.weather)),
+            None if grass is None else grass.foliage,
         )
 
 

@@ -20,16 +20,16 @@ def _build_beam_surface(world: World) -> BeamSurface:
     scenery = build_scenery(world)
     albedo = _face_albedo(world.terrain, scenery.ground.albedo)
     solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])
-    if len(solid) != len(scenery.things.faces):
+    if len(solid) != len(scenery.props.faces):
         raise ValueError(
             f"the props of {world.name} have {len(solid)} faces, but its scenery has "
-            f"{len(scenery.things.faces)}: they must be the same, in the same order"
+            f"{len(scenery.props.faces)}: they must be the same, in the same order"
         )
     ground = np.full(len(albedo), Segment.GROUND, np.uint8)
     solid = solid.astype(bool)
-    return BeamSurface.of(
-        np.concatenate([ground, scenery.things.segments[solid]]),
-        np.concatenate([albedo, scenery.things.albedo[solid]]),
+    return BeamSurface.from_faces(
+        np.concatenate([ground, scenery.props.segments[solid]]),
+        np.concatenate([albedo, scenery.props.albedo[solid]]),
     )
 
 

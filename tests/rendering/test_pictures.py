@@ -65,7 +65,7 @@ def test_a_viewpoint_looks_at_its_target_and_stands_level(view):
 @pytest.mark.parametrize("samples", [1, 2])
 @pytest.mark.parametrize("size", [(96, 72), (33, 50), (1, 1)])
 def test_a_picture_has_the_size_asked_for(size, samples):
-    picture = painter(box(0.0, 0.0, 1.0, 1.0, 1.0)).paint(ASLANT, *size, samples=samples)
+    picture = painter(box(0.0, 0.0, 1.0, 1.0, 1.0)).render(ASLANT, *size, samples=samples)
     assert picture.shape == (size[1], size[0], 3)
     assert picture.dtype == np.uint8
 
@@ -73,18 +73,18 @@ def test_a_picture_has_the_size_asked_for(size, samples):
 def test_a_picture_of_the_same_scene_is_the_same():
     props, bodies = [box(0.0, 0.0, 1.0, 1.0, 1.0)], [body(-1.0, 1.0, 0.5)]
     one, other = painter(*props), Renderer(bake_world(plain(*props), LightConf()))
-    first = one.paint(ASLANT, *SIZE, bodies)
-    one.paint(ABOVE, *SIZE)
-    assert one.paint(ASLANT, *SIZE, bodies).tobytes() == first.tobytes()
-    assert other.paint(ASLANT, *SIZE, bodies).tobytes() == first.tobytes()
+    first = one.render(ASLANT, *SIZE, bodies)
+    one.render(ABOVE, *SIZE)
+    assert one.render(ASLANT, *SIZE, bodies).tobytes() == first.tobytes()
+    assert other.render(ASLANT, *SIZE, bodies).tobytes() == first.tobytes()
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 300
 
 
 def test_a_picture_painted_in_parts_is_the_same(monkeypatch):
     one, bodies = painter(box(0.0, 0.0, 1.0, 1.0, 1.0)), [body(-1.0, 1.0, 0.5)]
-    whole = one.paint(ASLANT, *SIZE, bodies)
+    whole = one.render(ASLANT, *SIZE, bodies)
     monkeypatch.setattr("dune_rl.rendering.renderer._RAYS_AT_ONCE", 1000)
-    assert one.paint(ASLANT, *SIZE, bodies).tobytes() == whole.tobytes()
+    assert one.render(ASLANT, *SIZE, bodies).tobytes() == whole.tobytes()
 
 
 @pytest.mark.parametrize("bearing", [0.0, 1.2, 2.6, -2.0])
@@ -94,8 +94,8 @@ def test_a_shadow_falls_on_the_side_away_from_the_sun(bearing, moves):
     light = {"sun_bearing_rad": bearing, "sun_elevation_rad": np.pi / 4}
     props = () if moves else (box(0.0, 0.0, 0.5, 0.5, 1.0),)
     bodies = [body(0.0, 0.0, 0.5)] if moves else []
-    picture = painter(*props, **light).paint(ABOVE, *SIZE, bodies)
-    bare = painter(**light).paint(ABOVE, *SIZE)
+    picture = painter(*props, **light).render(ABOVE, *SIZE, bodies)
+    bare = painter(**light).render(ABOVE, *SIZE)
     away = -np.array([np.cos(bearing), np.sin(bearing), 0.0])
 
     def share(metres: float) -> float:
@@ -112,8 +112,8 @@ def test_a_lower_sun_makes_longer_shadows_and_none_are_made_where_none_are_wante
     post = box(0.0, 0.0, 0.4, 0.4, 1.0)
 
     def at_two_metres(**light) -> float:
-        picture = painter(post, sun_bearing_rad=np.pi, **light).paint(ABOVE, *SIZE)
-        bare = painter(sun_bearing_rad=np.pi, **light).paint(ABOVE, *SIZE)
+        picture = painter(post, sun_bearing_rad=np.pi, **light).render(ABOVE, *SIZE)
+        bare = painter(sun_bearing_rad=np.pi, **light).render(ABOVE, *SIZE)
         return brightness_at(picture, ABOVE, [2.0, 0.0, 0.0]) / brightness_at(bare, ABOVE, [2.0, 0.0, 0.0])
 
     assert at_two_metres(sun_elevation_rad=0.3) < 0.85
@@ -123,12 +123,12 @@ def test_a_lower_sun_makes_longer_shadows_and_none_are_made_where_none_are_wante
 
 def test_more_samples_agree_in_the_mean_and_smooth_the_edges():
     one = painter(box(0.0, 0.0, 1.0, 1.0, 1.0, colour=(0.9, 0.9, 0.9)))
-    rough, smooth = (one.paint(ASLANT, *SIZE, samples=samples).astype(float) for samples in (1, 3))
+    rough, smooth = (one.render(ASLANT, *SIZE, samples=samples).astype(float) for samples in (1, 3))
     np.testing.assert_allclose(rough.mean(axis=(0, 1)), smooth.mean(axis=(0, 1)), atol=1.0)
     assert np.abs(rough - smooth).max() > 20.0
     # The steepest step from pixel to pixel lies on the box's edges.
     assert np.abs(np.diff(smooth, axis=1)).max() < np.abs(np.diff(rough, axis=1)).max()
-    fine = one.paint(ASLANT, 3 * SIZE[0], 3 * SIZE[1]).astype(float)
+    fine = one.render(ASLANT, 3 * SIZE[0], 3 * SIZE[1]).astype(float)
     blocks = fine.reshape(SIZE[1], 3, SIZE[0], 3, 3).mean(axis=(1, 3))
     assert np.abs(blocks - smooth).mean() < 1.0
 
@@ -137,12 +137,12 @@ def test_water_reflects_the_sky():
     low = Viewpoint((-9.0, 0.0, 0.5), (0.0, 0.0, 0.3), 0.6)
     brown = (0.25, 0.18, 0.12)
     sheets = [box(0.0, 0.0, 8.0, 8.0, 0.05, colour=brown, solid=solid) for solid in (True, False)]
-    dry, wet = (painter(sheet, shadows=False).paint(low, *SIZE)[44, 30:66].mean(axis=0) for sheet in sheets)
-    sky = painter().paint(low, *SIZE)[30].mean(axis=0)
+    dry, wet = (painter(sheet, shadows=False).render(low, *SIZE)[44, 30:66].mean(axis=0) for sheet in sheets)
+    sky = painter().render(low, *SIZE)[30].mean(axis=0)
     # Looked at aslant it is nearly all sky; from above it is hardly any.
     assert np.linalg.norm(wet - sky) < 0.7 * np.linalg.norm(dry - sky)
     assert wet[2] > wet[0] and dry[2] < dry[0]
-    dry, wet = (painter(sheet, shadows=False).paint(ABOVE, 9, 9)[4, 4].astype(float) for sheet in sheets)
+    dry, wet = (painter(sheet, shadows=False).render(ABOVE, 9, 9)[4, 4].astype(float) for sheet in sheets)
     np.testing.assert_allclose(wet, dry, atol=25.0)
 
 
@@ -151,9 +151,9 @@ def test_a_body_is_where_it_stands_and_hides_behind_walls():
     # The sun stands behind the eye, so that the shadow falls behind the wall as well.
     view, light = Viewpoint((-6.0, 0.0, 1.0), (0.0, 0.0, 1.0)), {"sun_bearing_rad": np.pi}
     one = painter(wall, **light)
-    empty = one.paint(view, *SIZE)
-    np.testing.assert_array_equal(one.paint(view, *SIZE, [body(1.5, 0.0, 0.5)]), empty)
-    before = one.paint(view, *SIZE, [body(-2.0, 0.0, 1.0)])
+    empty = one.render(view, *SIZE)
+    np.testing.assert_array_equal(one.render(view, *SIZE, [body(1.5, 0.0, 0.5)]), empty)
+    before = one.render(view, *SIZE, [body(-2.0, 0.0, 1.0)])
     red = before[..., 0].astype(int) - before[..., 1] > 40
     rows, columns = np.nonzero(red)
     # Its front is half a metre wide, a metre high and 3.75 m away.
@@ -164,7 +164,7 @@ def test_a_body_is_where_it_stands_and_hides_behind_walls():
     assert rows.mean() == pytest.approx(SIZE[1] / 2 - 0.5, abs=0.6)
     # Of two, the nearer is seen, whichever comes first.
     blue = body(-3.0, 0.0, 1.0, colour=(0.1, 0.2, 0.8))
-    both = [one.paint(view, *SIZE, order) for order in ([blue, body(-2, 0, 1)], [body(-2, 0, 1), blue])]
+    both = [one.render(view, *SIZE, order) for order in ([blue, body(-2, 0, 1)], [body(-2, 0, 1), blue])]
     np.testing.assert_array_equal(*both)
     assert both[0][36, 48, 2] > both[0][36, 48, 0] + 40
 
@@ -185,7 +185,7 @@ def test_no_ray_and_no_shadow_of_a_body_is_left_out(position, quaternion, eye):
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     start = np.asarray(eye, np.float32)
     hit = one.hits(np.tile(start, (300, 1)), directions, np.full(300, 99.0, np.float32))
-    assert set(np.flatnonzero(hit.face >= 0)) <= set(one.rays_near(start, directions))
+    assert set(np.flatnonzero(hit.face >= 0)) <= set(one.candidate_rays(start, directions))
     met = np.flatnonzero(hit.face >= 0)
     corners = (one.shape.vertices @ rotation.T)[one.shape.faces[hit.face[met]]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -193,8 +193,8 @@ def test_no_ray_and_no_shadow_of_a_body_is_left_out(position, quaternion, eye):
     # The same lines as sunbeams, each to its own point.
     points = (one.centre + rng.normal(0.0, 1.5, (300, 3))).astype(np.float32)
     to_sun = directions[0]
-    blocked = one.blocks(points, np.tile(to_sun, (300, 1)))
-    assert set(np.flatnonzero(blocked)) <= set(one.points_in_shadow_of(points, to_sun))
+    blocked = one.any_hit(points, np.tile(to_sun, (300, 1)))
+    assert set(np.flatnonzero(blocked)) <= set(one.shadow_candidates(points, to_sun))
 
 
 BLOCK = block(size=(0.5, 0.7, 1.0))

@@ -32,7 +32,7 @@ RANGE_M = 12.0
 
 
 def haze_of(weather: WeatherConf) -> Haze:
-    haze = Haze.of(weather)
+    haze = Haze.from_weather(weather)
     assert haze is not None
     return haze
 
@@ -46,7 +46,7 @@ def test_black_things_fade_to_two_percent_of_contrast(visibility):
         haze_of(WeatherConf(fog_visibility_m=visibility)),
         haze_of(WeatherConf(dust_visibility_m=visibility)),
     ):
-        seen = haze.over(np.zeros((1, 3), np.float32), np.array([visibility], np.float32))
+        seen = haze.blend_over(np.zeros((1, 3), np.float32), np.array([visibility], np.float32))
         np.testing.assert_allclose(1.0 - seen[0] / haze.colour, 0.02, rtol=1e-3)
 
 
@@ -56,14 +56,14 @@ def test_fog_and_dust_add_up():
     assert both.extinction == pytest.approx(haze_of(fog).extinction + haze_of(dust).extinction)
     mixed = (haze_of(fog).colour + 2 * haze_of(dust).colour) / 3
     np.testing.assert_allclose(both.colour, mixed, rtol=1e-5)
-    assert Haze.of(CLEAR) is None
+    assert Haze.from_weather(CLEAR) is None
 
 
 def test_haze_takes_the_sun_and_covers_the_sky():
     clear, thin, fog = (
         weather_light(weather) for weather in (CLEAR, WeatherConf(fog_visibility_m=5_000.0), FOG)
     )
-    plain = Light.of(LightConf())
+    plain = Light.from_conf(LightConf())
     for name in ("to_sun", "sun", "zenith", "horizon"):
         np.testing.assert_array_equal(getattr(clear, name), getattr(plain, name))
     assert (clear.sun > thin.sun).all()
@@ -94,7 +94,10 @@ def test_the_hour_moves_the_sun_and_nothing_else():
     light = weather_light(weather)
     assert light.to_sun[0] < -0.9
     assert not light.shadows
-    assert light.sun[2] / light.sun[0] < 0.8 * Light.of(LightConf()).sun[2] / Light.of(LightConf()).sun[0]
+    assert (
+        light.sun[2] / light.sun[0]
+        < 0.8 * Light.from_conf(LightConf()).sun[2] / Light.from_conf(LightConf()).sun[0]
+    )
 
 
 # -- cameras -----------------------------------------------------------------------------------------
@@ -144,7 +147,7 @@ def test_a_camera_sees_through_haze_by_beer_and_lambert(world):
 
 def test_the_sky_of_a_weather_has_its_haze(world):
     fog, clear = (
-        pictures(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather)))["rgb"][
+        pictures(bake_in_weather(world, weather), ParticipatingMedia(Haze.from_weather(weather)))["rgb"][
             0, 0, 0
         ].astype(int)
         for weather in (FOG, CLEAR)
@@ -160,7 +163,7 @@ def test_clear_air_keeps_the_bytes(world):
         np.testing.assert_array_equal(picture, pictures(look, ParticipatingMedia())[name])
     view = Viewpoint((0.0, 0.0, 1.0), (10.0, 0.0, 0.8))
     np.testing.assert_array_equal(
-        Renderer(look).paint(view, 48, 32), Renderer(look, ParticipatingMedia()).paint(view, 48, 32)
+        Renderer(look).render(view, 48, 32), Renderer(look, ParticipatingMedia()).render(view, 48, 32)
     )
     assert effects_of(ParticipatingMedia(), "lidar", np.eye(3), (0.0, 0.0, 0.0), (0.1, 12.0)) == []
 
@@ -170,9 +173,9 @@ def test_large_pictures_fade(world):
     contrast = []
     for visibility in (None, 200.0, 15.0):
         weather = WeatherConf(fog_visibility_m=visibility)
-        picture = Renderer(bake_in_weather(world, weather), ParticipatingMedia(Haze.of(weather))).paint(
-            view, 48, 32
-        )
+        picture = Renderer(
+            bake_in_weather(world, weather), ParticipatingMedia(Haze.from_weather(weather))
+        ).render(view, 48, 32)
         contrast.append(float(picture.std()))
     assert contrast[0] > contrast[1] > contrast[2] > 0.0
     assert contrast[2] < 0.5 * contrast[0]

@@ -117,7 +117,7 @@ def test_a_wall_that_faces_the_sun_is_brighter_than_its_back():
 
 def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
-        light = Light.of(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
+        light = Light.from_conf(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
         camera = Camera(
             camera_conf(width=16, height=12),
             BakedScenery(build_scenery(with_boxes(WALL)), light),

@@ -133,10 +133,10 @@ def test_a_picture_shows_it():
     look = bake_world(world, LightConf())
     view = Viewpoint((-1.0, 0.0, 0.8), (3.0, 0.0, 0.5))
     bare, grown = (
-        Renderer(look, air).paint(view, 80, 60)
+        Renderer(look, air).render(view, 80, 60)
         for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
     )
-    np.testing.assert_array_equal(Renderer(look).paint(view, 80, 60), bare)
+    np.testing.assert_array_equal(Renderer(look).render(view, 80, 60), bare)
     assert (grown[:4] == bare[:4]).all()
     # It stands over the horizon.
     assert (grown[20:30, 20:60] != bare[20:30, 20:60]).all(axis=-1).mean() > 0.8

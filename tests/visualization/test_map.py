@@ -82,7 +82,7 @@ def ramp(slope: float) -> HeightField:
 
 
 def test_ground_is_the_terrain_s_at_the_centres_of_its_cells() -> None:
-    ground = GroundGrid.of(ramp(0.5), (-4.0, 4.0, -2.0, 2.0), 16, 8)
+    ground = GroundGrid.sample(ramp(0.5), (-4.0, 4.0, -2.0, 2.0), 16, 8)
     assert ground.height.shape == ground.slope.shape == ground.shade.shape == (8, 16)
     np.testing.assert_allclose(ground.x[[0, -1]], [-3.75, 3.75])
     np.testing.assert_allclose(ground.height, np.tile(0.5 * ground.x, (8, 1)))
@@ -91,9 +91,9 @@ def test_ground_is_the_terrain_s_at_the_centres_of_its_cells() -> None:
 
 def test_light_comes_from_the_north_west() -> None:
     faces_west, faces_east = (
-        GroundGrid.of(ramp(slope), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade for slope in (0.5, -0.5)
+        GroundGrid.sample(ramp(slope), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade for slope in (0.5, -0.5)
     )
-    level = GroundGrid.of(ramp(0.0), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade
+    level = GroundGrid.sample(ramp(0.0), (-4.0, 4.0, -4.0, 4.0), 8, 8).shade
     np.testing.assert_allclose(level, 1.0)
     assert faces_west.min() > 1.0 > faces_east.max()
 
@@ -183,7 +183,7 @@ def test_things_hide_ground_only_where_they_are_over_it() -> None:
     # A sea at the height of a ramp's middle covers its lower half.
     sea = box("sea", (-9, -9, -9), (9, 9, 0.0), "water", solid=False)
     world = world_with(sea, slope=0.5)
-    ground = GroundGrid.of(world.terrain, (-8.0, 8.0, -8.0, 8.0), 32, 32)
+    ground = GroundGrid.sample(world.terrain, (-8.0, 8.0, -8.0, 8.0), 32, 32)
     np.testing.assert_array_equal(covered_by(water_props(world), ground), np.tile(ground.x < 0, (32, 1)))
     assert not covered_by([], ground).any()
 
@@ -260,7 +260,7 @@ def test_way_points_are_the_path() -> None:
 def test_the_ground_s_colours_tell_slope_starts_and_passages() -> None:
     here = site("inspection")
     free = here.spawner.free_space
-    ground = GroundGrid.of(here.world.terrain, here.world.extent, 320, 320)
+    ground = GroundGrid.sample(here.world.terrain, here.world.extent, 320, 320)
     picture = render_ground(here, ground, 3.0)
     assert picture.shape == (320, 320, 3)
     assert picture.min() >= 0.0 and picture.max() <= 1.0

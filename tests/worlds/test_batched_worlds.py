@@ -197,6 +197,6 @@ def test_another_light_on_a_known_world_is_that_of_a_new_one() -> None:
 
 
 def test_brightness_scales_sun_and_sky() -> None:
-    full, half = Light.of(LightConf()), Light.of(LightConf(brightness=0.5))
+    full, half = Light.from_conf(LightConf()), Light.from_conf(LightConf(brightness=0.5))
     for name in ("sun", "zenith", "horizon"):
         np.testing.assert_allclose(getattr(half, name), getattr(full, name) / 2, rtol=1e-6)

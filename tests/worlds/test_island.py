@@ -80,7 +80,7 @@ def test_land_is_in_the_middle_and_sea_all_round(seed):
     assert len(sea) == 1
     assert not sea[0].solid
     assert (sea[0].vertices[:, 2] == 0.0).all()
-    assert (build_scenery(world).things.segments == Segment.WATER).sum() == len(sea[0].faces)
+    assert (build_scenery(world).props.segments == Segment.WATER).sum() == len(sea[0].faces)
     # It begins under the land on all sides, and goes beyond the world's edge.
     inner, outer = sea[0].vertices[:96, :2], sea[0].vertices[96:, :2]
     assert (world.terrain.height(inner) > 0.0).all()

@@ -51,7 +51,7 @@ def nearest(colour: np.ndarray) -> str:
 def test_a_picture_shows_a_sign_upright_and_the_right_way_round(yard):
     # Seen from lower x, left is greater y.
     view = Viewpoint((-3.0, 0.0, SIGN_FOOT + 1.0), (*SIGN, SIGN_FOOT + 1.0), 0.6)
-    found = Renderer(bake_world(yard, BEHIND)).paint(view, 64, 48)
+    found = Renderer(bake_world(yard, BEHIND)).render(view, 64, 48)
     corners = [found[row, column] for row in (18, 30) for column in (20, 44)]
     assert [nearest(colour) for colour in corners] == ["red", "green", "blue", "yellow"]
 
@@ -89,21 +89,21 @@ def test_the_ground_shows_its_picture_where_it_lies(yard):
 
 def test_pictures_and_plain_faces_stand_side_by_side():
     triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    texture = MeshTexture.of(np.asarray(quadrants()), triangle[None], triangle[None, :, :2])
+    texture = MeshTexture.from_uv(np.asarray(quadrants()), triangle[None], triangle[None, :, :2])
     settings = {"vertices": triangle, "faces": np.array([[0, 1, 2]], np.int32)}
     shown = Prop("a", "sign", **settings, texture=texture)
     coloured = Prop("b", "box", **settings, face_colours=np.array([[0.0, 1.0, 0.0]], np.float32))
     flat = HeightField(np.zeros((3, 3)), 1.0, (-1.0, -1.0))
-    look = build_scenery(World("w", flat, [coloured, shown, coloured], region=(0, 1, 0, 1))).things
+    look = build_scenery(World("w", flat, [coloured, shown, coloured], region=(0, 1, 0, 1))).props
     np.testing.assert_array_equal(look.texture.picture, [-1, 0, -1])
     np.testing.assert_allclose(look.albedo, [[0, 1, 0], srgb_to_linear([0.6] * 3), [0, 1, 0]], atol=1e-6)
-    assert build_scenery(World("w", flat, [coloured], region=(0, 1, 0, 1))).things.texture is None
+    assert build_scenery(World("w", flat, [coloured], region=(0, 1, 0, 1))).props.texture is None
 
 
 def square(uv, picture=None) -> TextureSampler:
     corners = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]])
     picture = np.asarray(quadrants()) if picture is None else picture
-    return TextureSampler(MeshTexture.of(picture, corners, np.asarray(uv, float)[None]))
+    return TextureSampler(MeshTexture.from_uv(picture, corners, np.asarray(uv, float)[None]))
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -135,7 +135,7 @@ def test_pictures_together_are_held_to_a_size():
     look = square([[0, 0], [1, 0], [1, 1]], np.full((600, 900, 3), 90, np.uint8))
     assert look.textured.all()
     small = TextureSampler(
-        MeshTexture.of(np.full((600, 900, 3), 90, np.uint8), np.eye(3)[None], np.zeros((1, 3, 2))),
+        MeshTexture.from_uv(np.full((600, 900, 3), 90, np.uint8), np.eye(3)[None], np.zeros((1, 3, 2))),
         most_texels=1000,
     )
     assert len(small._texels) <= 2000
@@ -169,7 +169,7 @@ def test_a_damaged_texture_is_a_warning_and_the_rest_is_shown(tmp_path, spoilt, 
         world = build_mesh(MeshConf(path=str(path)))
     assert len([w for w in caught if re.search("paving", str(w.message))]) == 1
     assert world.picture is None
-    assert build_scenery(world).things.texture is not None
+    assert build_scenery(world).props.texture is not None
 
 
 def test_transparent_and_sixteen_bit_pictures_have_sound_colours():

@@ -41,7 +41,7 @@ class GroundGrid:
     shade: Array
 
     @classmethod
-    def of(cls, terrain: HeightField, rectangle: Rectangle, columns: int, rows: int) -> "GroundGrid":
+    def sample(cls, terrain: HeightField, rectangle: Rectangle, columns: int, rows: int) -> "GroundGrid":
         """The grid of `columns` by `rows` cells over `rectangle` (xmin, xmax, ymin, ymax) [m]."""
         xmin, xmax, ymin, ymax = rectangle
         x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns

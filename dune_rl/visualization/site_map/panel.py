@@ -130,7 +130,7 @@ def draw_ground(
 ) -> None:
     """Draw relief, slopes, contours, plants and water of `rectangle`, with one cell per pixel."""
     columns, rows = (max(2, round(side * dpi)) for side in size_in)
-    ground = GroundGrid.of(content.world.terrain, rectangle, columns, rows)
+    ground = GroundGrid.sample(content.world.terrain, rectangle, columns, rows)
     picture = render_ground(content, ground, _STRIPE_IN * dpi)
     under = render_passages(content, ground, _STRIPE_IN * dpi)
     for layer, order in ((picture, 0.0), (under, 3.0)):
@@ -143,7 +143,7 @@ def draw_ground(
 def _contours(axes: Axes, world: World, rectangle: Rectangle, size_in: tuple[float, float]) -> None:
     columns = _CONTOUR_COLUMNS
     rows = max(2, round(columns * size_in[1] / size_in[0]))
-    ground = GroundGrid.of(world.terrain, rectangle, columns, rows)
+    ground = GroundGrid.sample(world.terrain, rectangle, columns, rows)
     # Smoothed over the width of a line: smaller details cannot be drawn.
     height = gaussian_filter(ground.height, 1.5, mode="nearest")
     levels = contour_levels(height)

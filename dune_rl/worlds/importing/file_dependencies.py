@@ -1,4 +1,4 @@
-"""Which files an import depends on, so that its result can be kept until one of them changes."""
+"""Tracking of the files that an import depends on, so that its result can be cached until one changes."""
 
 import hashlib
 from collections.abc import Iterator
@@ -8,9 +8,9 @@ from pathlib import Path
 
 
 class FileDependencies:
-    """What has been looked at: `read` maps paths to digests of their bytes, `absent` are those not there.
+    """Files that were read, with digests of their bytes, and paths that were `absent`.
 
-    `complete` is False where the result depends on more than that.
+    `complete` is False if the result depends on anything else.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ _recording: ContextVar[FileDependencies | None] = ContextVar("recording", defaul
 
 @contextmanager
 def record_dependencies() -> Iterator[FileDependencies]:
-    """What is looked at within the block."""
+    """Record the files that are accessed within the block."""
     sources = FileDependencies()
     token = _recording.set(sources)
     try:
@@ -34,18 +34,18 @@ def record_dependencies() -> Iterator[FileDependencies]:
 
 
 def record_read(path: Path, data: bytes) -> None:
-    """The file at `path` had these bytes."""
+    """Record that the file at `path` had these bytes."""
     if (sources := _recording.get()) is not None:
         sources.read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
 
 
 def record_absent(path: Path) -> None:
-    """There was nothing at `path` that could be used."""
+    """Record that there was no usable file at `path`."""
     if (sources := _recording.get()) is not None:
         sources.absent.add(str(path.absolute()))
 
 
 def mark_incomplete() -> None:
-    """Something else decided, such as what lies in a folder or where a link leads."""
+    """Record a dependency of another kind, such as a folder's listing or a link's target."""
     if (sources := _recording.get()) is not None:
         sources.complete = False

@@ -1,4 +1,4 @@
-"""Heights on a regular grid, taken from triangles by rays straight down."""
+"""Regular grids of heights, sampled from triangles by vertical rays."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from dune_rl.rendering.mesh_texture import MeshTexture
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A million points are a gigabyte of memory with all that is made of them, and half a minute to begin with.
+# A million points take a gigabyte of memory with everything computed from them, and half a minute to build.
 MAX_POINTS = 1_000_000
 
 _DEFAULT_POINTS = 80_000
@@ -25,7 +25,7 @@ class Triangles(NamedTuple):
     """All triangles of a world, in the order of its parts.
 
     `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3), unit `normals` (F, 3) and `areas` (F,) [m2].
-    `claim` (F,) is 1 for what is said to be ground, -1 for what is said not to be, 0 for the rest.
+    `claim` (F,) is 1 for declared ground, -1 for triangles declared not to be ground, 0 for the others.
     """
 
     vertices: Array
@@ -38,6 +38,10 @@ class Triangles(NamedTuple):
 
 
 def ground_extent(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
+    """Lowest and highest x and y, each (2,) [m], of the triangles in `ground` (F,).
+
+    Raises `WorldError` if the ground is too small or too large.
+    """
     points = soup.vertices[soup.faces[ground], :2].reshape(-1, 2)
     low, high = points.min(axis=0), points.max(axis=0)
     if (high - low).min() < _SMALLEST_M:
@@ -53,26 +57,33 @@ def ground_extent(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
     return low, high
 
 
-def grid_spacing(low: Array, high: Array, wanted: float | None) -> float:
+def grid_spacing(low: Array, high: Array, spacing_m: float | None) -> float:
+    """The spacing [m] of the grid: `spacing_m`, or by default one chosen for the ground's size."""
     width, depth = high - low
-    if wanted is None:
+    if spacing_m is None:
         least = max(_FINEST_M, float(np.sqrt(width * depth / _DEFAULT_POINTS)))
         # A whole number of cells from edge to edge.
         return float(width / max(1.0, np.floor(width / least + 1e-9)))
-    if (width / wanted + 1) * (depth / wanted + 1) > MAX_POINTS:
-        least = float(np.sqrt(width * depth / MAX_POINTS)) * 1.01
+    check_grid_size(width, depth, spacing_m, "ground")
+    return spacing_m
+
+
+def check_grid_size(width: float, depth: float, spacing_m: float, what: str) -> None:
+    """Raise `WorldError` if a grid over `width` by `depth` [m] has too many points, or no cell."""
+    if (width / spacing_m + 1) * (depth / spacing_m + 1) > MAX_POINTS:
+        least = 1.01 * float(np.sqrt(width * depth / MAX_POINTS))
         raise WorldError(
-            f"world.spacing_m={wanted:g} makes more than {MAX_POINTS:,} points: "
+            f"world.spacing_m={spacing_m:g} makes more than {MAX_POINTS:,} points: "
             f"set it to {least:.2g} or more."
         )
-    if min(width, depth) < wanted:
+    if min(width, depth) < spacing_m:
         raise WorldError(
-            f"world.spacing_m={wanted:g} is more than the ground's {min(width, depth):.2f} m: lower it."
+            f"world.spacing_m={spacing_m:g} is more than the {what}'s {min(width, depth):.2f} m: lower it."
         )
-    return wanted
 
 
 def grid_axes(low: Array, high: Array, step: float) -> tuple[Array, Array, tuple[float, float]]:
+    """Coordinates x (columns,) and y (rows,) [m] of the grid's points, and the first point."""
     cells = np.maximum(np.floor((high - low) / step + 1e-6).astype(int), 1)
     start = (low + high - cells * step) / 2
     x, y = (start[k] + step * np.arange(cells[k] + 1) for k in (0, 1))
@@ -82,14 +93,14 @@ def grid_axes(low: Array, high: Array, step: float) -> tuple[Array, Array, tuple
 def cast_down(
     soup: Triangles, ground: NDArray[np.intp], x: Array, y: Array, low: Array, high: Array
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Heights (rows, columns) of the topmost ground and its triangle, -1 where there is none."""
-    # A ray along the outermost edge may miss it by a rounding.
+    """Heights (rows, columns) of the topmost triangle of `ground`, and its index, -1 for none."""
+    # Rays exactly at the edge may miss it by a rounding error.
     inside = 1e-6 * (high - low) + 1e-6
     at = np.stack(np.meshgrid(np.clip(x, low[0] + inside[0], high[0] - inside[0]),
                               np.clip(y, low[1] + inside[1], high[1] - inside[1])), axis=-1)  # fmt: skip
     xy = at.reshape(-1, 2)
     middle = (low + high) / 2
-    # Round the middle, where single precision is finest.
+    # Centred at the origin, where single precision is finest.
     vertices = soup.vertices - [*middle, 0.0]
     top = float(vertices[:, 2].max()) + 1.0
     far = top - float(vertices[:, 2].min()) + 1.0
@@ -99,12 +110,12 @@ def cast_down(
     down[:, 2] = -1.0
     hits = scene.hits(origins, down, np.full(len(xy), far, np.float32))
     face = np.where(hits.face >= 0, ground[hits.face], -1)
-    heights = np.where(face >= 0, _height_on(soup, face, xy), 0.0)
+    heights = np.where(face >= 0, _plane_height(soup, face, xy), 0.0)
     return heights.reshape(len(y), len(x)), face.reshape(len(y), len(x))
 
 
-def _height_on(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:
-    # In double precision, from the triangle's plane; kept between its corners where that is steep.
+def _plane_height(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:
+    # In double precision, from the triangle's plane, limited to the heights of its corners.
     corner = soup.vertices[soup.faces[face]]
     normal = soup.normals[face]
     z = corner[:, 0, 2] - ((xy - corner[:, 0, :2]) * normal[:, :2]).sum(axis=1) / np.maximum(
@@ -114,12 +125,12 @@ def _height_on(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:
 
 
 def fill_gaps(values: Array, known: Mask) -> Array:
-    """`values` (rows, columns) with what is not `known` replaced by a smooth surface."""
+    """`values` (rows, columns) with a smooth surface where they are not `known`."""
     if known.all():
         return np.asarray(values, np.float64)
     index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     out = np.asarray(values, np.float64)[tuple(index)]
-    # From coarse to fine: each round takes out what the coarser one left rough.
+    # From coarse to fine: each radius smooths what the larger one left rough.
     for radius in (16, 8, 4, 2, 1):
         for _ in range(12):
             smooth = ndimage.uniform_filter(out, 2 * radius + 1, mode="nearest")

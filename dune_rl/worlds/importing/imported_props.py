@@ -1,4 +1,4 @@
-"""What stands on the ground of an imported world: triangles grouped into closed props."""
+"""Props of imported worlds: triangles that are not ground, grouped and closed."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -22,11 +22,11 @@ Ids = NDArray[np.int64]
 MAX_PROPS = 400
 # Bullet takes no mesh with more than 131,072 vertices or 524,288 indices.
 _MOST_FACES = 40_000
-# Pieces with vertices in one cell of this size are one prop.
+# Pieces with vertices in the same cell of this size form one prop.
 _CELL_M = 0.5
-# Up to as many, pieces are also joined where their bounding boxes overlap.
+# Up to this number, pieces with overlapping bounding boxes form one prop, too.
 _MOST_COMPARED = 2_000
-# What lies this close to the ground, or below it, is the ground's: its skirts, its steep faces, decals.
+# Faces this close to the ground, or below it, belong to the ground: skirts, steep faces, decals.
 _FLUSH_M = 0.02
 _LONGEST_STEEP_M = 1.5
 _BACKDROP_M = 50.0
@@ -34,7 +34,7 @@ _BACKDROP_M = 50.0
 
 @dataclass(frozen=True, eq=False)
 class ImportedProp(Prop):
-    """A prop from a file; `face_colours` (F, 3) in sRGB are those of all its faces, `colour` their mean."""
+    """A prop from a file, with `face_colours` (F, 3) in sRGB; `colour` is their mean."""
 
     face_colours: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
@@ -42,29 +42,29 @@ class ImportedProp(Prop):
 def extract_props(
     parts: Sequence[MeshPart], is_ground: NDArray[np.bool_], terrain: HeightField, report: ImportReport
 ) -> list[ImportedProp]:
-    """Props of the triangles that are not ground; `is_ground` (F,) runs over all parts in their order.
+    """Props of the triangles that are not ground; `is_ground` (F,) covers all parts in their order.
 
-    A part falls into the groups of its pieces that are near each other. What lies within the ground, or flush
-    with it, is left out.
+    Pieces of a part that are near each other form one prop. Triangles below the ground or flush with it are
+    left out.
     """
     starts = np.cumsum([0, *(len(part.faces) for part in parts)])
-    found: list[tuple[MeshPart, list[_Piece]]] = []
+    groups: list[tuple[MeshPart, list[_Piece]]] = []
     for part, start in zip(parts, starts[:-1], strict=True):
         rest = np.flatnonzero(~is_ground[start : start + len(part.faces)])
-        far = _far_out(part, rest, terrain)
+        far = _is_backdrop(part, rest, terrain)
         if far.any():
-            report.warn(f"{part.name!r} reaches far beyond the ground; what does is left out")
-        pieces = list(_pieces(part, rest[~far], terrain))
+            report.warn(f"{part.name!r} reaches far beyond the ground; its triangles there are left out")
+        pieces = list(_split_pieces(part, rest[~far], terrain))
         if pieces:
-            found += [(part, group) for group in _groups(pieces)]
-    if len(found) > MAX_PROPS:
-        report.warn(f"{len(found)} separate things are joined into one for each part of the file")
-        found = _by_part(found)
-    return _named(found)
+            groups += [(part, group) for group in _group_near_pieces(pieces)]
+    if len(groups) > MAX_PROPS:
+        report.warn(f"{len(groups)} separate objects are merged into one per part of the file")
+        groups = _merge_by_part(groups)
+    return _build_props(groups)
 
 
-def _far_out(part: MeshPart, faces: NDArray[np.intp], terrain: HeightField) -> NDArray[np.bool_]:
-    """Triangles of a backdrop, such as a dome for the sky: pictures and clearance would be made of it."""
+def _is_backdrop(part: MeshPart, faces: NDArray[np.intp], terrain: HeightField) -> NDArray[np.bool_]:
+    """Mask of triangles far beyond the ground, such as those of a sky dome."""
     xmin, xmax, ymin, ymax = terrain.extent
     reach = max(_BACKDROP_M, 0.5 * max(xmax - xmin, ymax - ymin))
     bottom, top = terrain.heights.min() - reach, terrain.heights.max() + reach
@@ -81,14 +81,14 @@ class _Piece:
     texture: MeshTexture | None
 
 
-def _pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
-    """The connected pieces of some faces of a part, each made closed."""
+def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
+    """The connected components of some faces of a part, each closed."""
     if not len(rest):
         return
     height = terrain.height(part.vertices[:, :2])
     over = part.vertices[:, 2] - height
     if part.solid:
-        rest = rest[~_within_ground(part, rest, over, terrain)]
+        rest = rest[~_is_terrain_face(part, rest, over, terrain)]
         if not len(rest):
             return
     number = label_face_components(weld_vertices(part.vertices, part.faces[rest]))
@@ -102,14 +102,14 @@ def _pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Ite
         yield _Piece(vertices, corners, part.colours[piece][source], texture)
 
 
-def _within_ground(
+def _is_terrain_face(
     part: MeshPart, faces: NDArray[np.intp], over: Array, terrain: HeightField
 ) -> NDArray[np.bool_]:
-    """Steep faces of the terrain itself: all of them lies on its surface, within what its grid can tell."""
+    """Mask of steep faces that belong to the terrain: they lie on it, to the accuracy of its grid."""
     reach = max(_FLUSH_M, 0.5 * terrain.spacing_m)
     near = (np.abs(over[part.faces[faces]]) < reach).all(axis=1)
     near &= np.ptp(part.vertices[part.faces[faces], 2], axis=1) < _LONGEST_STEEP_M
-    # A thin plate or a low kerb is near the ground too: only single sheets are the ground's.
+    # Thin plates and low kerbs are near the ground, too: only single sheets belong to it.
     corners = part.vertices[part.faces[faces]]
     centre = corners.mean(axis=1)
     near &= np.abs(centre[:, 2] - terrain.height(centre[:, :2])) < reach / 2
@@ -117,14 +117,14 @@ def _within_ground(
 
 
 def is_single_sheet(part: MeshPart) -> bool:
-    # A terrain has as good as nothing that faces down; a closed thing has as much as faces up.
+    # Hardly any face of a terrain faces down; of a closed surface, as much area faces down as up.
     corners = part.vertices[part.faces]
     upward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
     return bool(upward[upward > 0].sum() > 5 * -upward[upward < 0].sum())
 
 
-def _groups(pieces: list[_Piece]) -> list[list[_Piece]]:
-    """Pieces together with those near them: in overlapping boxes, or with vertices in the same cells."""
+def _group_near_pieces(pieces: list[_Piece]) -> list[list[_Piece]]:
+    """Groups of pieces with overlapping bounding boxes, or with vertices in the same cells."""
     if len(pieces) == 1:
         return [pieces]
     owner = np.repeat(np.arange(len(pieces)), [len(piece.vertices) for piece in pieces])
@@ -133,7 +133,7 @@ def _groups(pieces: list[_Piece]) -> list[list[_Piece]]:
     nodes = len(pieces) + int(cell.max()) + 1
     pairs = np.stack([owner, len(pieces) + cell.reshape(-1)])
     if len(pieces) <= _MOST_COMPARED:
-        pairs = np.concatenate([pairs, _overlapping(pieces)], axis=1)
+        pairs = np.concatenate([pairs, _overlapping_pairs(pieces)], axis=1)
     graph = coo_array((np.ones(pairs.shape[1], np.int8), tuple(pairs)), shape=(nodes, nodes))
     count, label = connected_components(graph, directed=False)
     groups: list[list[_Piece]] = [[] for _ in range(count)]
@@ -142,8 +142,8 @@ def _groups(pieces: list[_Piece]) -> list[list[_Piece]]:
     return [group for group in groups if group]
 
 
-def _overlapping(pieces: list[_Piece]) -> Ids:
-    """Pairs (2, N) of the pieces whose bounding boxes overlap."""
+def _overlapping_pairs(pieces: list[_Piece]) -> Ids:
+    """Index pairs (2, N) of pieces with overlapping bounding boxes."""
     low = np.array([piece.vertices.min(axis=0) for piece in pieces])
     high = np.array([piece.vertices.max(axis=0) for piece in pieces])
     overlap = np.ones((len(pieces), len(pieces)), bool)
@@ -152,24 +152,24 @@ def _overlapping(pieces: list[_Piece]) -> Ids:
     return np.stack(np.nonzero(overlap & overlap.T)).astype(np.int64)
 
 
-def _by_part(found: list[tuple[MeshPart, list[_Piece]]]) -> list[tuple[MeshPart, list[_Piece]]]:
-    # By kind where the file has too many parts even so.
-    together: dict[object, tuple[MeshPart, list[_Piece]]] = {}
-    for by in (lambda part: id(part), lambda part: (part.kind, part.solid)):
-        together = {}
-        for part, pieces in found:
-            together.setdefault(by(part), (part, []))[1].extend(pieces)
-        if len(together) <= MAX_PROPS:
+def _merge_by_part(groups: list[tuple[MeshPart, list[_Piece]]]) -> list[tuple[MeshPart, list[_Piece]]]:
+    # By kind if the file has too many parts.
+    merged: dict[object, tuple[MeshPart, list[_Piece]]] = {}
+    for key in (lambda part: id(part), lambda part: (part.kind, part.solid)):
+        merged = {}
+        for part, pieces in groups:
+            merged.setdefault(key(part), (part, []))[1].extend(pieces)
+        if len(merged) <= MAX_PROPS:
             break
-    return list(together.values())
+    return list(merged.values())
 
 
-def _named(found: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
+def _build_props(groups: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
     props: list[ImportedProp] = []
-    taken: dict[str, int] = {}
-    for part, pieces in found:
-        for vertices, faces, colours, texture in _in_bounds(pieces):
-            number = taken[part.name] = taken.get(part.name, 0) + 1
+    counts: dict[str, int] = {}
+    for part, pieces in groups:
+        for vertices, faces, colours, texture in _merge_within_limits(pieces):
+            number = counts[part.name] = counts.get(part.name, 0) + 1
             corners = vertices[faces]
             area = np.linalg.norm(
                 np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -190,8 +190,10 @@ def _named(found: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
     return props
 
 
-def _in_bounds(pieces: list[_Piece]) -> Iterator[tuple[Array, NDArray[np.int32], Floats, MeshTexture | None]]:
-    """The pieces as one mesh, or as several where an engine would not take it; together these are closed."""
+def _merge_within_limits(
+    pieces: list[_Piece],
+) -> Iterator[tuple[Array, NDArray[np.int32], Floats, MeshTexture | None]]:
+    """The pieces as one mesh, or as several if an engine's limits require it; together these are closed."""
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     vertices = np.concatenate([piece.vertices for piece in pieces])
     faces = np.concatenate([piece.faces + s for piece, s in zip(pieces, starts, strict=True)])

@@ -1,4 +1,4 @@
-"""Worlds put together from imported parts: ground, things, their clearance, and a place to spawn in."""
+"""Imported worlds: assembly of ground and props, clearance, and choice of the spawn region."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -24,21 +24,20 @@ from dune_rl.worlds.world import Rectangle, World
 Floats = NDArray[np.float32]
 
 _REGION_M = 8.0
-# A robot of this size should find room in the region, whatever robot comes.
+# The region is chosen for a robot of this size, since the world does not know its robots.
 _ROBOT_RADIUS_M, _SLOPE_DEG, _EDGE_M = 0.6, 20.0, 1.5
 _REGION_CELL_M = 0.25
-# At the edge of the world, half its width away, a square must be this much freer, halved.
-_FAR_COSTS = 0.4
-# Colours that differ by less are one.
-_EVEN = 0.02
+# Score of a square: its free share, minus this times the distance from the middle in widths of the world.
+_DISTANCE_COST = 0.4
+# Colours that differ by less count as equal.
+_EQUAL_COLOURS = 0.02
 
 
 class ImportedWorld(World):
     """A world from a file.
 
-    `ground_colours` (rows, columns, 3) are the ground's colours (sRGB) at the points of its grid, None where
-    the file has none; `picture` is what it shows between them; `light` is the file's sun, None where it has
-    none. The colours of each prop's faces are in its `face_colours`, the pictures on them in its `texture`.
+    `ground_colours` (rows, columns, 3) are the ground's colours (sRGB) at the points of its grid, None if the
+    file has none; `picture` has more detail than these; `light` is the file's sun, None if it has none.
     """
 
     def __init__(
@@ -56,7 +55,7 @@ class ImportedWorld(World):
         if (
             picture is None
             and ground_colours is not None
-            and np.ptp(ground_colours, axis=(0, 1)).max() > _EVEN
+            and np.ptp(ground_colours, axis=(0, 1)).max() > _EQUAL_COLOURS
         ):
             picture = picture_from_colours(terrain, ground_colours)
         super().__init__(
@@ -65,7 +64,7 @@ class ImportedWorld(World):
             props,
             region=region,
             friction=friction,
-            ground=_look(ground_colours),
+            ground=_mean_ground_colours(ground_colours),
             picture=picture,
             light=light,
         )
@@ -73,7 +72,7 @@ class ImportedWorld(World):
 
     @cached_property
     def clearance_field(self) -> ClearanceField:
-        """The distance field behind `clearance` (`SurfaceClearance`)."""
+        """The distance field that `clearance` interpolates (`SurfaceClearance`)."""
         solid = [prop for prop in self.props if prop.solid]
         return SurfaceClearance(
             self.terrain,
@@ -92,14 +91,14 @@ def assemble_world(
     region: Rectangle | None,
     light: LightConf | None = None,
 ) -> ImportedWorld:
-    """The world of the `parts`: ground and things told apart, a region chosen where none is given."""
+    """The world of `parts`, split into ground and props; without a `region`, one is chosen."""
     ground = extract_ground(parts, spacing_m, report)
-    things = extract_props(parts, ground.faces, ground.terrain, report)
+    props = extract_props(parts, ground.faces, ground.terrain, report)
     return set_region(
         ImportedWorld(
             name,
             ground.terrain,
-            things,
+            props,
             region=ground.terrain.extent,
             friction=friction,
             ground_colours=ground.colours,
@@ -118,23 +117,23 @@ def set_region(
     report: ImportReport,
     known: NDArray[np.bool_] | None = None,
 ) -> ImportedWorld:
-    """The same world with `region`, or with one of up to 8 by 8 m that has most free and level ground.
+    """Set the world's region to `region`, or to the freest level square of up to 8 by 8 m.
 
-    `known` is where the terrain's heights are not filled in; None: everywhere.
+    `known` (rows, columns) marks terrain points that were not filled in; None: all. Returns the world.
     """
     world.region = region if region is not None else find_free_region(world, report, known)
     return world
 
 
 def check_region(region: Rectangle | None) -> Rectangle | None:
-    """The same rectangle; `WorldError` where it has no area."""
+    """The same rectangle; `WorldError` if it has no area."""
     if region is not None and not (region[0] < region[1] and region[2] < region[3]):
         raise WorldError(f"world.region must be (xmin, xmax, ymin, ymax) with min < max, not {region}.")
     return region
 
 
 def find_free_region(world: World, report: ImportReport, known: NDArray[np.bool_] | None = None) -> Rectangle:
-    """The square of 8 m (less in a small world) with the most ground that a robot can stand on."""
+    """The square of 8 m (less in a small world) with the most ground that a robot can occupy."""
     xmin, xmax, ymin, ymax = world.extent
     edge = min(_EDGE_M, 0.15 * min(xmax - xmin, ymax - ymin))
     free = FreeSpace(world, _ROBOT_RADIUS_M, _SLOPE_DEG, cell_m=_REGION_CELL_M, edge_m=edge)
@@ -155,36 +154,34 @@ def find_free_region(world: World, report: ImportReport, known: NDArray[np.bool_
     wide = min(_REGION_M, xmax - xmin - 2 * edge, ymax - ymin - 2 * edge)
     cells = max(1, min(int(wide / free.cell_m), *part.shape))
     share = _window_sums(part, cells)
-    # Among squares that are about as free, one near the middle of the world.
+    # Among squares of similar free share, one near the middle of the world.
     rows, columns = np.indices(share.shape).reshape(2, -1)
     x, y = free.x[columns] + wide / 2, free.y[rows] + wide / 2
     away = np.hypot((x - (xmin + xmax) / 2) / (xmax - xmin), (y - (ymin + ymax) / 2) / (ymax - ymin))
-    nearest = int((share.reshape(-1) / share.max() - _FAR_COSTS * away).argmax())
-    left = float(free.x[columns[nearest]] - free.cell_m / 2)
-    low = float(free.y[rows[nearest]] - free.cell_m / 2)
+    best = int((share.reshape(-1) / share.max() - _DISTANCE_COST * away).argmax())
+    left = float(free.x[columns[best]] - free.cell_m / 2)
+    low = float(free.y[rows[best]] - free.cell_m / 2)
     return left, left + cells * free.cell_m, low, low + cells * free.cell_m
 
 
 def _window_sums(grid: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    # How many are True in each square of `size`, by its lowest row and column.
+    # Number of True cells in each square of `size`, indexed by its lowest row and column.
     total = np.zeros((grid.shape[0] + 1, grid.shape[1] + 1), np.int64)
     total[1:, 1:] = grid.cumsum(axis=0).cumsum(axis=1)
     return total[size:, size:] - total[:-size, size:] - total[size:, :-size] + total[:-size, :-size]
 
 
-def _differ(colours: Floats) -> bool:
-    return bool(np.ptp(colours, axis=(0, 1)).max() > _EVEN)
-
-
-def _look(colours: Floats | None) -> GroundColours:
-    """A ground in the mean of its colours: a little darker and lighter in patches, and bare where steep."""
+def _mean_ground_colours(colours: Floats | None) -> GroundColours:
+    """Ground colours around the mean of `colours`, darker and lighter in patches."""
     mean = np.array(GREY) if colours is None else colours.reshape(-1, 3).mean(axis=0)
     if np.allclose(mean, GREY, atol=0.02):
-        # Nothing known of its colour: dry earth.
+        # The colour is unknown: dry earth.
         mean = np.array([0.58, 0.48, 0.37])
 
-    def toned(factor: float) -> tuple[float, float, float]:
+    def scaled(factor: float) -> tuple[float, float, float]:
         red, green, blue = np.clip(mean * factor, 0.0, 1.0)
         return float(red), float(green), float(blue)
 
-    return GroundColours(low=toned(0.9), high=toned(1.1), bare=toned(0.8), bare_from_rad=0.45, contrast=0.8)
+    return GroundColours(
+        low=scaled(0.9), high=scaled(1.1), bare=scaled(0.8), bare_from_rad=0.45, contrast=0.8
+    )

@@ -1,4 +1,4 @@
-"""What importers find in files: named triangles with colours, and what things are likely to be by name."""
+"""Named, coloured meshes as read from files, with guesses from their names."""
 
 import re
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ Floats = NDArray[np.float32]
 
 GREY = (0.6, 0.6, 0.6)
 
-# Likely colours of what has no texture, by a word in a name: looked for in this order.
+# Colours of objects without a texture, by a word in their names; the first match counts.
 _COLOURS: tuple[tuple[str, tuple[float, float, float]], ...] = (
     ("solar", (0.10, 0.16, 0.38)),
     ("water", (0.20, 0.42, 0.55)),
@@ -36,7 +36,8 @@ _COLOURS: tuple[tuple[str, tuple[float, float, float]], ...] = (
 )
 _GROUND = {"ground", "terrain", "landscape", "heightmap", "heightfield", "dem", "soil", "grounds", "lawn"}
 _WATER = {"water", "lake", "pond", "river", "sea", "ocean"}
-_SHAPELESS = {
+# Words of names that say nothing about the kind of an object.
+_MEANINGLESS = {
     *("cube", "plane", "mesh", "object", "node", "geometry", "gltf", "cylinder", "sphere", "cone", "group"),
     *("default", "obj", "material", "mat", "part", "shape", "empty", "scene", "root", "model", "link"),
     *("collision", "visual", "box", "polysurface", "defaultobject", "geom", "untitled", "world"),
@@ -46,10 +47,10 @@ _SHAPELESS = {
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Triangles of one thing in a file: `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3) in sRGB.
+    """Triangles of one object in a file: `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3) in sRGB.
 
-    `about` holds further words on what it is, such as its material. `ground` says whether it is ground, None
-    where that has yet to be found out. What is not `solid` can only be seen. `texture` is the pictures on it.
+    `about` has further words about it, such as its material. `ground` says whether it is ground, None if
+    that is to be determined. A part that is not `solid` is only visible.
     """
 
     name: str
@@ -62,7 +63,7 @@ class MeshPart:
     texture: MeshTexture | None = None
 
     @classmethod
-    def of(
+    def from_triangles(
         cls,
         name: str,
         vertices: ArrayLike,
@@ -74,7 +75,7 @@ class MeshPart:
         solid: bool = True,
         texture: MeshTexture | None = None,
     ) -> "MeshPart":
-        """A part; `colours` is one (3,) for all, one a face (F, 3), or None for a guess by name."""
+        """A part; `colours` is (3,) for all faces, (F, 3), or None for a guess from the name."""
         corners = np.asarray(faces, np.int32).reshape(-1, 3)
         rgb = guess_colour(f"{name} {about}") if colours is None else colours
         each = np.broadcast_to(np.clip(np.asarray(rgb, np.float32), 0.0, 1.0), (len(corners), 3))
@@ -82,7 +83,7 @@ class MeshPart:
         return cls(name, points, corners, np.ascontiguousarray(each), about, ground, solid, texture)
 
     def transform(self, matrix: Array) -> "MeshPart":
-        """The same part under a transform (4, 4); a mirrored one keeps its outside outside."""
+        """The part transformed by `matrix` (4, 4); the faces of a mirrored part are reversed."""
         if np.array_equal(matrix, np.eye(4)):
             return self
         vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
@@ -92,7 +93,7 @@ class MeshPart:
 
     @property
     def words(self) -> set[str]:
-        """The words of its name and of what is known about it, in lower case."""
+        """The words of `name` and `about`, in lower case."""
         return set(_words(f"{self.name} {self.about}"))
 
     @property
@@ -105,23 +106,23 @@ class MeshPart:
 
     @property
     def kind(self) -> str:
-        """One or two words for what it is: of its name, or of its material where the name says nothing."""
+        """One or two words for its kind, from its name or, if that says nothing, from `about`."""
         for text in (self.name, self.about):
-            said = [w for w in dict.fromkeys(_words(text)) if w not in _SHAPELESS and len(w) > 1]
-            if said:
-                return " ".join(said[:2])
+            words = [w for w in dict.fromkeys(_words(text)) if w not in _MEANINGLESS and len(w) > 1]
+            if words:
+                return " ".join(words[:2])
         return "thing"
 
 
 def guess_colour(text: str) -> tuple[float, float, float]:
-    """A guess at the colour (sRGB) of what is called that: grey where no word tells."""
+    """A guess at the colour (sRGB) of an object from its name; grey without a known word."""
     low = text.lower()
     return next((colour for word, colour in _COLOURS if word in low), GREY)
 
 
 def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> list[MeshPart]:
-    """The parts without triangles that have no area or wrong numbers, which are warned of."""
-    kept: list[MeshPart] = []
+    """The parts without triangles of no area or with invalid vertices, which are reported."""
+    valid: list[MeshPart] = []
     for part in parts:
         inside = np.all((part.faces >= 0) & (part.faces < len(part.vertices)), axis=1)
         good: NDArray[np.bool_] = np.array(inside, bool)
@@ -129,7 +130,7 @@ def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> li
             corners = part.vertices[part.faces[inside]]
             with np.errstate(all="ignore"):
                 doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-                # Embree and the engines count in single precision.
+                # Embree and the engines use single precision.
                 finite = (np.abs(corners) < 1e7).all(axis=(1, 2)) & np.isfinite(doubled).all(axis=1)
                 good[inside] = finite & (np.abs(doubled).max(axis=1) > 1e-12)
             if not finite.all():
@@ -137,12 +138,12 @@ def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> li
         if not inside.all():
             report.warn("has triangles whose vertices do not exist; they are left out")
         if good.any():
-            kept.append(_used(part, good))
-    return kept
+            valid.append(_select_faces(part, good))
+    return valid
 
 
-def _used(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
-    # Only the vertices in use: others may be NaN, or far away.
+def _select_faces(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
+    # Unused vertices are dropped: they may be NaN, or far away.
     used, index = np.unique(part.faces[faces], return_inverse=True)
     return replace(
         part,
@@ -154,9 +155,9 @@ def _used(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
 
 
 def mean_face_colours(image: NDArray[np.uint8], uv: Array) -> Floats:
-    """Mean colours (F, 3) of triangles in a picture (rows, columns, 3), `uv` (F, 3, 2) from lower left."""
+    """Mean colours (F, 3) of triangles with `uv` (F, 3, 2), from the lower left, in an image."""
     rows, columns = image.shape[:2]
-    # All inside, or the picture's other edge would show at the seams.
+    # All samples are inside the triangle, or the opposite edge of the image would show at seams.
     weights = np.array([[8, 2, 2], [2, 8, 2], [2, 2, 8], [4, 4, 4], [5, 5, 2], [2, 5, 5], [5, 2, 5]]) / 12.0
     uv = np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0)
     at = np.einsum("pc,fcx->fpx", weights, uv)
@@ -164,12 +165,12 @@ def mean_face_colours(image: NDArray[np.uint8], uv: Array) -> Floats:
     column = np.minimum((at[..., 0] * columns).astype(np.intp), columns - 1)
     row = np.minimum(((1.0 - at[..., 1]) * rows).astype(np.intp), rows - 1)
     colours = image[row, column].mean(axis=1)
-    # A triangle that repeats the picture has its mean, not that of a few texels.
+    # A triangle that repeats the image has the mean of the image, not that of a few texels.
     tiled = np.ptp(uv, axis=1).prod(axis=1) > 0.5
     colours[tiled] = image.mean(axis=(0, 1))
     return colours.astype(np.float32) / np.float32(255.0)
 
 
 def _words(text: str) -> list[str]:
-    parted = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
-    return [word for word in re.split(r"[^a-z]+", parted.lower()) if word]
+    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
+    return [word for word in re.split(r"[^a-z]+", split.lower()) if word]

@@ -1,4 +1,4 @@
-"""Maps of surfaces from files, for imported worlds: PNG or .npy of whole numbers with a legend."""
+"""Surface maps from files, for imported worlds: PNG or .npy of integers, with a legend."""
 
 import warnings
 from pathlib import Path
@@ -19,33 +19,33 @@ _FORMATS = (".png", ".npy")
 
 
 class SurfaceFileConf(WorldSettings):
-    """What the ground of an imported world is made of."""
+    """Surface materials of the ground of an imported world."""
 
     surface_map: str | None = Field(
         default=None,
         min_length=1,
-        description="one surface's name, or a .png or .npy of surface numbers over the ground's rectangle, "
-        "its first row the north; None: friction is the same everywhere",
+        description="a surface's name, or a .png or .npy file of surface numbers over the ground, "
+        "first row north; None: uniform friction",
     )
     surface_legend: tuple[SurfaceName, ...] = Field(
-        default=SURFACE_NAMES, min_length=1, description="what the numbers 0, 1, ... mean"
+        default=SURFACE_NAMES, min_length=1, description="surfaces of the numbers 0, 1, ..."
     )
     sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def read_surfaces(conf: SurfaceFileConf, extent: Rectangle) -> SurfaceMap | None:
-    """The map over `extent`, None where none is asked for; `WorldError` where it cannot be read."""
+    """The surface map over `extent`, None if there is none; `WorldError` if it cannot be read."""
     if conf.surface_map is None:
         if conf.sinkage:
             raise WorldError(
-                "world.sinkage=true needs to know what the ground is made of: "
+                "world.sinkage=true needs a surface material: "
                 f"set world.surface_map to a file, or to one of {', '.join(SURFACE_NAMES)}."
             )
         return None
     if conf.surface_map in SURFACE_NAMES:
         numbers = np.array([[SURFACE_NAMES.index(conf.surface_map)]])
         return SurfaceMap(numbers, extent, sinkage=conf.sinkage)
-    numbers = _numbers(conf.surface_map)
+    numbers = _read_numbers(conf.surface_map)
     unknown = np.setdiff1d(numbers, np.arange(len(conf.surface_legend)))
     if len(unknown):
         raise WorldError(
@@ -54,11 +54,11 @@ def read_surfaces(conf: SurfaceFileConf, extent: Rectangle) -> SurfaceMap | None
             "add names, or change the file."
         )
     meaning = np.array([SURFACE_NAMES.index(name) for name in conf.surface_legend], np.uint8)
-    # The file's first row is the north, the map's first row the south.
+    # The first row of the file is north, that of the map south.
     return SurfaceMap(meaning[numbers[::-1]], extent, sinkage=conf.sinkage)
 
 
-def _numbers(name: str) -> NDArray[np.integer]:
+def _read_numbers(name: str) -> NDArray[np.integer]:
     path = Path(name).expanduser()
     kind = path.suffix.lower()
     if kind not in _FORMATS or not path.exists():
@@ -71,22 +71,22 @@ def _numbers(name: str) -> NDArray[np.integer]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = load_npy(data) if kind == ".npy" else _picture(open_image(data))
+            numbers = load_npy(data) if kind == ".npy" else _image_numbers(open_image(data))
     except WorldError:
         raise
     except Exception as error:
         raise_unreadable(path.name, "map of surfaces", error)
-    whole = found.dtype.kind in "iu" or bool((found == np.round(found)).all())
-    if found.ndim != 2 or not found.size or not whole:
+    whole = numbers.dtype.kind in "iu" or bool((numbers == np.round(numbers)).all())
+    if numbers.ndim != 2 or not numbers.size or not whole:
         raise WorldError(
-            f"{path.name} holds {found.dtype} of shape {found.shape}: "
+            f"{path.name} holds {numbers.dtype} of shape {numbers.shape}: "
             "a map of surfaces is rows and columns of whole numbers."
         )
-    return found.astype(np.int64)
+    return numbers.astype(np.int64)
 
 
-def _picture(image: Image.Image) -> NDArray[np.integer]:
-    """A grey picture's values, or a coloured one's places in its palette."""
+def _image_numbers(image: Image.Image) -> NDArray[np.integer]:
+    """Values of a grey image, or palette indices of a coloured one."""
     if image.mode not in ("L", "P", "1", "I", "I;16"):
         raise ValueError(f"its pixels are {image.mode} colours; save it as grey or with a palette")
     return np.asarray(image).astype(np.int64)

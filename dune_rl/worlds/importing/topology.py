@@ -1,4 +1,4 @@
-"""Which triangles hang together, and surfaces made closed."""
+"""Connectivity of triangle meshes, and closing of open surfaces."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,9 @@ SHELL_M = 0.02
 
 
 def weld_vertices(vertices: Array, faces: Faces) -> Ids:
-    """Faces (F, 3) as numbers of places: vertices within a tenth of a millimetre or so are one."""
+    """Faces (F, 3) with welded vertex ids: vertices within about 0.1 mm get the same id."""
     cells = np.round(vertices / _WELD_M).astype(np.int64).view(np.uint64)
-    # A number for each cell: two of a million cells share one with a chance of 1 in 10 million.
+    # A hash of each cell; among a million cells, the probability of a collision is 1 in 10 million.
     key = cells[:, 0] * _MIX[0]
     for axis in (1, 2):
         key = (key ^ (key >> np.uint64(29))) * _MIX[axis] + cells[:, axis] * _MIX[axis - 1]
@@ -26,13 +26,13 @@ def weld_vertices(vertices: Array, faces: Faces) -> Ids:
 
 
 def label_face_components(ids: Ids) -> Ids:
-    """The number of the piece (F,) that each face (F, 3) belongs to: faces that share an edge are of one."""
+    """Number of the connected component (F,) of each face (F, 3): faces that share an edge are connected."""
     count = len(ids)
     low, high = _edges(ids)
     key = low * (int(ids.max(initial=0)) + 1) + high
     _, edge = np.unique(key, return_inverse=True)
     face = np.tile(np.arange(count), 3)
-    # Faces and edges as one graph of two kinds of nodes.
+    # A bipartite graph of faces and edges.
     nodes = count + int(edge.max(initial=-1)) + 1
     graph = coo_array((np.ones(len(face), np.int8), (face, count + edge.reshape(-1))), shape=(nodes, nodes))
     _, label = connected_components(graph, directed=False)
@@ -40,7 +40,7 @@ def label_face_components(ids: Ids) -> Ids:
 
 
 def open_edges(ids: Ids) -> tuple[Ids, Ids]:
-    """Face and side (N,) of the edges that only one of the faces (F, 3) has."""
+    """Face indices and sides (N,) of the edges that belong to only one of the faces (F, 3)."""
     low, high = _edges(ids)
     key = low * (int(ids.max(initial=0)) + 1) + high
     _, edge, uses = np.unique(key, return_inverse=True, return_counts=True)
@@ -55,7 +55,7 @@ def _edges(ids: Ids) -> tuple[Ids, Ids]:
 
 
 def boundary_edges(ids: Ids) -> tuple[Ids, Ids]:
-    """Start and end places (N,) of the directed edges that no face runs along the other way; may repeat."""
+    """Start and end ids (N,) of the directed edges without an opposite edge; they may repeat."""
     start, end = ids.T.reshape(-1), np.roll(ids, -1, axis=1).T.reshape(-1)
     low, high = np.minimum(start, end), np.maximum(start, end)
     count = int(ids.max(initial=0)) + 1
@@ -71,12 +71,12 @@ def boundary_edges(ids: Ids) -> tuple[Ids, Ids]:
 def close_surface(
     vertices: Array, faces: Faces, ground_height: Array
 ) -> tuple[Array, Faces, NDArray[np.intp]]:
-    """The same piece as a closed surface that faces outward, and the face (F,) that each of its came from.
+    """The mesh as a closed surface facing outward, and the source face (F,) of each of its faces.
 
-    One that is open only at or below the ground (`ground_height` (V,) [m] under its vertices) is closed down
-    there, and so is solid. Any other open one is a sheet: it gets a back `SHELL_M` behind it.
+    A mesh that is open only at or below the ground (`ground_height` (V,) [m] below its vertices) is capped
+    there. Any other open mesh is treated as a sheet and gets a back side at a distance of `SHELL_M`.
     """
-    # Numbered anew, so that vertices in one place are one.
+    # Renumbered with welded vertices.
     ids = weld_vertices(vertices, faces)
     _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
     ids = ids.reshape(-1, 3)
@@ -98,16 +98,16 @@ def close_surface(
         if _volume(points, ids) < 0:
             ids = ids[:, ::-1]
         return points, ids.astype(np.int32), np.concatenate([source, np.zeros(len(caps), np.intp)])
-    return _shell(points, ids, start, end)
+    return _thicken(points, ids, start, end)
 
 
-def _shell(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Faces, NDArray[np.intp]]:
+def _thicken(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Faces, NDArray[np.intp]]:
     corners = points[ids]
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(points)
     np.add.at(normals, ids.reshape(-1), np.repeat(doubled, 3, axis=0))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    # Where sheets meet back to back there is no outside; any direction does.
+    # Where sheets touch back to back, normals cancel; any direction will do.
     normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
     count = len(points)
     both = np.concatenate([points + normals * SHELL_M / 2, points - normals * SHELL_M / 2])
@@ -120,6 +120,6 @@ def _shell(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Faces,
 
 
 def _volume(points: Array, ids: Ids) -> float:
-    # About the middle, where rounding matters least.
+    # About the centroid, where rounding errors are smallest.
     a, b, c = np.moveaxis(points[ids] - points.mean(axis=0), 1, 0)
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())

@@ -1,4 +1,4 @@
-"""Files of worlds from elsewhere, which nobody has checked: read within their folder and within bounds."""
+"""Reading files from unknown sources: only within their folder, and within limits of size."""
 
 import io
 import os
@@ -24,7 +24,7 @@ MAX_FACES = 4_000_000
 _MAX_XML_BYTES = 128 * 2**20
 _MAX_XML_DEPTH = 128
 _MAX_PIXELS = 64_000_000
-# Along a side of a texture, and of one for which there is no room; and of all textures together.
+# Largest side of a texture, and of one beyond the limit of all textures together.
 _TEXTURE_PIXELS, _COARSE_PIXELS = 1024, 32
 _MOST_TEXELS = 32_000_000
 
@@ -32,14 +32,13 @@ Bytes = NDArray[np.uint8]
 
 
 class WorldWarning(DuneWarning):
-    """What of an imported world is missing, or is not taken over."""
+    """A part of an imported world that is missing or not supported."""
 
 
 class ImportReport:
-    """What is to be warned of about one import: each text is given once, however often it is met.
+    """Collects the warnings of one import; equal texts are issued once.
 
-    It is kept until `emit_warnings`, since the libraries that read files have their own warnings silenced
-    meanwhile.
+    They are issued by `emit_warnings`, since warnings are silenced while libraries read the files.
     """
 
     def __init__(self, source: str) -> None:
@@ -48,12 +47,12 @@ class ImportReport:
         self._texels = 0
 
     def warn(self, text: str) -> None:
-        """Note `text`, unless that has been said."""
+        """Add a warning, unless there is an equal one."""
         if text not in self.texts:
             self.texts.append(text)
 
     def limit_texture(self, picture: Bytes) -> Bytes:
-        """`picture` (rows, columns, 3), or a coarse copy where those before it have taken all the room."""
+        """`picture` (rows, columns, 3), or a coarse copy once the limit of all textures is reached."""
         self._texels += picture.shape[0] * picture.shape[1]
         if self._texels <= _MOST_TEXELS:
             return picture
@@ -63,14 +62,14 @@ class ImportReport:
         return np.asarray(image)
 
     def emit_warnings(self) -> None:
-        """Give the warnings noted so far, with the file's name before each."""
+        """Issue the collected warnings, each preceded by the file's name."""
         texts, self.texts = self.texts, []
         for text in texts:
             warnings.warn(f"{self.source}: {text}", WorldWarning, stacklevel=3)
 
 
 class OutsideFolderError(WorldError):
-    """A name that leads out of the folder that a world may be read from."""
+    """A name that leads out of the folder that a world may read."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message)
@@ -78,18 +77,18 @@ class OutsideFolderError(WorldError):
 
 
 class WorldFiles:
-    """The files of a world: those under `root`, wherever links lead; names are seen from `base` in it."""
+    """The files of a world: those below `root`, after resolving links; names are relative to `base`."""
 
     def __init__(self, root: Path, base: Path | None = None) -> None:
         self.root = root.resolve()
         self.base = root if base is None else base
 
-    def at(self, base: Path) -> "WorldFiles":
-        """The same files, named from another folder."""
+    def relative_to(self, base: Path) -> "WorldFiles":
+        """The same files, with names relative to another folder."""
         return WorldFiles(self.root, base)
 
     def find(self, name: str) -> Path:
-        """The path of a file; `OutsideFolderError` if it leads out, `FileNotFoundError` if not there."""
+        """The path of a file; `OutsideFolderError` if outside `root`, `FileNotFoundError` if absent."""
         relative = name.strip().removeprefix("file://").replace("\\", "/")
         if "\0" in relative or not relative:
             raise FileNotFoundError(name)
@@ -116,15 +115,15 @@ class WorldFiles:
 
 
 def resolve_world_path(path: str | Path) -> Path:
-    """`path` as given in settings, `~` expanded; `WorldError` where there is nothing."""
-    found = Path(path).expanduser()
-    if not found.exists():
-        raise WorldError(f"there is no file {found}: world.path must name one that exists.")
-    return found
+    """The setting `path` with `~` expanded; `WorldError` if nothing is there."""
+    resolved = Path(path).expanduser()
+    if not resolved.exists():
+        raise WorldError(f"there is no file {resolved}: world.path must name one that exists.")
+    return resolved
 
 
 def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
-    """All of a plain file of at most `limit` bytes; anything else is a `WorldError`."""
+    """The bytes of a regular file of at most `limit` bytes; `WorldError` for anything else."""
     try:
         state = path.stat()
         if not stat.S_ISREG(state.st_mode):
@@ -142,8 +141,8 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     return data
 
 
-class _Shallow(_TreeBuilder):
-    # Trees deeper than any real file would overflow the stack of whoever walks them.
+class _DepthLimitedBuilder(_TreeBuilder):
+    # Trees deeper than those of real files would overflow the stack of recursive functions.
     def __init__(self) -> None:
         super().__init__()
         self._depth = 0
@@ -160,13 +159,15 @@ class _Shallow(_TreeBuilder):
 
 
 def read_xml(data: bytes, name: str) -> Element:
-    """The root element of an XML text without entities or external parts; `WorldError` for any other."""
+    """The root element of an XML text; `WorldError` if it is invalid, or has entities or external parts."""
     if len(data) > _MAX_XML_BYTES:
         raise WorldError(
             f"{name} has {len(data) / 2**20:,.0f} MiB of XML, and at most {_MAX_XML_BYTES / 2**20:.0f} are "
             "read: export it with fewer triangles, or as GLB."
         )
-    parser = DefusedXMLParser(target=_Shallow(), forbid_dtd=False, forbid_entities=True, forbid_external=True)
+    parser = DefusedXMLParser(
+        target=_DepthLimitedBuilder(), forbid_dtd=False, forbid_entities=True, forbid_external=True
+    )
     try:
         parser.feed(data)
         root: Element = parser.close()
@@ -183,12 +184,12 @@ def read_xml(data: bytes, name: str) -> Element:
 
 
 def read_image(data: bytes) -> Bytes:
-    """RGB (rows, columns, 3) of a picture, smaller where large; `ValueError` for no picture."""
+    """RGB (rows, columns, 3) of an image, downscaled if large; `ValueError` if it is none."""
     return downscale_image(open_image(data))
 
 
 def open_image(data: bytes) -> Image.Image:
-    """A picture of bounded size, not yet decoded; `ValueError` where it is none."""
+    """An image of limited size, not yet decoded; `ValueError` if it is none."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -207,22 +208,22 @@ def _check_size(image: Image.Image) -> None:
 
 
 def downscale_image(image: Image.Image) -> Bytes:
-    """RGB (rows, columns, 3) of a picture, at most 1,024 pixels a side; `ValueError` where it is damaged.
+    """RGB (rows, columns, 3) of an image, at most 1,024 pixels per side; `ValueError` if it is damaged.
 
-    Where it is transparent it has the mean colour of what is not.
+    Transparent pixels get the mean colour of the opaque ones.
     """
     _check_size(image)
     try:
         image.draft("RGB", (_TEXTURE_PIXELS, _TEXTURE_PIXELS))
-        see_through = "A" in image.getbands() or "transparency" in image.info
+        has_alpha = "A" in image.getbands() or "transparency" in image.info
         if image.mode.startswith("I;16"):
-            # Pillow would cut off all but the darkest of 65,536 tones.
+            # Pillow would clip all but the darkest of 65,536 tones.
             image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
-        image = image.convert("RGBA" if see_through else "RGB")
+        image = image.convert("RGBA" if has_alpha else "RGB")
         image.thumbnail((_TEXTURE_PIXELS, _TEXTURE_PIXELS))
-        found = np.array(image)
-        opaque = found[..., 3] > 127 if see_through else np.zeros(1, bool)
-        colours = np.ascontiguousarray(found[..., :3])
+        pixels = np.array(image)
+        opaque = pixels[..., 3] > 127 if has_alpha else np.zeros(1, bool)
+        colours = np.ascontiguousarray(pixels[..., :3])
         if opaque.any():
             colours[~opaque] = colours[opaque].mean(axis=0)
         return colours
@@ -231,7 +232,7 @@ def downscale_image(image: Image.Image) -> Bytes:
 
 
 def raise_unreadable(name: str, kind: str, error: BaseException) -> NoReturn:
-    """Raises the `WorldError` for a file that a library could not read."""
+    """Raise the `WorldError` for a file that a library could not read."""
     raise WorldError(
         f"{name} is no {kind} that can be read ({type(error).__name__}: {first_line(error)}): "
         "open it in a program that shows it, and export it again."
@@ -245,6 +246,6 @@ def first_line(error: BaseException | str) -> str:
 
 
 def printable(name: str, longest: int = 120) -> str:
-    """A text out of a file as messages show it: printable and not too long."""
+    """A text from a file for use in messages: printable, and at most `longest` characters."""
     text = "".join(letter if letter.isprintable() else "?" for letter in name)
     return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -1,4 +1,4 @@
-"""A world from a map of heights: GeoTIFF (float64 too), PNG with 16 bits, or .npy."""
+"""The heightmap world, built from a GeoTIFF, PNG or .npy file of heights."""
 
 from pathlib import Path
 from typing import Literal
@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.importing.height_grid import MAX_POINTS, fill_gaps
+from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps
 from dune_rl.worlds.importing.heightmap.files import HeightSamples, read_heights
 from dune_rl.worlds.importing.imported_world import ImportedWorld, check_region, set_region
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
@@ -20,29 +20,29 @@ from dune_rl.worlds.world import Rectangle
 Array = NDArray[np.float64]
 
 _LARGEST_M = 20_000.0
-# A file's own grid is kept up to here; a finer one must be asked for.
+# Up to this number of points, the file's own grid is the default.
 _OWN_POINTS = 400_000
 
 
 class HeightmapConf(SurfaceFileConf):
-    """Settings of `build_heightmap`. Row 0 of the map is its northern edge, at the greatest y."""
+    """Settings of `build_heightmap`. Row 0 of the map is its northern edge, at the largest y."""
 
     name: Literal["heightmap"] = "heightmap"
     path: str = Field(min_length=1, description="the file: .tif, .tiff, .png or .npy")
     size_m: tuple[float, float] | None = Field(
-        default=None, description="width along x and depth along y; None: as a GeoTIFF says"
+        default=None, description="width along x and depth along y; None: those of a GeoTIFF"
     )
     relief_m: float | None = Field(
         default=None,
         gt=0.0,
         le=10_000.0,
-        description="from the lowest to the highest; None: values are metres",
+        description="height difference from lowest to highest; None: values are metres",
     )
     lowest_m: float | None = Field(
         default=None,
         ge=-20_000.0,
         le=20_000.0,
-        description="height of the lowest point; None: 0 or as the file says",
+        description="height of the lowest point; None: 0, or that of the file",
     )
     spacing_m: float | None = Field(
         default=None,
@@ -57,9 +57,9 @@ class HeightmapConf(SurfaceFileConf):
 
 
 def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
-    """The map as terrain, its middle at the origin; `WorldError` where the file or its size is unfit.
+    """The map as terrain, centred at the origin; `WorldError` if the file or its size is invalid.
 
-    Samples without a height are filled smoothly, which is a `WorldWarning`.
+    Samples without a height are filled smoothly, with a `WorldWarning`.
     """
     path = resolve_world_path(conf.path)
     report = ImportReport(path.name)
@@ -77,10 +77,11 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
 def terrain_from_samples(
     samples: Array, size_m: tuple[float, float], spacing_m: float | None, report: ImportReport
 ) -> tuple[HeightField, NDArray[np.bool_]]:
-    """Terrain of samples (rows, columns; north first) [m] over `size_m` round the origin; where it is known.
+    """Terrain of `samples` (rows, columns) [m], north first, over `size_m` around the origin.
 
-    The outermost samples lie on the edges, as Gazebo has it. Where its samples are as far apart along x as
-    along y and no other spacing is asked for, the grid is the file's own.
+    Also returns a mask (rows, columns) of the grid's points with known heights. The outermost samples are on
+    the edges, as in Gazebo. If samples are equally spaced along x and y and no other spacing is given, the
+    grid is the file's own.
     """
     south_first = samples[::-1]
     known = np.isfinite(south_first)
@@ -90,36 +91,26 @@ def terrain_from_samples(
     rows, columns = south_first.shape
     width, depth = size_m
     step_x, step_y = width / (columns - 1), depth / (rows - 1)
-    wanted = spacing_m
-    if wanted is None:
-        wanted = min(step_x, step_y)
-        if (width / wanted + 1) * (depth / wanted + 1) > _OWN_POINTS:
-            wanted = 1.02 * float(np.sqrt(width * depth / _OWN_POINTS))
-    if (width / wanted + 1) * (depth / wanted + 1) > MAX_POINTS:
-        least = 1.01 * float(np.sqrt(width * depth / MAX_POINTS))
-        raise WorldError(
-            f"world.spacing_m={wanted:g} makes more than {MAX_POINTS:,} points: "
-            f"set it to {least:.2g} or more."
-        )
-    if min(width, depth) < wanted:
-        raise WorldError(
-            f"world.spacing_m={wanted:g} is more than the map's {min(width, depth):.2f} m: lower it."
-        )
+    spacing = spacing_m
+    if spacing is None:
+        spacing = min(step_x, step_y)
+        if (width / spacing + 1) * (depth / spacing + 1) > _OWN_POINTS:
+            spacing = 1.02 * float(np.sqrt(width * depth / _OWN_POINTS))
+    check_grid_size(width, depth, spacing, "map")
     origin = (-width / 2, -depth / 2)
-    if abs(step_x / step_y - 1.0) < 1e-6 and abs(step_x / wanted - 1.0) < 1e-6:
+    if abs(step_x / step_y - 1.0) < 1e-6 and abs(step_x / spacing - 1.0) < 1e-6:
         return HeightField(south_first, step_x, origin), known
-    cells = np.maximum(np.floor(np.array([width, depth]) / wanted + 1e-6).astype(int), 1)
-    start = -cells * wanted / 2
-    x, y = (start[k] + wanted * np.arange(cells[k] + 1) for k in (0, 1))
+    cells = np.maximum(np.floor(np.array([width, depth]) / spacing + 1e-6).astype(int), 1)
+    start = -cells * spacing / 2
+    x, y = (start[k] + spacing * np.arange(cells[k] + 1) for k in (0, 1))
     at = np.meshgrid((y + depth / 2) / step_y, (x + width / 2) / step_x, indexing="ij")
-    if wanted > 1.5 * max(step_x, step_y):
-        # Else fine relief would turn into noise of the coarse grid.
-        # Of odd width, or it would shift the map.
-        width_of = [2 * int(wanted / step / 2) + 1 for step in (step_y, step_x)]
-        south_first = ndimage.uniform_filter(south_first, width_of, mode="nearest")
+    if spacing > 1.5 * max(step_x, step_y):
+        # Low-pass filter against aliasing; of odd width, since an even one would shift the map.
+        filter_size = [2 * int(spacing / step / 2) + 1 for step in (step_y, step_x)]
+        south_first = ndimage.uniform_filter(south_first, filter_size, mode="nearest")
     heights = ndimage.map_coordinates(south_first, at, order=1, mode="nearest")
-    near = ndimage.map_coordinates(known.astype(np.float64), at, order=0, mode="nearest") > 0.5
-    return HeightField(heights, wanted, (float(start[0]), float(start[1]))), near
+    has_height = ndimage.map_coordinates(known.astype(np.float64), at, order=0, mode="nearest") > 0.5
+    return HeightField(heights, spacing, (float(start[0]), float(start[1]))), has_height
 
 
 def _size(conf: HeightmapConf, heights: HeightSamples, path: Path) -> tuple[float, float]:
@@ -130,13 +121,13 @@ def _size(conf: HeightmapConf, heights: HeightSamples, path: Path) -> tuple[floa
         size = ((columns - 1) * heights.pixel_m[0], (rows - 1) * heights.pixel_m[1])
     else:
         raise WorldError(
-            f"{path.name} does not say how large it is in metres: "
+            f"{path.name} does not contain its size in metres: "
             "set world.size_m to its width and depth, such as [50, 50]."
         )
     if not all(1.0 <= side <= _LARGEST_M for side in size):
         raise WorldError(
-            f"a map of {size[0]:g} by {size[1]:g} m is no world: "
-            f"set world.size_m to 1 to {_LARGEST_M:g} m a side."
+            f"a map of {size[0]:g} by {size[1]:g} m cannot be a world: "
+            f"set world.size_m to 1 to {_LARGEST_M:g} m per side."
         )
     return size
 
@@ -145,12 +136,12 @@ def _in_metres(conf: HeightmapConf, heights: HeightSamples, path: Path) -> Array
     samples = heights.samples
     low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
     if conf.relief_m is not None:
-        # A picture's black and white are its range; of metric heights it is their own.
+        # The range of an image is black to white, that of metric heights lowest to highest.
         zero, span = (low, high - low) if heights.metric else (0.0, 1.0)
         samples = (samples - zero) * (conf.relief_m / span if span > 0 else 0.0)
     elif not heights.metric:
         raise WorldError(
-            f"{path.name} is a picture: set world.relief_m to the height [m] of white above black."
+            f"{path.name} is an image: set world.relief_m to the height [m] of white above black."
         )
     if conf.lowest_m is not None:
         samples = samples - float(np.nanmin(samples)) + conf.lowest_m

@@ -1,4 +1,4 @@
-"""Files of heights: GeoTIFF and other TIFF, PNG and other grey pictures, and .npy arrays."""
+"""Files of heights: GeoTIFF and other TIFF, PNG, and .npy arrays."""
 
 import io
 import warnings
@@ -26,15 +26,15 @@ FORMATS = (".tif", ".tiff", ".png", ".npy")
 _MAX_SAMPLES = 64_000_000
 _PIXEL_SCALE_TAG, _GDAL_NODATA_TAG, _GEO_KEYS_TAG = 33550, 42113, 34735
 _GT_MODEL_TYPE, _PROJECTED = 1024, 1
-# What surveys write where they know nothing, beside what a file says itself.
+# Values outside these limits mark missing heights, in addition to the file's own marker.
 _NO_DATA_BELOW, _NO_DATA_ABOVE = -1e5, 1e5
 
 
 class HeightSamples(NamedTuple):
-    """Samples (rows, columns), the first row farthest north; NaN where there is none.
+    """Samples (rows, columns), the first row farthest north; NaN for missing heights.
 
-    `metric` is whether they are metres; else they are brightness in [0, 1]. `pixel_m` is the size of a sample
-    along x and y [m], None where the file does not say.
+    If `metric`, they are metres, else brightness in [0, 1]. `pixel_m` is the spacing of samples along x and y
+    [m], None if the file does not contain it.
     """
 
     samples: Array
@@ -43,7 +43,7 @@ class HeightSamples(NamedTuple):
 
 
 def read_heights(path: Path, report: ImportReport) -> HeightSamples:
-    """The heights in a file, of a kind told by its ending; `WorldError` where there are none to be read."""
+    """The heights in a file, whose format follows from its extension; `WorldError` if it has none."""
     kind = path.suffix.lower()
     if kind not in FORMATS:
         raise WorldError(
@@ -54,30 +54,30 @@ def read_heights(path: Path, report: ImportReport) -> HeightSamples:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             if kind == ".npy":
-                found = HeightSamples(load_npy(data), True, None)
+                heights = HeightSamples(load_npy(data), True, None)
             elif kind == ".png":
-                found = _picture(data, report)
+                heights = _read_png(data, report)
             else:
-                found = _tiff(data, report)
+                heights = _read_tiff(data, report)
     except WorldError:
         raise
     except Exception as error:
         raise_unreadable(path.name, "height map", error)
-    samples = np.where(np.isfinite(found.samples), found.samples, np.nan)
+    samples = np.where(np.isfinite(heights.samples), heights.samples, np.nan)
     if samples.ndim != 2 or min(samples.shape) < 2:
         raise WorldError(
             f"{path.name} has samples of shape {samples.shape}: heights are rows and columns, 2 or more."
         )
-    if found.metric:
+    if heights.metric:
         samples = np.where((samples > _NO_DATA_BELOW) & (samples < _NO_DATA_ABOVE), samples, np.nan)
     if np.isnan(samples).all():
         raise WorldError(f"{path.name} has no sample with a height: export it again.")
-    return found._replace(samples=samples)
+    return heights._replace(samples=samples)
 
 
 def load_npy(data: bytes) -> Array:
-    """The numbers in an .npy file, of bounded size; `ValueError` where it holds none."""
-    # The header is read first, since an array may claim any size; pickles are code and never read.
+    """The numbers in an .npy file of limited size; `ValueError` if it has none."""
+    # The header is checked first, since it may claim any size. Pickles, which are code, are not read.
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
     read_header = (
@@ -91,37 +91,37 @@ def load_npy(data: bytes) -> Array:
     return np.asarray(np.load(file, allow_pickle=False), np.float64)
 
 
-def _picture(data: bytes, report: ImportReport) -> HeightSamples:
+def _read_png(data: bytes, report: ImportReport) -> HeightSamples:
     image = open_image(data)
     _check_size(image.size)
-    return HeightSamples(_grey(image, report), False, None)
+    return HeightSamples(_read_brightness(image, report), False, None)
 
 
-def _grey(image: Image.Image, report: ImportReport) -> Array:
+def _read_brightness(image: Image.Image, report: ImportReport) -> Array:
     if image.mode in ("I;16", "I;16B", "I;16L", "I"):
         return np.asarray(image, np.float64) / 65535.0
     if image.mode not in ("L", "1"):
-        report.warn("is a colour picture; its brightness is taken for the height")
+        report.warn("is a colour image; its brightness is used as height")
     elif image.mode == "L":
-        report.warn("has 8 bits a sample: heights are steps of 1/255 of the relief; a 16-bit PNG is smoother")
+        report.warn("has 8 bits per sample: heights are steps of 1/255 of the relief; use 16 bits instead")
     return np.asarray(image.convert("L"), np.float64) / 255.0
 
 
-def _tiff(data: bytes, report: ImportReport) -> HeightSamples:
+def _read_tiff(data: bytes, report: ImportReport) -> HeightSamples:
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         if not len(file.pages):
-            raise ValueError("it has no picture")
+            raise ValueError("it has no image")
         page = file.pages.first
         _check_size(page.shape)
         if page.compression not in (tifffile.COMPRESSION.NONE,):
-            samples = _compressed(data, page)
+            samples = _decompress(data, page)
         else:
-            # What the header claims must be in the file.
+            # The file must have the samples that its header claims.
             if int(np.prod(page.shape)) * np.dtype(page.dtype).itemsize > len(data) + 1024:
-                raise ValueError(f"it claims {page.shape} samples and is too short for them")
+                raise ValueError(f"it claims {page.shape} samples, but is too short for them")
             samples = page.asarray()
         if samples.ndim == 3:
-            report.warn("has several bands; the first is taken for the height")
+            report.warn("has several bands; the first is used as height")
             samples = samples[..., 0] if page.planarconfig == 1 else samples[0]
         tags = page.tags
         scale = tags[_PIXEL_SCALE_TAG].value if _PIXEL_SCALE_TAG in tags else None
@@ -132,7 +132,7 @@ def _tiff(data: bytes, report: ImportReport) -> HeightSamples:
         heights = np.where(heights == float(missing), np.nan, heights)
     except ValueError:
         if missing:
-            report.warn(f"says that {first_line(missing)!r} stands for no height, which is no number")
+            report.warn(f"has the marker {first_line(missing)!r} for missing heights, which is no number")
     metric = samples.dtype.kind == "f" or samples.dtype.itemsize > 2 or scale is not None
     if not metric:
         heights /= 255.0 if samples.dtype.itemsize == 1 else 65535.0
@@ -142,8 +142,8 @@ def _tiff(data: bytes, report: ImportReport) -> HeightSamples:
     return HeightSamples(heights, metric, pixel)
 
 
-def _compressed(data: bytes, page: tifffile.TiffPage) -> NDArray[np.generic]:
-    # Common compressions need a codec package; Pillow has those of pictures, and deflate needs none.
+def _decompress(data: bytes, page: tifffile.TiffPage) -> NDArray[np.generic]:
+    # tifffile needs a further package for most compressions; Pillow supports those of images.
     try:
         return np.asarray(page.asarray())
     except Exception:
@@ -151,7 +151,7 @@ def _compressed(data: bytes, page: tifffile.TiffPage) -> NDArray[np.generic]:
 
 
 def _is_in_degrees(keys: tuple[int, ...] | None) -> bool:
-    # A directory of four numbers a key, after four of its own.
+    # A directory with a header of four numbers and four numbers per key.
     if keys is None:
         return False
     entries = [tuple(keys[k : k + 4]) for k in range(4, len(keys) - 3, 4)]

@@ -1,4 +1,4 @@
-"""A world from a mesh file: .dae, .obj, .stl, .ply or .glb."""
+"""The mesh world, built from a .dae, .obj, .stl, .ply or .glb file."""
 
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -15,7 +15,7 @@ from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surface
 from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
 from dune_rl.worlds.world import Rectangle
 
-# Further out, single precision is coarser than a millimetre.
+# Beyond this distance, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0
 
 
@@ -23,18 +23,16 @@ class MeshConf(SurfaceFileConf):
     """Settings of `build_mesh`."""
 
     name: Literal["mesh"] = "mesh"
-    path: str = Field(min_length=1, description="the file; its textures lie in its folder or below")
+    path: str = Field(min_length=1, description="the file; its textures are in its folder or below")
     unit_m: float | None = Field(
-        default=None, gt=0.0, le=1e4, description="length of the file's unit; None: as it says, else a metre"
+        default=None, gt=0.0, le=1e4, description="length of the file's unit; None: the file's, else a metre"
     )
-    up: UpAxis | None = Field(
-        default=None, description="the file's axis that is up; None: as it says, else z"
-    )
+    up: UpAxis | None = Field(default=None, description="the file's up axis; None: the file's, else z")
     spacing_m: float | None = Field(
-        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen by the size"
+        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen for its size"
     )
     ground: tuple[str, ...] = Field(
-        default=(), description="names of the parts that are the ground, * for any letters; none: found out"
+        default=(), description="names of the parts that are ground, with * as wildcard; none: determined"
     )
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     region: Rectangle | None = Field(
@@ -43,15 +41,15 @@ class MeshConf(SurfaceFileConf):
 
 
 def build_mesh(conf: MeshConf) -> ImportedWorld:
-    """The world in a file, its ground told apart from what stands on it; `WorldError` where that cannot be.
+    """The world of a mesh file, split into ground and props; `WorldError` if that is impossible.
 
-    Nothing outside the file's folder is read. What is missing or not taken over is a `WorldWarning`.
+    Nothing outside the file's folder is read. Parts that are missing or not supported cause a `WorldWarning`.
     """
     path = resolve_world_path(conf.path)
     report = ImportReport(path.name)
     folder = WorldFiles(path.resolve().parent, path.resolve().parent)
     parts = load_mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
-    parts = _near_origin(_claimed(parts, conf.ground), report)
+    parts = _move_near_origin(_declare_ground(parts, conf.ground), report)
     world = assemble_world(
         "mesh",
         parts,
@@ -65,24 +63,24 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
     return world
 
 
-def _claimed(parts: list[MeshPart], patterns: tuple[str, ...]) -> list[MeshPart]:
+def _declare_ground(parts: list[MeshPart], patterns: tuple[str, ...]) -> list[MeshPart]:
     if not patterns:
         return parts
-    known = [any(fnmatch(part.name, pattern) for pattern in patterns) for part in parts]
-    if not any(known):
+    matches = [any(fnmatch(part.name, pattern) for pattern in patterns) for part in parts]
+    if not any(matches):
         names = ", ".join(sorted({part.name for part in parts})[:12])
         raise WorldError(f"world.ground={list(patterns)} names none of the file's parts; it has {names}.")
-    return [replace(part, ground=claim) for part, claim in zip(parts, known, strict=True)]
+    return [replace(part, ground=is_ground) for part, is_ground in zip(parts, matches, strict=True)]
 
 
-def _near_origin(parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
-    """The parts, moved so that their middle is the origin if they lie very far from it."""
+def _move_near_origin(parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
+    """The parts, centred at the origin if they are very far from it."""
     low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
     high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
     middle = np.round((low + high) / 2)
     if np.abs(middle).max() < _FAR_M:
         return parts
-    report.warn("lies far from its origin and is moved there, by ({:g}, {:g}, {:g}) m".format(*-middle))
+    report.warn("is far from its origin and is moved there, by ({:g}, {:g}, {:g}) m".format(*-middle))
     matrix = np.eye(4)
     matrix[:3, 3] = -middle
     return [part.transform(matrix) for part in parts]

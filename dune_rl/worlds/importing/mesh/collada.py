@@ -1,4 +1,4 @@
-"""COLLADA (.dae) files as named parts, with the unit and the up axis that they state."""
+"""COLLADA (.dae) files as named parts, with their unit and up axis."""
 
 import io
 import warnings
@@ -36,22 +36,22 @@ _DEEPEST = 100
 def load_collada_parts(
     data: bytes, name: str, folder: WorldFiles, report: ImportReport
 ) -> tuple[list[MeshPart], float, str | None]:
-    """Parts in the file's own unit and axes; that unit [m]; and the axis that is up: "x", "y" or "z".
+    """Parts in the file's own unit and axes; that unit [m]; and the up axis: "x", "y" or "z".
 
-    Each node's geometry is a part for each of its materials. Textures are looked for in `folder`.
+    Each node's geometry gives one part per material. Textures are read from `folder`.
     """
-    # The reader below would expand entities and unpack archives; what passes here has neither.
+    # The library would expand entities and unpack archives; this check refuses both.
     read_xml(data, name)
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             document = collada.Collada(
-                io.BytesIO(data), ignore=[collada.common.DaeError], aux_file_loader=_nothing
+                io.BytesIO(data), ignore=[collada.common.DaeError], aux_file_loader=_load_nothing
             )
             unit = document.assetInfo.unitmeter
             axis = str(document.assetInfo.upaxis)[:1].lower()
             if document.scene is None:
-                raise WorldError(f"{name} has no scene, so that none of its meshes stands anywhere.")
+                raise WorldError(f"{name} has no scene, so its meshes have no positions.")
             reader = _Reader(name, folder, report)
             parts = [part for node in document.scene.nodes for part in reader.parts(node, np.eye(4), "", 0)]
     except WorldError:
@@ -60,7 +60,7 @@ def load_collada_parts(
         raise_unreadable(name, ".dae mesh", error)
     if document.errors:
         report.warn(
-            f"{len(document.errors)} things in it are not supported, "
+            f"{len(document.errors)} elements in it are not supported, "
             f"such as: {first_line(document.errors[0])}"
         )
     unit = 1.0 if unit is None else float(unit)
@@ -69,24 +69,24 @@ def load_collada_parts(
     return parts, unit, axis if axis in ("x", "y", "z") else "y"
 
 
-def _nothing(name: str) -> bytes:
+def _load_nothing(name: str) -> bytes:
     raise FileNotFoundError(name)
 
 
 class _Reader:
     def __init__(self, name: str, folder: WorldFiles, report: ImportReport) -> None:
         self._name, self._folder, self._report = name, folder, report
-        self._looks: dict[str, Any] = {}
+        self._diffuse: dict[str, Any] = {}
         self._pictures: dict[str, NDArray[np.uint8]] = {}
         self._nodes = self._faces = 0
 
     def parts(self, node: Any, matrix: Array, name: str, depth: int) -> Iterator[MeshPart]:
-        """Parts of a node and all under it; instances of instances are counted, as they may be very many."""
+        """Parts of a node and its descendants; nodes are counted, since nested instances can be very many."""
         self._nodes += 1
         if depth > _DEEPEST or self._nodes > _MOST_NODES:
             raise WorldError(
-                f"{self._name} has nodes that contain themselves, more than {_DEEPEST} deep, "
-                f"or more than {_MOST_NODES:,}: export it again, without instances."
+                f"{self._name} has nodes that contain themselves, are nested more than {_DEEPEST} deep, "
+                f"or are more than {_MOST_NODES:,}: export it again, without instances."
             )
         if isinstance(node, GeometryNode):
             yield from self._geometry(node, matrix, name)
@@ -114,7 +114,7 @@ class _Reader:
             material = materials.get(primitive.material)
             about = printable(str(getattr(material, "name", None) or primitive.material or ""))
             colours, texture = self._colours(primitive, material)
-            yield MeshPart.of(
+            yield MeshPart.from_triangles(
                 printable(name or str(node.geometry.name)),
                 primitive.vertex,
                 primitive.vertex_index,
@@ -133,19 +133,19 @@ class _Reader:
     def _colours(self, primitive: Any, material: Any) -> tuple[Any, MeshTexture | None]:
         if material is None:
             return None, None
-        if material.id not in self._looks:
-            self._looks[material.id] = self._look(material)
-        look = self._looks[material.id]
-        if look is None or look.ndim == 1:
-            return look, None
+        if material.id not in self._diffuse:
+            self._diffuse[material.id] = self._read_diffuse(material)
+        diffuse = self._diffuse[material.id]
+        if diffuse is None or diffuse.ndim == 1:
+            return diffuse, None
         if not len(primitive.texcoordset):
-            return look.mean(axis=(0, 1)) / 255.0, None
+            return diffuse.mean(axis=(0, 1)) / 255.0, None
         uv = np.asarray(primitive.texcoordset[0], np.float64)[primitive.texcoord_indexset[0]][..., :2]
         corners = np.asarray(primitive.vertex, np.float64)[primitive.vertex_index]
-        return mean_face_colours(look, uv), MeshTexture.of(look, corners, uv)
+        return mean_face_colours(diffuse, uv), MeshTexture.from_uv(diffuse, corners, uv)
 
-    def _look(self, material: Any) -> NDArray[Any] | None:
-        """A picture in bytes (rows, columns, 3), one colour in [0, 1] (3,), or None if it has neither."""
+    def _read_diffuse(self, material: Any) -> NDArray[Any] | None:
+        """An image of bytes (rows, columns, 3), a colour (3,) in [0, 1], or None if there is neither."""
         diffuse = getattr(material.effect, "diffuse", None)
         if isinstance(diffuse, collada.material.Map):
             picture = diffuse.sampler.surface.image.path or ""
@@ -157,7 +157,7 @@ class _Reader:
                 )
                 return found
             except FileNotFoundError:
-                self._report.warn(f"{printable(picture)} is missing: what it colours has a plain colour")
+                self._report.warn(f"{printable(picture)} is missing; its faces have a plain colour")
             except WorldError as error:
                 self._report.warn(str(error).splitlines()[0])
             except ValueError as error:

@@ -37,10 +37,10 @@ Pictures = dict[tuple[float, ...], Bytes]
 
 FORMATS = (".dae", ".obj", ".stl", ".ply", ".glb")
 
-# From y up to z up, as the formats do it: x stays.
+# Transform from y up to z up, which keeps x.
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _MOST_NODES = 20_000
-# The bytes of a number in a glTF accessor by its component type, and the numbers of an item.
+# Bytes of a number in a glTF accessor by component type, and numbers of an item by type.
 _NUMBER_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _ITEM_NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
@@ -55,8 +55,8 @@ def load_mesh_parts(
 ) -> list[MeshPart]:
     """The parts of the mesh file at `path`, in metres and z up, without faulty triangles.
 
-    `unit_m` and `up` stand in for what the file says of itself; .obj, .stl and .ply say nothing, and are
-    taken to be in metres and z up. Textures are looked for in `folder`.
+    `unit_m` and `up` override the file's own values; .obj, .stl and .ply files have none, and are assumed to
+    be in metres and z up. Textures are read from `folder`.
     """
     kind = path.suffix.lower()
     if kind not in FORMATS:
@@ -70,7 +70,7 @@ def load_mesh_parts(
         parts, own_unit, own_up = load_collada_parts(data, path.name, folder, report)
     else:
         _CHECKS[kind](data, path.name)
-        parts, own_unit, own_up = _loaded(data, path.name, kind, folder, report), 1.0, None
+        parts, own_unit, own_up = _load_parts(data, path.name, kind, folder, report), 1.0, None
     parts = [part for part in parts if len(part.faces)]
     if sum(len(part.faces) for part in parts) > MAX_FACES:
         raise WorldError(f"{path} has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece.")
@@ -88,8 +88,8 @@ def load_mesh_parts(
     return kept
 
 
-class _Files(Resolver):
-    # What trimesh asks for beside a mesh: material libraries, pictures, buffers.
+class _FolderResolver(Resolver):
+    # Gives trimesh the files that a mesh refers to: material libraries, images, buffers.
     def __init__(self, folder: WorldFiles, report: ImportReport) -> None:
         self._folder, self._report = folder, report
 
@@ -97,7 +97,7 @@ class _Files(Resolver):
         try:
             data = self._folder.read(key)
         except FileNotFoundError:
-            self._report.warn(f"{printable(key)} is missing: what it colours has a plain colour")
+            self._report.warn(f"{printable(key)} is missing; its faces have a plain colour")
             raise
         except WorldError as error:
             self._report.warn(str(error).splitlines()[0])
@@ -113,23 +113,25 @@ class _Files(Resolver):
     def keys(self) -> list[str]:
         return []
 
-    def namespaced(self, namespace: str) -> "_Files":
+    def namespaced(self, namespace: str) -> "_FolderResolver":
         return self
 
     def write(self, name: str, data: Any) -> None:
         raise PermissionError("nothing is written into a world's folder")
 
 
-def _loaded(data: bytes, name: str, kind: str, folder: WorldFiles, report: ImportReport) -> list[MeshPart]:
+def _load_parts(
+    data: bytes, name: str, kind: str, folder: WorldFiles, report: ImportReport
+) -> list[MeshPart]:
     options: dict[str, Any] = {"process": False}
     if kind == ".obj":
         options |= {"split_objects": True, "group_material": True}
     try:
-        # Among them what numpy thinks of odd numbers; they are looked at later.
+        # Warnings include those of numpy about invalid numbers, which are checked later.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(
-                io.BytesIO(data), file_type=kind[1:], resolver=_Files(folder, report), **options
+                io.BytesIO(data), file_type=kind[1:], resolver=_FolderResolver(folder, report), **options
             )
             return list(_parts(scene, kind, report))
     except WorldError:
@@ -153,14 +155,14 @@ def _parts(scene: Any, kind: str, report: ImportReport) -> Iterator[MeshPart]:
         own_name = str(mesh.metadata.get("name") or geometry)
         name = str(node) if kind == ".glb" else own_name
         colours, about, texture = _colours(mesh, pictures, report)
-        part = MeshPart.of(
+        part = MeshPart.from_triangles(
             printable(name), mesh.vertices, faces, colours, f"{own_name} {printable(about)}", texture=texture
         )
         yield part.transform(np.asarray(matrix, np.float64))
 
 
 def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, str, MeshTexture | None]:
-    """Colours, None for a guess; the material's name; and the pictures on the faces."""
+    """Colours, None to guess them; the material's name; and the texture."""
     visual = mesh.visual
     if visual.kind == "texture":
         material = visual.material
@@ -174,13 +176,13 @@ def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, 
             tinted = tint is not None and hasattr(material, "baseColorFactor")
             shades = np.clip(tint, 0.0, 1.0) if tinted and tint is not None else np.ones(3, np.float32)
             try:
-                found = _picture(image, shades, pictures, report)
+                picture = _tint_picture(image, shades, pictures, report)
             except ValueError as error:
                 report.warn(f"the texture of {printable(name)!r} is left out: {error}")
             else:
                 uv = np.asarray(visual.uv, np.float64)[mesh.faces]
                 corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-                return mean_face_colours(found, uv), name, MeshTexture.of(found, corners, uv)
+                return mean_face_colours(picture, uv), name, MeshTexture.from_uv(picture, corners, uv)
         has_default = tint is None or np.allclose(tint, 0.4, atol=0.01) or np.allclose(tint, 1.0)
         return (None if has_default else tint), name, None
     if visual.kind in ("vertex", "face"):
@@ -188,8 +190,8 @@ def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, 
     return None, "", None
 
 
-def _picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report: ImportReport) -> Bytes:
-    """A picture in bytes, each colour darkened by its shade; once for all who have the same."""
+def _tint_picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report: ImportReport) -> Bytes:
+    """An image as bytes, multiplied by `shades` (3,); equal ones are shared through `pictures`."""
     key = (id(image), *shades.tolist())
     if key not in pictures:
         pictures[key] = report.limit_texture((downscale_image(image) * shades + 0.5).astype(np.uint8))
@@ -218,7 +220,7 @@ def _check_ply(data: bytes, name: str) -> None:
         words = line.split()
         if len(words) != 3 or words[0] != b"element":
             continue
-        # The smallest item takes a byte.
+        # Every item takes at least a byte.
         if not words[2].isdigit() or len(words[2]) > 12 or int(words[2]) > len(data):
             kind, count = (printable(word.decode("latin-1"), 20) for word in words[1:])
             raise WorldError(
@@ -233,7 +235,7 @@ def _check_obj(data: bytes, name: str) -> None:
 
 
 def _check_glb(data: bytes, name: str) -> None:
-    """Refuses counts that the file does not hold, and a tree of nodes that is none."""
+    """Refuse counts that exceed the file's size, and nodes that do not form a tree."""
     try:
         magic, _, _, length, chunk = struct.unpack_from("<IIIII", data)
         if magic != 0x46546C67 or chunk != 0x4E4F534A:
@@ -285,7 +287,7 @@ def _refuse_loops(children: list[list[int]]) -> None:
 
 
 def _refuse_many_instances(header: dict[str, Any]) -> None:
-    # A small mesh named by many nodes is many triangles.
+    # A small mesh that many nodes refer to has many triangles.
     accessors = header.get("accessors", [])
     sizes = []
     for mesh in header.get("meshes", []):

@@ -1,4 +1,4 @@
-"""Triangles told apart into ground, as a grid of heights, and the things that stand on it."""
+"""Separation of triangles into ground, as a grid of heights, and everything else."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -28,22 +28,23 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
-# Steeper is no ground that a robot can be on: walls, and the sides of things.
+# Steeper triangles are no ground: walls, and the sides of objects.
 _STEEPEST_RAD = np.deg2rad(62.0)
-# A surface is ground where its rim is no higher over the ground round it than a wheel can take.
+# A surface is ground if its rim is at most one step, which a wheel can climb, above the ground around it.
 _STEP_M = 0.06
 _JOINED_SHARE = 0.7
 _PASSES = 6
 _VAULT_RISE = 0.2
-# What has no ground under it is ground of its own from this share of the largest on.
+# A surface without ground below it is ground, too, from this share of the largest area on.
 _ISLAND_SHARE, _ISLAND_M2 = 0.005, 4.0
 
 
 class ImportedGround(NamedTuple):
-    """Heights on a grid; where they were found, not filled in (rows, columns); and the colours there.
+    """The ground of an imported world as a grid.
 
-    `picture` is what the ground shows between the grid's points, None where it has no textures.
-    `faces` (F,) tells of every triangle, in the order of the parts, whether it is part of the ground.
+    `known` (rows, columns) marks heights that were sampled, not filled in; `colours` (rows, columns, 3) are
+    sRGB. `faces` (F,) marks the triangles of all parts, in their order, that belong to the ground. `picture`
+    has more detail than `colours`, None without textures.
     """
 
     terrain: HeightField
@@ -56,21 +57,22 @@ class ImportedGround(NamedTuple):
 def extract_ground(
     parts: Sequence[MeshPart], spacing_m: float | None, report: ImportReport
 ) -> ImportedGround:
-    """The ground of the `parts`, sampled by rays straight down every `spacing_m`; None: chosen by its size.
+    """The ground of `parts`, sampled by vertical rays every `spacing_m`; None: chosen for its size.
 
-    Connected triangles that face up and are not steep make a surface. The widest that nothing as wide lies
-    under is ground, and so is every other whose rim meets the ground, such as a mound or a road, or that has
-    no ground under it. The rest stands on the ground or hangs over it. A part that says itself whether it is
-    ground is believed. Holes are filled smoothly, and warned of unless something stands on them.
+    Connected triangles that face up and are not steep form a surface. The largest one without a surface of
+    similar size below it is ground, and so is every other whose rim touches the ground, such as a mound or a
+    road, or that has no ground below it. The rest stands on the ground or hangs above it. Parts that declare
+    whether they are ground are taken as declared. Holes are filled smoothly, and reported unless an object
+    covers them.
     """
-    soup = _soup(parts)
-    surface = _surfaces(soup)
+    soup = _join_triangles(parts)
+    surface = _label_surfaces(soup)
     if surface.max(initial=-1) < 0:
         raise WorldError(
-            f"{report.source} has no triangle that faces up, so that there is no ground to drive on: "
-            "look whether its up axis is right (world.up) and its faces are not inside out."
+            f"{report.source} has no triangle that faces up, so there is no ground to drive on: "
+            "check its up axis (world.up), and that its faces are not inside out."
         )
-    is_ground = _grown(soup, surface, report)
+    is_ground = _find_ground_faces(soup, surface)
     low, high = ground_extent(soup, is_ground)
     step = grid_spacing(low, high, spacing_m)
     x, y, origin = grid_axes(low, high, step)
@@ -86,7 +88,7 @@ def extract_ground(
     return ImportedGround(terrain, known, colours, is_ground, picture)
 
 
-def _soup(parts: Sequence[MeshPart]) -> Triangles:
+def _join_triangles(parts: Sequence[MeshPart]) -> Triangles:
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
@@ -108,11 +110,11 @@ def _soup(parts: Sequence[MeshPart]) -> Triangles:
     )
 
 
-def _surfaces(soup: Triangles) -> NDArray[np.int64]:
-    """The number of the connected surface (F,) that each triangle belongs to, -1 for none."""
+def _label_surfaces(soup: Triangles) -> NDArray[np.int64]:
+    """Number of the connected surface (F,) of each triangle, -1 for none."""
     upward = (soup.normals[:, 2] > np.cos(_STEEPEST_RAD)) & (soup.claim >= 0)
     if (soup.claim > 0).any():
-        # Where a file says what its ground is, nothing else is.
+        # If a file declares its ground, nothing else is ground.
         upward = soup.claim > 0
     surface = np.full(len(soup.faces), -1, np.int64)
     chosen = np.flatnonzero(upward)
@@ -121,22 +123,23 @@ def _surfaces(soup: Triangles) -> NDArray[np.int64]:
     return surface
 
 
-def _grown(soup: Triangles, surface: NDArray[np.int64], report: ImportReport) -> Mask:
-    """Which triangles (F,) are ground."""
+def _find_ground_faces(soup: Triangles, surface: NDArray[np.int64]) -> Mask:
+    """Mask (F,) of the triangles that are ground, grown from a seed surface."""
     if (soup.claim > 0).any():
         return soup.claim > 0
     count = int(surface.max()) + 1
     chosen = surface >= 0
     flat_area = np.bincount(surface[chosen], (soup.areas * soup.normals[:, 2])[chosen], minlength=count)
     ground = np.zeros(count, bool)
-    seed, vault = _seed(soup, surface, np.asarray(flat_area, np.float64))
+    seed, vault = _choose_seed(soup, surface, np.asarray(flat_area, np.float64))
     ground[seed] = True
     large = ~vault & (flat_area >= max(_ISLAND_M2, _ISLAND_SHARE * float(flat_area[~vault].max(initial=0.0))))
     probes = _rim_probes(soup, surface)
     for _ in range(_PASSES):
         joined, over_none = _rims_on_ground(soup, ground[surface] & chosen, probes, count)
-        # Under all of a roof's inside there may be ground where its rim hangs over the edge.
-        islands = large & (over_none > 0.95) & ~_over(soup, ground[surface] & chosen, surface, count)
+        # A roof's rim may be beyond the ground's edge while its inside is above ground.
+        above = _surfaces_above_ground(soup, ground[surface] & chosen, surface, count)
+        islands = large & (over_none > 0.95) & ~above
         more = ~ground & ((joined >= _JOINED_SHARE) | islands)
         if not more.any():
             break
@@ -144,14 +147,16 @@ def _grown(soup: Triangles, surface: NDArray[np.int64], report: ImportReport) ->
     return ground[surface] & chosen
 
 
-def _seed(soup: Triangles, surface: NDArray[np.int64], flat_area: Array) -> tuple[int, NDArray[np.bool_]]:
-    """The widest surface, or the lowest of those over half as wide; and which ones (S,) are backdrops."""
+def _choose_seed(
+    soup: Triangles, surface: NDArray[np.int64], flat_area: Array
+) -> tuple[int, NDArray[np.bool_]]:
+    """The lowest surface of at least half the largest area; and a mask (S,) of those that are backdrops."""
     member = np.argsort(surface, kind="stable")[int((surface < 0).sum()) :]
     pieces = np.split(member, np.cumsum(np.bincount(surface[member]))[:-1])
     large = [int(s) for s in np.flatnonzero(flat_area >= min(_ISLAND_M2, float(flat_area.max())))]
     centre = {s: soup.vertices[soup.faces[pieces[s]]].mean(axis=(0, 1)) for s in large}
     vault = np.zeros(len(flat_area), bool)
-    # A dome for the sky is wider than all under it.
+    # A sky dome is larger than everything below it.
     vault[[s for s in large if _is_vault(soup.vertices[soup.faces[pieces[s]]], centre, s)]] = True
     usable = [s for s in large if not vault[s]] or large
     widest = max(flat_area[usable])
@@ -159,7 +164,7 @@ def _seed(soup: Triangles, surface: NDArray[np.int64], flat_area: Array) -> tupl
 
 
 def _is_vault(corners: Array, centre: dict[int, Array], number: int) -> bool:
-    """Whether a surface rises like a dome and has another large one under it."""
+    """Whether a surface rises like a dome and has another large surface below it."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     if high[2] - low[2] < _VAULT_RISE * (high - low)[:2].max():
         return False
@@ -171,7 +176,7 @@ def _is_vault(corners: Array, centre: dict[int, Array], number: int) -> bool:
 
 
 class _Probes(NamedTuple):
-    # Points on the rims of surfaces, the surface of each, how much rim it stands for [m], and away from it.
+    # Points on the rims of surfaces: positions, surface numbers, lengths of rim [m], and outward directions.
     at: Array
     surface: NDArray[np.int64]
     weight: Array
@@ -202,7 +207,7 @@ def _rim_probes(soup: Triangles, surface: NDArray[np.int64]) -> _Probes:
 
 
 def _rims_on_ground(soup: Triangles, ground: Mask, probes: _Probes, count: int) -> tuple[Array, Array]:
-    """Shares (count,) of each surface's rim that meet the ground, and that have none over or under them."""
+    """Shares (count,) of each surface's rim that touch the ground, and that have no ground above or below."""
     if not len(probes.at):
         return np.zeros(count), np.zeros(count)
     beside_m = 0.05
@@ -212,16 +217,16 @@ def _rims_on_ground(soup: Triangles, ground: Mask, probes: _Probes, count: int) 
     origins = np.column_stack([probes.at[:, :2] + beside_m * probes.outward, np.full(len(probes.at), top)])
     down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
     hit, _ = scene.first_hit(origins, down, far)
-    found = hit < far
+    has_ground = hit < far
     above = probes.at[:, 2] - (top - hit)
-    meets = found & (above < _STEP_M + beside_m * np.tan(_STEEPEST_RAD) / 2)
+    touches = has_ground & (above < _STEP_M + beside_m * np.tan(_STEEPEST_RAD) / 2)
     total = np.maximum(np.bincount(probes.surface, probes.weight, minlength=count), 1e-12)
-    joined = np.bincount(probes.surface, probes.weight * meets, minlength=count) / total
-    return joined, np.bincount(probes.surface, probes.weight * ~found, minlength=count) / total
+    joined = np.bincount(probes.surface, probes.weight * touches, minlength=count) / total
+    return joined, np.bincount(probes.surface, probes.weight * ~has_ground, minlength=count) / total
 
 
-def _over(soup: Triangles, ground: Mask, surface: NDArray[np.int64], count: int) -> Mask:
-    """Which surfaces (count,) have ground over or under any of their triangles' centres."""
+def _surfaces_above_ground(soup: Triangles, ground: Mask, surface: NDArray[np.int64], count: int) -> Mask:
+    """Mask (count,) of the surfaces with ground above or below any of their triangles' centres."""
     candidates = np.flatnonzero((surface >= 0) & ~ground)
     centres = soup.vertices[soup.faces[candidates]].mean(axis=1)
     top = float(soup.vertices[:, 2].max()) + 1.0

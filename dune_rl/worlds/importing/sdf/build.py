@@ -1,4 +1,4 @@
-"""A world from a Gazebo model or world (SDF)."""
+"""The sdf world, built from a Gazebo model or world."""
 
 from typing import Literal
 
@@ -33,10 +33,10 @@ class SdfConf(SurfaceFileConf):
     name: Literal["sdf"] = "sdf"
     path: str = Field(min_length=1, description="an .sdf or .world file, or the folder of a model")
     spacing_m: float | None = Field(
-        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen by the size"
+        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen for its size"
     )
     friction: float | None = Field(
-        default=None, gt=0.0, le=5.0, description="None: the ground's in the file, else 1"
+        default=None, gt=0.0, le=5.0, description="None: that of the ground in the file, else 1"
     )
     region: Rectangle | None = Field(
         default=None, description="xmin, xmax, ymin, ymax of the spawn region; None: the freest level square"
@@ -44,31 +44,31 @@ class SdfConf(SurfaceFileConf):
 
 
 def build_sdf(conf: SdfConf) -> ImportedWorld:
-    """The world of a Gazebo file: its collisions as ground and things, its visuals where there are none.
+    """The world of a Gazebo file: its collisions as ground and props, and visuals of links without these.
 
-    Files are read beside the file and in GZ_SIM_RESOURCE_PATH alone. What is missing or not supported is a
-    `WorldWarning`; what makes no world is a `WorldError`.
+    Files are read only from the file's folder and from GZ_SIM_RESOURCE_PATH. What is missing or not supported
+    causes a `WorldWarning`; raises `WorldError` if the file makes no world.
     """
     path = resolve_world_path(conf.path)
     report = ImportReport(path.name)
     own = WorldFiles(path.resolve() if path.is_dir() else path.resolve().parent)
-    library = SdfFileFinder(own.root, report)
-    file = library.description(own.root, own) if path.is_dir() else path.resolve()
-    found = SdfReader(library, report).read(file, own)
-    parts = drop_faulty_triangles(found.parts, report)
+    finder = SdfFileFinder(own.root, report)
+    file = finder.find_description(own.root, own) if path.is_dir() else path.resolve()
+    contents = SdfReader(finder, report).read(file, own)
+    parts = drop_faulty_triangles(contents.parts, report)
     region = check_region(conf.region)
-    levels = [height_map for height_map in found.height_maps if _is_level(height_map)]
-    friction = conf.friction if conf.friction is not None else _ground_friction(found, parts, report)
-    if len(found.height_maps) == 1 and levels:
-        world = _on_height_map(levels[0], parts, conf, friction, found, report)
+    levels = [height_map for height_map in contents.height_maps if _is_level(height_map)]
+    friction = conf.friction if conf.friction is not None else _ground_friction(contents, parts, report)
+    if len(contents.height_maps) == 1 and levels:
+        world = _build_on_height_map(levels[0], parts, conf, friction, contents, report)
     else:
-        if found.height_maps:
-            parts += [_as_part(height_map, report) for height_map in found.height_maps]
-        elif found.planes:
-            parts = _with_planes(found, parts, report)
+        if contents.height_maps:
+            parts += [_height_map_part(height_map, report) for height_map in contents.height_maps]
+        elif contents.planes:
+            parts = _add_planes(contents, parts, report)
         if not parts:
             raise WorldError(
-                f"{path} holds nothing that a robot could stand on: it needs a plane, mesh or height map."
+                f"{path} has nothing that a robot could stand on: it needs a plane, mesh or height map."
             )
         world = assemble_world(
             "sdf",
@@ -77,7 +77,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             spacing_m=conf.spacing_m,
             friction=friction,
             region=region,
-            light=found.light,
+            light=contents.light,
         )
     world.surfaces = read_surfaces(conf, world.extent)
     report.emit_warnings()
@@ -89,35 +89,35 @@ def _is_level(height_map: SdfHeightMap) -> bool:
 
 
 def _in_metres(height_map: SdfHeightMap, report: ImportReport) -> Array:
-    """Samples (rows, columns) [m] over the map's own middle, as Gazebo scales them."""
+    """Samples (rows, columns) [m] relative to the map's pose, scaled as in Gazebo."""
     heights = read_heights(height_map.path, report)
     samples, top = heights.samples, float(height_map.size[2])
     if not heights.metric:
         return samples * top
     highest = float(np.nanmax(samples))
-    # The greatest height becomes the size along z; below zero Gazebo has no rule, so the range is scaled.
+    # The largest height becomes the size along z. Below zero, where Gazebo has no rule, the range is scaled.
     if highest > 0:
         return samples * (top / highest)
     low = float(np.nanmin(samples))
     return (samples - low) * (top / max(highest - low, 1e-9))
 
 
-def _on_height_map(
+def _build_on_height_map(
     height_map: SdfHeightMap,
     parts: list[MeshPart],
     conf: SdfConf,
     friction: float,
-    found: SdfContents,
+    contents: SdfContents,
     report: ImportReport,
 ) -> ImportedWorld:
-    # Its own grid, exactly: nothing is sampled anew.
+    # The terrain has the map's own grid, without resampling.
     size = (float(height_map.size[0]), float(height_map.size[1]))
     terrain, known = terrain_from_samples(_in_metres(height_map, report), size, conf.spacing_m, report)
     x, y, z = height_map.matrix[:3, 3]
     moved = type(terrain)(
         terrain.heights + z, terrain.spacing_m, (terrain.origin[0] + x, terrain.origin[1] + y)
     )
-    none = np.zeros(sum(len(part.faces) for part in parts), bool)
+    no_ground = np.zeros(sum(len(part.faces) for part in parts), bool)
     colours, picture = None, None
     if height_map.picture is not None:
         picture = tile_picture(moved, height_map.picture, height_map.tile_m)
@@ -127,29 +127,31 @@ def _on_height_map(
     world = ImportedWorld(
         "sdf",
         moved,
-        extract_props(parts, none, moved, report),
+        extract_props(parts, no_ground, moved, report),
         region=moved.extent,
         friction=friction,
         ground_colours=colours,
         picture=picture,
-        light=found.light,
+        light=contents.light,
     )
     return set_region(world, check_region(conf.region), report, known)
 
 
-def _as_part(height_map: SdfHeightMap, report: ImportReport) -> MeshPart:
+def _height_map_part(height_map: SdfHeightMap, report: ImportReport) -> MeshPart:
     samples = _in_metres(height_map, report)
     size = (float(height_map.size[0]), float(height_map.size[1]))
     terrain, _ = terrain_from_samples(samples, size, None, report)
     colour = height_map.colour
     if colour is None and height_map.picture is not None:
-        report.warn("the textures of several height maps are shown in their mean colours")
+        report.warn("with several height maps, their textures are replaced by mean colours")
         colour = mean_colour(height_map.picture)
-    return MeshPart.of("heightmap", *terrain.mesh(), colour, ground=True).transform(height_map.matrix)
+    return MeshPart.from_triangles("heightmap", *terrain.mesh(), colour, ground=True).transform(
+        height_map.matrix
+    )
 
 
-def _with_planes(found: SdfContents, parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
-    """The parts and the planes, unless a mesh is the terrain: then a plane would be under or through it."""
+def _add_planes(contents: SdfContents, parts: list[MeshPart], report: ImportReport) -> list[MeshPart]:
+    """The parts and the planes. Planes are left out if a mesh is the terrain, which they would intersect."""
     terrain = next((part for part in parts if _is_terrain(part)), None)
     if terrain is not None:
         report.warn(f"its <plane> is left out, since the mesh {terrain.name!r} is the ground")
@@ -161,8 +163,8 @@ def _with_planes(found: SdfContents, parts: list[MeshPart], report: ImportReport
     return [
         *parts,
         *(
-            MeshPart.of("ground plane", *build_plane(shape, least), colour).transform(matrix)
-            for shape, matrix, colour in found.planes
+            MeshPart.from_triangles("ground plane", *build_plane(shape, least), colour).transform(matrix)
+            for shape, matrix, colour in contents.planes
         ),
     ]
 
@@ -172,21 +174,22 @@ def _is_terrain(part: MeshPart) -> bool:
     return part.solid and is_single_sheet(part) and across.min() > _TERRAIN_M and across.prod() > _TERRAIN_M2
 
 
-def _ground_friction(found: SdfContents, parts: list[MeshPart], report: ImportReport) -> float:
-    """The ground's friction; a warning where others differ, since a world has one."""
-    if not found.frictions:
+def _ground_friction(contents: SdfContents, parts: list[MeshPart], report: ImportReport) -> float:
+    """The ground's friction, with a warning if others differ, since a world has a single one."""
+    frictions = contents.frictions
+    if not frictions:
         return 1.0
     terrain = next((part.name for part in parts if _is_terrain(part)), None)
     for name in ("heightmap", terrain, "plane"):
-        if name in found.frictions:
-            ground = found.frictions[name]
+        if name in frictions:
+            ground = frictions[name]
             break
     else:
-        ground = float(np.median(list(found.frictions.values())))
-    if len(set(found.frictions.values())) > 1:
-        report.warn(f"has several frictions, and a world has one: {ground:g} is taken for all")
+        ground = float(np.median(list(frictions.values())))
+    if len(set(frictions.values())) > 1:
+        report.warn(f"has several frictions, but a world has only one: {ground:g} is used for all")
     if not 0.0 < ground <= _MOST_FRICTION:
-        held = float(np.clip(ground, 0.01, _MOST_FRICTION))
-        report.warn(f"has a friction of {ground:g}; {held:g} is taken")
-        return held
+        limited = float(np.clip(ground, 0.01, _MOST_FRICTION))
+        report.warn(f"has a friction of {ground:g}; {limited:g} is used")
+        return limited
     return ground

@@ -1,4 +1,4 @@
-"""Where the files of Gazebo models are: `model://` names, and paths beside a file."""
+"""Lookup of the files of Gazebo models: `model://` URIs, and paths relative to a file."""
 
 import os
 from collections.abc import Sequence
@@ -23,11 +23,10 @@ _NAMES = ("world.sdf", "model.sdf")
 
 
 class SdfFileFinder:
-    """Files by their URIs: beside the world's file and below, and in the folders of GZ_SIM_RESOURCE_PATH.
+    """Finds files by their URIs in the world's folder, and in the folders of GZ_SIM_RESOURCE_PATH.
 
-    `model://NAME/...` is looked for in the world's own folder if that is called NAME, in the folder NAME or
-    models/NAME in it, and in the folder NAME of each resource folder. Nothing else is read: links that
-    lead out of these are refused.
+    `model://NAME/...` may be in the world's own folder if that is named NAME, in the folder NAME or
+    models/NAME in it, or in the folder NAME of a resource folder. Links that lead out of these are refused.
     """
 
     def __init__(self, folder: Path, report: ImportReport) -> None:
@@ -39,18 +38,18 @@ class SdfFileFinder:
         self._xml: dict[Path, Element] = {}
 
     def find(self, uri: str, beside: WorldFiles) -> tuple[Path, WorldFiles] | None:
-        """A file or folder, and the folder that it may name files in; None, with a warning, if not there.
+        """A file or folder, and the files that it may refer to; None, with a warning, if it is missing.
 
-        `OutsideFolderError` where the URI leads out of where it may.
+        Raises `OutsideFolderError` if the URI leads out of the permitted folders.
         """
         scheme, separator, rest = uri.strip().partition("://")
         if separator and scheme in ("model", "package"):
-            found = self._model(rest)
+            found = self._find_model(rest)
         elif separator and scheme != "file":
             self._report.warn(f"{scheme}:// addresses are not supported: {printable(uri)} is left out")
             return None
         else:
-            found = _inside(beside, rest if separator else uri.strip())
+            found = _find_inside(beside, rest if separator else uri.strip())
         if found is None:
             self._report.warn(
                 f"{printable(uri)} is missing and left out; "
@@ -58,10 +57,10 @@ class SdfFileFinder:
             )
         return found
 
-    def _model(self, rest: str) -> tuple[Path, WorldFiles] | None:
+    def _find_model(self, rest: str) -> tuple[Path, WorldFiles] | None:
         name, _, inner = rest.replace("\\", "/").partition("/")
         if name in ("", ".", "..") or "\0" in rest:
-            raise OutsideFolderError(f"model://{printable(rest)} names no model: write model://NAME/FILE.")
+            raise OutsideFolderError(f"model://{printable(rest)} names no model: use model://NAME/FILE.")
         own = [self.folder.root] if self.folder.root.name == name else []
         for root in (*own, self.folder.root / name, self.folder.root / "models" / name):
             if _is_folder(root):
@@ -69,19 +68,19 @@ class SdfFileFinder:
                     raise OutsideFolderError(
                         f"{root} is a link that leads out of {self.folder.root}: it is not read."
                     )
-                found = _inside(WorldFiles(root), inner)
+                found = _find_inside(WorldFiles(root), inner)
                 if found is not None:
                     return found
         for resource in self._resources:
-            # What a user put there may be a link itself.
+            # A resource folder may itself be a link: the user put it there.
             if _is_folder(resource / name):
-                found = _inside(WorldFiles(resource / name), inner)
+                found = _find_inside(WorldFiles(resource / name), inner)
                 if found is not None:
                     return found
         return None
 
-    def document(self, path: Path) -> Element:
-        """The root of an SDF file, read once."""
+    def read_document(self, path: Path) -> Element:
+        """The root element of an SDF file; each file is read once."""
         real = path.resolve()
         if real not in self._xml:
             root = read_xml(read_bytes(path, _MODEL_FILE_BYTES), path.name)
@@ -92,34 +91,34 @@ class SdfFileFinder:
             self._xml[real] = root
         return self._xml[real]
 
-    def description(self, folder: Path, within: WorldFiles) -> Path:
-        """The SDF file of a model's or world's folder: what model.config names last, or the usual names."""
+    def find_description(self, folder: Path, within: WorldFiles) -> Path:
+        """The SDF file of a model's or world's folder: the newest in model.config, or one of usual name."""
         names: list[str] = []
         config = folder / "model.config"
         if not config.is_file():
             record_absent(config)
         else:
-            within.at(folder).find("model.config")
+            within.relative_to(folder).find("model.config")
             root = read_xml(read_bytes(config, _MODEL_FILE_BYTES), config.name)
             listed = [(_version(element), (element.text or "").strip()) for element in root.iter("sdf")]
             names = [name for _, name in sorted(listed, key=lambda item: item[0], reverse=True) if name]
         for name in (*names, *_NAMES):
             try:
-                return within.at(folder).find(name)
+                return within.relative_to(folder).find(name)
             except FileNotFoundError:
                 continue
         mark_incomplete()
         found = sorted(p for ending in ("*.sdf", "*.world") for p in folder.glob(ending))
         if len(found) == 1:
-            return within.at(folder).find(found[0].name)
+            return within.relative_to(folder).find(found[0].name)
         listing = ", ".join(p.name for p in found[:8]) or "none"
         raise WorldError(
             f"{folder} has no model.sdf or world.sdf (of .sdf and .world: {listing}): name the file."
         )
 
 
-def _inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | None:
-    """A file, or the folder itself or one in it, where that lies in `folder`."""
+def _find_inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | None:
+    """A file or folder inside `folder`, or `folder` itself; None if it is missing."""
     base = Path(os.path.abspath(folder.base / inner)) if inner else folder.base
     try:
         real = base.resolve()

@@ -1,4 +1,4 @@
-"""Gazebo models and worlds (SDF) as parts, height maps, a sun and frictions."""
+"""Reading of Gazebo models and worlds (SDF) into parts, planes, height maps, a sun and frictions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 _DEEPEST, _MOST_INCLUDES, _MOST_ELEMENTS = 16, 2_000, 20_000
-# What says nothing of how a world is shaped.
-_SILENT = {
+# Elements that do not affect the shape of a world.
+_IGNORED = {
     *("pose", "name", "static", "uri", "inertial", "gravity", "physics", "scene", "gui", "wind", "audio"),
     *("atmosphere", "magnetic_field", "spherical_coordinates", "state", "self_collide", "enable_wind"),
     *("allow_auto_disable", "kinematic", "velocity_decay", "must_be_base_link", "frame", "author"),
@@ -40,9 +40,9 @@ _SILENT = {
 
 @dataclass(eq=False)
 class SdfHeightMap:
-    """A <heightmap>: its file, size (3,) [m], and where its middle is (4, 4).
+    """A <heightmap>: its file, size (3,) [m], and pose `matrix` (4, 4) of its centre.
 
-    Its `colour`; and the `picture` (rows, columns, 3) that it shows in tiles `tile_m` wide, None for none.
+    `picture` (rows, columns, 3) is its texture, repeated in tiles of `tile_m`; None without one.
     """
 
     path: Path
@@ -55,32 +55,32 @@ class SdfHeightMap:
 
 @dataclass(eq=False)
 class SdfContents:
-    """All that a file holds: solid and visible parts, planes with their places, height maps, the sun."""
+    """Contents of a file: solid and visible parts, planes with their poses, height maps, sun, frictions."""
 
     parts: list[MeshPart] = field(default_factory=list)
     planes: list[tuple[Element, Array, Colour]] = field(default_factory=list)
     height_maps: list[SdfHeightMap] = field(default_factory=list)
-    # Of a part's, a plane's ("plane") or a height map's ("heightmap") surface.
+    # By the name of a part, or "plane" or "heightmap".
     frictions: dict[str, float] = field(default_factory=dict)
     light: LightConf | None = None
 
 
 class SdfReader:
-    """Reads a file and all that it includes into `found`."""
+    """Reads a file and everything that it includes."""
 
-    def __init__(self, library: SdfFileFinder, report: ImportReport) -> None:
-        self.found = SdfContents()
-        self._library, self._report = library, report
+    def __init__(self, finder: SdfFileFinder, report: ImportReport) -> None:
+        self._contents = SdfContents()
+        self._finder, self._report = finder, report
         self._elements = self._includes = self._faces = 0
         self._meshes: dict[Path, list[MeshPart]] = {}
         self._pictures: dict[Path, Bytes] = {}
 
     def read(self, path: Path, folder: WorldFiles) -> SdfContents:
-        """All of the file at `path`, which may name files in `folder`."""
-        self._file(path, folder, np.eye(4), "", ())
-        return self.found
+        """The contents of the file at `path`, which may refer to files in `folder`."""
+        self._read_file(path, folder, np.eye(4), "", ())
+        return self._contents
 
-    def _file(
+    def _read_file(
         self, path: Path, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
     ) -> None:
         real = path.resolve()
@@ -89,15 +89,15 @@ class SdfReader:
             raise WorldError(f"{self._report.source} includes itself ({loop}): take one <include> out.")
         if len(chain) >= _DEEPEST:
             raise WorldError(f"{self._report.source} has <include>s more than {_DEEPEST} deep: flatten them.")
-        here = folder.at(path.parent)
+        here = folder.relative_to(path.parent)
         try:
-            self._children(self._library.document(path), here, matrix, name, (*chain, real))
+            self._read_children(self._finder.read_document(path), here, matrix, name, (*chain, real))
         except WorldError as error:
-            # Once, with the innermost file's name.
+            # The message names the innermost file, and only once.
             text = str(error)
             raise WorldError(text if path.name in text or chain else f"{path.name}: {text}") from None
 
-    def _children(
+    def _read_children(
         self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
     ) -> None:
         for child in element:
@@ -107,75 +107,75 @@ class SdfReader:
                     f"{self._report.source} has more than {_MOST_ELEMENTS:,} elements: reduce it."
                 )
             if child.tag in ("world", "model"):
-                self._say_what_is_fixed(child)
-                # A world's name says nothing, and that of an <include> is instead of the model's own.
+                self._warn_if_dynamic(child)
+                # A world's name is ignored; the name of an <include> replaces the model's own.
                 own = "" if child.tag == "world" else child.get("name") or ""
                 full = name if element.tag == "sdf" and name else _path(name, own)
-                self._children(child, folder, matrix @ self._pose(child), full, chain)
+                self._read_children(child, folder, matrix @ self._pose(child), full, chain)
             elif child.tag == "link":
-                self._link(
+                self._read_link(
                     child, folder, matrix @ self._pose(child), name or printable(child.get("name") or "")
                 )
             elif child.tag == "include":
-                self._include(child, folder, matrix, name, chain)
+                self._read_include(child, folder, matrix, name, chain)
             elif child.tag == "light":
-                self._light(child, matrix)
-            elif child.tag not in _SILENT:
+                self._read_light(child, matrix)
+            elif child.tag not in _IGNORED:
                 self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
 
-    def _say_what_is_fixed(self, element: Element) -> None:
-        # Without <static> a model would fall and be pushed about.
+    def _warn_if_dynamic(self, element: Element) -> None:
+        # In Gazebo, a model without <static> falls and can be pushed.
         if element.tag == "model" and (element.findtext("static") or "false").strip() not in ("true", "1"):
-            self._report.warn("models that are not <static> stand still here")
+            self._report.warn("models that are not <static> do not move here")
 
     def _pose(self, element: Element) -> Array:
         pose = element.find("pose")
         if pose is not None and (pose.get("relative_to") or pose.get("frame")):
             self._report.warn(
-                "<pose relative_to> is not supported; such poses are taken in their parent's frame"
+                "<pose relative_to> is not supported; such poses are read in their parent's frame"
             )
         return parse_pose(element)
 
-    def _include(
+    def _read_include(
         self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
     ) -> None:
         uri = (element.findtext("uri") or "").strip()
         if element.find("placement_frame") is not None:
             self._report.warn("<placement_frame> is not supported and left out")
-        found = self._library.find(uri, folder)
+        found = self._finder.find(uri, folder)
         if found is None:
             return
         path, within = found
         if path.is_dir():
-            path = self._library.description(path, within)
+            path = self._finder.find_description(path, within)
         self._includes += 1
         if self._includes > _MOST_INCLUDES:
             raise WorldError(f"{self._report.source} has more than {_MOST_INCLUDES:,} <include>s: reduce it.")
         own = (element.findtext("name") or "").strip() or path.parent.name
-        self._file(path, within, matrix @ self._pose(element), _path(name, own), chain)
+        self._read_file(path, within, matrix @ self._pose(element), _path(name, own), chain)
 
-    def _link(self, link: Element, folder: WorldFiles, matrix: Array, name: str) -> None:
+    def _read_link(self, link: Element, folder: WorldFiles, matrix: Array, name: str) -> None:
         for child in link:
             if child.tag == "light":
-                self._light(child, matrix)
-            elif child.tag not in ("collision", "visual") and child.tag not in _SILENT:
+                self._read_light(child, matrix)
+            elif child.tag not in ("collision", "visual") and child.tag not in _IGNORED:
                 self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
         visuals, collisions = link.findall("visual"), link.findall("collision")
-        looks = [self._look(visual, folder) for visual in visuals]
-        look = next((colour for colour in looks if colour is not None), None)
+        colours = [self._visual_colour(visual, folder) for visual in visuals]
+        first = next((colour for colour in colours if colour is not None), None)
         for collision in collisions:
-            self._shape(collision, folder, matrix, name, look, visuals, solid=True)
+            self._read_shape(collision, folder, matrix, name, first, visuals, solid=True)
         if not collisions:
-            for visual, colour in zip(visuals, looks, strict=True):
-                self._shape(visual, folder, matrix, name, colour, [visual], solid=False)
+            for visual, colour in zip(visuals, colours, strict=True):
+                self._read_shape(visual, folder, matrix, name, colour, [visual], solid=False)
 
-    def _shape(
+    def _read_shape(
         self,
         holder: Element,
         folder: WorldFiles,
         matrix: Array,
         name: str,
-        look: Colour | None,
+        colour: Colour | None,
         visuals: list[Element],
         *,
         solid: bool,
@@ -186,104 +186,108 @@ class SdfReader:
             self._elements += 1
             if shape.tag == "plane":
                 if solid:
-                    self.found.planes.append((shape, matrix, look or GREY))
-                    self._rub("plane", friction)
+                    self._contents.planes.append((shape, matrix, colour or GREY))
+                    self._record_friction("plane", friction)
             elif shape.tag == "heightmap":
-                self._height_map(shape, folder, matrix, look, visuals)
-                self._rub("heightmap", friction)
+                self._read_height_map(shape, folder, matrix, colour, visuals)
+                self._record_friction("heightmap", friction)
             elif shape.tag != "empty":
-                parts = list(self._solids(shape, folder, matrix, name or "thing", look, solid))
+                parts = list(self._read_mesh(shape, folder, matrix, name or "thing", colour, solid))
                 for part in parts:
                     self._faces += len(part.faces)
-                    self._rub(part.name, friction)
+                    self._record_friction(part.name, friction)
                 if self._faces > MAX_FACES:
                     raise WorldError(
                         f"{self._report.source} has more than {MAX_FACES:,} triangles: reduce it."
                     )
-                self.found.parts += parts
+                self._contents.parts += parts
 
-    def _rub(self, name: str, friction: float | None) -> None:
+    def _record_friction(self, name: str, friction: float | None) -> None:
         if friction is not None:
-            self.found.frictions[name] = friction
+            self._contents.frictions[name] = friction
 
-    def _solids(
-        self, shape: Element, folder: WorldFiles, matrix: Array, name: str, look: Colour | None, solid: bool
+    def _read_mesh(
+        self, shape: Element, folder: WorldFiles, matrix: Array, name: str, colour: Colour | None, solid: bool
     ) -> Iterator[MeshPart]:
         mesh = build_primitive(shape)
         if mesh is not None:
-            yield MeshPart.of(name, *mesh, look, shape.tag, ground=None, solid=solid).transform(matrix)
+            yield MeshPart.from_triangles(name, *mesh, colour, shape.tag, ground=None, solid=solid).transform(
+                matrix
+            )
         elif shape.tag == "mesh":
             if shape.find("submesh") is not None:
-                self._report.warn("<submesh> is not supported; the whole mesh is taken")
-            found = self._library.find((shape.findtext("uri") or "").strip(), folder)
+                self._report.warn("<submesh> is not supported; the whole mesh is used")
+            found = self._finder.find((shape.findtext("uri") or "").strip(), folder)
             if found is None:
                 return
             path, within = found
             real = path.resolve()
             if real not in self._meshes:
-                self._meshes[real] = load_mesh_parts(path, within.at(path.parent), self._report)
+                self._meshes[real] = load_mesh_parts(path, within.relative_to(path.parent), self._report)
             scale = np.eye(4)
             scale[range(3), range(3)] = parse_numbers(shape.find("scale"), 3, (1, 1, 1))
             if abs(float(np.linalg.det(scale))) < 1e-12:
                 raise WorldError("<scale> of a <mesh> must not be zero.")
             for part in self._meshes[real]:
                 about = f"{part.name} {path.stem} {part.about}"
-                colours = part.colours if look is None else look
-                texture = part.texture if look is None else None
-                yield MeshPart.of(
+                colours = part.colours if colour is None else colour
+                texture = part.texture if colour is None else None
+                yield MeshPart.from_triangles(
                     name, part.vertices, part.faces, colours, about, ground=None, solid=solid, texture=texture
                 ).transform(matrix @ scale)
         else:
             self._report.warn(f"<{printable(shape.tag, 40)}> as a shape is not supported and left out")
 
-    def _height_map(
-        self, shape: Element, folder: WorldFiles, matrix: Array, look: Colour | None, visuals: list[Element]
+    def _read_height_map(
+        self, shape: Element, folder: WorldFiles, matrix: Array, colour: Colour | None, visuals: list[Element]
     ) -> None:
-        found = self._library.find((shape.findtext("uri") or "").strip(), folder)
+        found = self._finder.find((shape.findtext("uri") or "").strip(), folder)
         if found is None:
             return
         picture, tile_m = None, 10.0
         pictures = [shape, *(s for visual in visuals for s in visual.iter("heightmap"))]
         for texture in (t for s in pictures for t in s.findall("texture")):
-            diffuse = self._picture((texture.findtext("diffuse") or "").strip(), folder)
+            diffuse = self._read_picture((texture.findtext("diffuse") or "").strip(), folder)
             if picture is None and diffuse is not None:
                 picture, tile_m = diffuse, float(parse_numbers(texture.find("size"), 1, (10.0,))[0])
-            # Only its absence is told.
-            self._picture((texture.findtext("normal") or "").strip(), folder)
+            # Normal maps are not used, but their absence is reported.
+            self._read_picture((texture.findtext("normal") or "").strip(), folder)
         if not 1e-3 <= tile_m <= 1e5:
-            self._report.warn(f"<size> of a <texture> is {tile_m:g} m; it is shown in its mean colour")
-            look = look or (None if picture is None else mean_colour(picture))
+            self._report.warn(f"<size> of a <texture> is {tile_m:g} m; its mean colour is used")
+            colour = colour or (None if picture is None else mean_colour(picture))
             picture = None
         size = parse_numbers(shape.find("size"), 3, (1, 1, 1))
-        place = np.eye(4)
-        place[:3, 3] = parse_numbers(shape.find("pos"), 3, (0, 0, 0))
+        offset = np.eye(4)
+        offset[:3, 3] = parse_numbers(shape.find("pos"), 3, (0, 0, 0))
         if not ((size > 0) & (size < 1e5)).all():
             raise WorldError("<size> of a <heightmap> must be above 0.")
-        self.found.height_maps.append(SdfHeightMap(found[0], size, matrix @ place, look, picture, tile_m))
+        self._contents.height_maps.append(
+            SdfHeightMap(found[0], size, matrix @ offset, colour, picture, tile_m)
+        )
 
-    def _look(self, visual: Element, folder: WorldFiles) -> Colour | None:
-        """A visual's one colour; None where it says none, or is a mesh with its own."""
+    def _visual_colour(self, visual: Element, folder: WorldFiles) -> Colour | None:
+        """The colour of a visual's material; None if it has none, so that a mesh keeps its own."""
         material = visual.find("material")
         if material is None:
             return None
-        picture = self._picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
-        found = None if picture is None else mean_colour(picture)
-        if found is None and material.find("diffuse") is not None:
+        picture = self._read_picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        colour = None if picture is None else mean_colour(picture)
+        if colour is None and material.find("diffuse") is not None:
             words = (material.findtext("diffuse") or "").split()[:4]
             try:
                 red, green, blue = (min(max(float(word), 0.0), 1.0) for word in words[:3])
-                found = (red, green, blue)
+                colour = (red, green, blue)
             except ValueError:
                 self._report.warn(f"<diffuse> {printable(' '.join(words), 40)!r} is no colour")
         script = material.findtext("script/name")
-        if found is None and script:
+        if colour is None and script:
             self._report.warn("material scripts are not supported; their colours are guessed by name")
-            found = guess_colour(script)
-        return found
+            colour = guess_colour(script)
+        return colour
 
-    def _picture(self, uri: str, folder: WorldFiles) -> Bytes | None:
-        """A picture; None, with a warning, where it cannot be read."""
-        found = self._library.find(uri, folder) if uri else None
+    def _read_picture(self, uri: str, folder: WorldFiles) -> Bytes | None:
+        """An image; None, with a warning, if it cannot be read."""
+        found = self._finder.find(uri, folder) if uri else None
         if found is None:
             return None
         real = found[0].resolve()
@@ -295,21 +299,21 @@ class SdfReader:
             self._report.warn(f"{printable(uri)} is left out: {first_line(error)}")
             return None
 
-    def _light(self, element: Element, matrix: Array) -> None:
+    def _read_light(self, element: Element, matrix: Array) -> None:
         if element.get("type") != "directional":
             self._report.warn(
                 f"lights of type {printable(element.get('type') or 'none', 20)!r} are left out; "
                 "the sun is kept"
             )
             return
-        if self.found.light is not None:
+        if self._contents.light is not None:
             self._report.warn("has several directional lights; the first is the sun")
             return
-        self.found.light = parse_sun(element, (matrix @ self._pose(element))[:3, :3], self._report)
+        self._contents.light = parse_sun(element, (matrix @ self._pose(element))[:3, :3], self._report)
 
 
 def mean_colour(picture: Bytes) -> Colour:
-    """The mean in sRGB of a picture's bytes (rows, columns, 3)."""
+    """The mean colour in sRGB of an image (rows, columns, 3) of bytes."""
     red, green, blue = (picture.mean(axis=(0, 1)) / 255.0).tolist()
     return red, green, blue
 

@@ -1,4 +1,4 @@
-"""Numbers, poses and simple shapes of SDF files."""
+"""Numbers, poses and primitive shapes of SDF files."""
 
 from xml.etree.ElementTree import Element
 
@@ -17,7 +17,7 @@ _LARGEST_M = 1e5
 
 
 def parse_numbers(element: Element | None, count: int, default: tuple[float, ...]) -> Array:
-    """The `count` finite numbers that an element holds; the default where there is no element or no text."""
+    """The `count` finite numbers in an element; `default` without an element or text."""
     text = None if element is None else (element.text or "").strip()
     if not text or element is None:
         return np.array(default, np.float64)
@@ -31,7 +31,7 @@ def parse_numbers(element: Element | None, count: int, default: tuple[float, ...
 
 
 def parse_pose(element: Element) -> Array:
-    """The transform (4, 4) of an element's <pose>: x y z [m], roll pitch yaw [rad] unless it says other."""
+    """The transform (4, 4) of an element's <pose>: by default x y z [m] and roll pitch yaw [rad]."""
     pose = element.find("pose")
     if pose is None:
         return np.eye(4)
@@ -53,46 +53,48 @@ def build_primitive(element: Element) -> Mesh | None:
     """The closed surface of a <box>, <cylinder>, <cone>, <sphere>, <ellipsoid> or <capsule>; else None."""
     kind = element.tag
     if kind == "box":
-        solid = trimesh.creation.box(_lengths(element, "size", 3, (1, 1, 1)))
+        solid = trimesh.creation.box(_parse_lengths(element, "size", 3, (1, 1, 1)))
     elif kind == "cylinder":
-        radius, length = _round(element)
+        radius, length = _parse_round(element)
         solid = trimesh.creation.cylinder(radius, length, sections=_ROUND_SIDES)
     elif kind == "cone":
-        radius, length = _round(element)
+        radius, length = _parse_round(element)
         solid = trimesh.creation.cone(radius, length, sections=_ROUND_SIDES)
         solid.vertices[:, 2] -= length / 2
     elif kind == "capsule":
-        radius, length = _round(element)
+        radius, length = _parse_round(element)
         solid = trimesh.creation.capsule(length, radius, count=(_ROUND_SIDES, _ROUND_SIDES))
         solid.vertices[:, 2] -= solid.vertices[:, 2].min() + radius + length / 2
     elif kind == "sphere":
-        radius = float(_lengths(element, "radius", 1, (1,))[0])
+        radius = float(_parse_lengths(element, "radius", 1, (1,))[0])
         solid = trimesh.creation.icosphere(2, radius)
     elif kind == "ellipsoid":
         solid = trimesh.creation.icosphere(2, 1.0)
-        solid.vertices *= _lengths(element, "radii", 3, (1, 1, 1))
+        solid.vertices *= _parse_lengths(element, "radii", 3, (1, 1, 1))
     else:
         return None
     return np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int32)
 
 
 def build_plane(element: Element, least_m: Array) -> Mesh:
-    """A <plane> as two triangles of its size, and at least `least_m` (2,): to physics it has no end."""
+    """A <plane> as two triangles of its size, at least `least_m` (2,): Gazebo's planes are infinite."""
     normal = parse_numbers(element.find("normal"), 3, (0, 0, 1))
     length = float(np.linalg.norm(normal))
     if length < 1e-9:
         raise WorldError("<normal> of a <plane> must not be zero.")
-    half = np.maximum(_lengths(element, "size", 2, (1, 1)), least_m) / 2
+    half = np.maximum(_parse_lengths(element, "size", 2, (1, 1)), least_m) / 2
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 1.0]
     turn = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], normal / length)[:3, :3]
     return corners @ np.asarray(turn).T, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
-def _round(element: Element) -> tuple[float, float]:
-    return float(_lengths(element, "radius", 1, (0.5,))[0]), float(_lengths(element, "length", 1, (1,))[0])
+def _parse_round(element: Element) -> tuple[float, float]:
+    return float(_parse_lengths(element, "radius", 1, (0.5,))[0]), float(
+        _parse_lengths(element, "length", 1, (1,))[0]
+    )
 
 
-def _lengths(element: Element, name: str, count: int, default: tuple[float, ...]) -> Array:
+def _parse_lengths(element: Element, name: str, count: int, default: tuple[float, ...]) -> Array:
     found = parse_numbers(element.find(name), count, default)
     if not ((found > 0) & (found <= _LARGEST_M)).all():
         raise WorldError(f"<{name}> of a <{element.tag}> must be above 0 and at most {_LARGEST_M:g} m.")

@@ -13,7 +13,7 @@ Colour = tuple[float, float, float]
 
 
 def parse_sun(element: Element, turn: NDArray[np.float64], report: ImportReport) -> LightConf | None:
-    """The sun of a <light> whose frame is turned by `turn` (3, 3); None, with a warning, if from below."""
+    """The sun of a <light> with orientation `turn` (3, 3); None, with a warning, if it shines upwards."""
     to_sun = -turn @ parse_numbers(element.find("direction"), 3, (0, 0, -1))
     length = float(np.linalg.norm(to_sun))
     if length < 1e-9 or to_sun[2] / length < 0.02:
