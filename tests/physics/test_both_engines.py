@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batches import metric, real_batch
+from simulations import act, metric, metrics, motion_of_group, observation, started_simulation
 
 from dune_rl.physics.interface import ENGINES
 
@@ -34,30 +34,33 @@ WANDERING: dict[str, Any] = {
 def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     world = {"name": "island", "grass_cover": 0.3}
     settings = {**WANDERING, "robot": robot, "sensors": ROBOTS[robot]}
-    bullet, dart = (real_batch(world, 2, 6, physics=engine, **settings) for engine in ENGINES)
+    bullet, dart = (started_simulation(world, 2, 6, physics=engine, **settings) for engine in ENGINES)
     # Both have settled on their wheels or feet.
-    np.testing.assert_allclose(bullet.motion.position_w, dart.motion.position_w, atol=0.02)
+    np.testing.assert_allclose(
+        motion_of_group(bullet).position_w, motion_of_group(dart).position_w, atol=0.02
+    )
     # The one goes where the other does: what is drawn, seen and earned must then agree in each bit.
-    for leader, engine in zip(bullet.rovers[0].engines, dart.rovers[0].engines, strict=True):
-        for told in ("body_state", "drive_state", "contacts"):
-            monkeypatch.setattr(engine, told, getattr(leader, told))
+    for scene in range(2):
+        (leader,), (follower,) = bullet.scenes.robots(scene), dart.scenes.robots(scene)
+        for name in ("body_state", "drive_state", "contacts"):
+            monkeypatch.setattr(follower, name, getattr(leader, name))
     dart.reseed(6)
     dart.reset()
     draws = np.random.default_rng(0)
-    low, high = bullet.robot.action_bounds()
+    low, high = bullet.group().action_bounds
     for step in range(14):
-        ahead = draws.uniform(low, high, (2, len(low))).astype(np.float32)
-        people = draws.uniform(-1.0, 1.0, (2, 1, 2)).astype(np.float32)
-        outcomes = [batch.step(ahead, people) for batch in (bullet, dart)]
-        np.testing.assert_array_equal(outcomes[0].rover_reward, outcomes[1].rover_reward)
-        np.testing.assert_array_equal(outcomes[0].walker_reward, outcomes[1].walker_reward)
-        np.testing.assert_array_equal(bullet.metrics(), dart.metrics())
-        found = dart.observe() | dart.observe_walkers()
-        for name, expected in (bullet.observe() | bullet.observe_walkers()).items():
-            np.testing.assert_array_equal(found[name], expected, err_msg=f"{name}, step {step}")
-    assert np.ptp(bullet.observe()["currents"]) > 0.0
-    for batch in (bullet, dart):
-        batch.close()
+        ahead = draws.uniform(low, high, (2, len(low)))
+        people = draws.uniform(-1.0, 1.0, (2, 1, 2))
+        one, other = (act(simulation, ahead, walker=people) for simulation in (bullet, dart))
+        for name, expected in one.groups.items():
+            np.testing.assert_array_equal(other.groups[name].reward, expected.reward)
+            np.testing.assert_array_equal(metrics(dart, name), metrics(bullet, name))
+            found = observation(dart, name)
+            for part, value in observation(bullet, name).items():
+                np.testing.assert_array_equal(found[part], value, err_msg=f"{name} {part}, step {step}")
+    assert np.ptp(observation(bullet)["currents"]) > 0.0
+    for simulation in (bullet, dart):
+        simulation.close()
 
 
 # Tyres that grip less sideways are beyond DART.
@@ -70,13 +73,16 @@ GRIPPING_LEO = {"name": "leo_rover", "sideways_friction_share": 1.0}
 def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
     found = []
     for engine in ENGINES:
-        batch = real_batch("flat", 4, 6, robot=robot, physics=engine, task=task, metrics={"energy": True})
-        start, speed = batch.motion.position_w.copy(), 0.7 * batch.robot.max_speed_mps
+        settings = {"robot": robot, "physics": engine, "task": task, "metrics": {"energy": True}}
+        simulation = started_simulation("flat", 4, 6, **settings)
+        start = motion_of_group(simulation).position_w.copy()
+        speed = 0.7 * simulation.group().body.robot.max_speed_mps
         for _ in range(60):
-            batch.step(np.tile(np.float32([speed, 0.05]), (4, 1)))
-        assert np.linalg.norm(batch.motion.position_w - start, axis=1).min() > 0.4
-        found.append((batch.motion.position_w, metric(batch, "return"), metric(batch, "energy_wh")))
-        batch.close()
+            act(simulation, [speed, 0.05])
+        position = motion_of_group(simulation).position_w
+        assert np.linalg.norm(position - start, axis=1).min() > 0.4
+        found.append((position, metric(simulation, "return"), metric(simulation, "energy_wh")))
+        simulation.close()
     (here, earned, used), (there, also_earned, also_used) = found
     np.testing.assert_allclose(here, there, atol=0.2)
     np.testing.assert_allclose(earned, also_earned, rtol=0.15, atol=0.5)

@@ -9,7 +9,6 @@ which of these it is for.
 
 import numpy as np
 import pytest
-from batches import every_engine, idle, real_batch
 from scenes import (
     GRAVITY_MPS2,
     SUBSTEPS,
@@ -24,6 +23,7 @@ from scenes import (
 )
 from scipy.special import ellipk
 from simple_robots import MASS_KG, ball, block, body, cart, joint, link, sled
+from simulations import act, every_engine, observation, started_simulation
 
 from dune_rl.config.build import build_robot
 from dune_rl.config.compose import compose_environment
@@ -260,12 +260,12 @@ def test_a_ball_in_a_groove_lies_at_the_height_that_geometry_says(backend, tmp_p
 
 @every_engine
 def test_an_inertial_unit_at_rest_feels_gravity(engine):
-    batch = real_batch("flat", 2, physics=engine)
+    simulation = started_simulation("flat", 2, physics=engine)
     felt = []
     for _ in range(30):
-        batch.step(idle(batch))
-        felt.append(batch.observe()["imu"][:, :3])
-    batch.close()
+        act(simulation)
+        felt.append(observation(simulation)["imu"][:, :3])
+    simulation.close()
     # After a landing; what is left is the creep of brakes that are servos.
     np.testing.assert_allclose(np.mean(felt[15:], axis=(0, 1)), [0.0, 0.0, GRAVITY_MPS2], atol=0.02)
 
