@@ -139,7 +139,8 @@ class SensorsConf(Settings):
                 remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
                 raise ValueError(f"there is no sensor {name!r}; {remedy}")
             if instrument not in named and instrument not in SENSOR_KINDS:
-                _default_settings(instrument)
+                # A user's sensor: its settings take it to worker processes, and are saved with a run.
+                named[instrument] = _default_settings(instrument)
         return enabled
 
     def check_timing(self, step_s: float) -> None:
