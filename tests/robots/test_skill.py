@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulations import every_engine
 
-from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
 from dune_rl.learning.evaluation import Row, evaluate
 from dune_rl.learning.policies import built_in_policy
@@ -26,8 +26,8 @@ def episodes(world: str, robot: str, engine: Engine, *settings: str) -> list[Row
             *settings,
         ],
     )
-    env = make_torchrl_env(conf, 16, 0)
-    rows = evaluate(built_in_policy("go_to_goal", env), env, 100, 0)
+    env = make_learning_env(conf, 16, 0)
+    (rows,) = evaluate(built_in_policy("go_to_goal", env), env, 100, 0).values()
     env.close()
     return rows
 
@@ -49,5 +49,5 @@ def test_a_dog_walks_five_metres_on_a_slope_of_ten_degrees(engine: Engine, tmp_p
     # Who falls does not succeed.
     assert np.mean([row["success"] for row in rows]) >= 0.95
     # By the least way that it can have had: its speed is more.
-    arrived_m = compose_environment("flat").agents["rover"].task.terminations["goal_reached"]["distance_m"]
+    arrived_m = compose_environment("flat").task.terminations["goal_reached"].distance_m
     assert np.nanmedian([(FAR_M - arrived_m) / row["time_to_goal"] for row in rows]) >= 0.2
