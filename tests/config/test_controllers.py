@@ -48,5 +48,7 @@ def test_settings_of_a_behaviour_reach_it() -> None:
 
 
 def test_a_policy_of_another_body_is_refused() -> None:
-    with pytest.raises(CheckpointError, match="was made for another environment: lidar is missing|lidar has"):
+    with pytest.raises(
+        CheckpointError, match=r"was made for another environment: lidar is missing|lidar has"
+    ):
         simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
