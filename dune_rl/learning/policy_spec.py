@@ -14,9 +14,7 @@ from torch import Tensor
 from dune_rl.errors import CheckpointError
 
 if TYPE_CHECKING:
-    from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase
-
 
 Array = NDArray[Any]
 
@@ -62,26 +60,14 @@ class PolicySpec:
 
     @classmethod
     def of(cls, env: "EnvBase", group: str) -> "PolicySpec":
-        """The spec of an agent group of `env`: every vector and image that it observes, by name."""
-        observation = env.observation_spec[group, "observation"]
-        # Behind the axes of scenes and of agents.
-        axes = len(env.batch_size) + 1
-        parts = dict(sorted(observation.items()))
-        sizes = {
-            key: spec.shape[-1]
-            for key, spec in parts.items()
-            if spec.dtype.is_floating_point and spec.ndim == axes + 1
+        """The spec of an agent group of `env`."""
+        # All agents of all scenes have the bounds of the first.
+        action = env.full_action_spec[group, "action"].space
+        observation = {
+            key: (spec.space.low[0, 0].numpy(), spec.space.high[0, 0].numpy())
+            for key, spec in env.observation_spec[group, "observation"].items()
         }
-        images = {key: _image_spec(spec) for key, spec in parts.items() if spec.ndim == axes + 3}
-        action = env.full_action_spec[group, "action"]
-        size = action.shape[-1]
-        return cls(
-            sizes,
-            tuple(action.space.low.reshape(-1, size)[0].tolist()),
-            tuple(action.space.high.reshape(-1, size)[0].tolist()),
-            tuple(key for key in sizes if _is_positive(parts[key])),
-            images,
-        )
+        return cls.of_bounds(observation, (action.low[0, 0].numpy(), action.high[0, 0].numpy()))
 
     @classmethod
     def of_bounds(
@@ -227,13 +213,3 @@ class PolicySpec:
             return None
         height, width, channels = self.images[key].shape
         return f"{height} by {width} pixels of {channels}"
-
-
-def _image_spec(spec: "TensorSpec") -> ImageSpec:
-    low, high = float(spec.space.low.min()), float(spec.space.high.max())
-    return ImageSpec(tuple(spec.shape[-3:]), spec.dtype == torch.uint8, low, high)
-
-
-def _is_positive(spec: "TensorSpec") -> bool:
-    low = getattr(spec.space, "low", None)
-    return low is not None and bool((low > 0).all())

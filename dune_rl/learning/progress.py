@@ -11,6 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 
+# Columns that the whole line takes beside a bar that can be read.
+_WIDE = 120
+
+
 @dataclass(frozen=True)
 class Status:
     """Where a run is: counts, recent speeds [1/s], and the success rate over recent training episodes."""
@@ -20,7 +24,7 @@ class Status:
     frames_per_s: float
     updates_per_s: float
     success_rate: float
-    doing: str = "training"
+    activity: str = "training"
 
     @property
     def seconds_left(self) -> float:
@@ -30,7 +34,7 @@ class Status:
 
     def counts(self) -> str:
         """What is being done, and how far it is."""
-        return f"{self.doing}  {self.frames:,} of {self.total_frames:,} frames"
+        return f"{self.activity}  {self.frames:,} of {self.total_frames:,} frames"
 
     def figures(self) -> str:
         """Speeds, success rate and time left, in one line."""
@@ -76,9 +80,10 @@ class Silent:
 
 
 class Bar:
-    """A progress bar on a terminal."""
+    """A progress bar on a terminal, with the counts of frames where that is wide enough."""
 
     def __init__(self, console: Console) -> None:
+        self._is_wide = console.width >= _WIDE
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=None),
@@ -102,7 +107,7 @@ class Bar:
             self._task,
             completed=status.frames,
             total=status.total_frames,
-            description=status.counts(),
+            description=status.counts() if self._is_wide else status.activity,
             figures=status.figures(),
         )
 

@@ -1,5 +1,6 @@
 """The algorithms there are: ours, those of installed packages, and those that a program registers."""
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from dune_rl.errors import CheckpointError, ConfigError
@@ -9,7 +10,22 @@ from dune_rl.registry import Registry
 if TYPE_CHECKING:
     from dune_rl.learning.algorithm import Algorithm, LearnerContext
 
-ALGORITHMS: Registry[Any] = Registry(
+# Our algorithms' settings, which can be imported without PyTorch.
+_OWN_SETTINGS = {"sac": "dune_rl.learning.sac.settings:SacConf"}
+
+
+class AlgorithmRegistry(Registry[Any]):
+    """Learning algorithms, with settings of ours that are read, and refused, without loading PyTorch."""
+
+    def settings_class(self, name: str) -> Any | None:
+        """The settings class of the algorithm `name`, None where there is none."""
+        if name not in _OWN_SETTINGS:
+            return super().settings_class(name)
+        module, _, attribute = _OWN_SETTINGS[name].partition(":")
+        return getattr(importlib.import_module(module), attribute)
+
+
+ALGORITHMS = AlgorithmRegistry(
     "algorithm",
     "dune_rl.learning.registry:ALGORITHMS",
     own={"sac": "dune_rl.learning.sac.learner:Sac"},
