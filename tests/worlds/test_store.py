@@ -94,7 +94,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
         built.append(conf)
         return build(conf)
 
-    monkeypatch.setattr(registry, "build", counting)
+    monkeypatch.setattr(module, "build", counting)
     return built
 
 
