@@ -72,9 +72,15 @@ _METRICS = (
     ),
     _renaming("uneven_tilt_rad", "terms.vort.uneven_tilt_deg", convert=_degrees),
 )
+_ROBOT = (
+    _renaming("mounts.camera_pitch_rad", "mounts.camera_pitch_deg", convert=_degrees),
+    _renaming("gait.careful_from_rad", "gait.slow_from_tilt_deg", convert=_degrees),
+    _renaming("gait.careful_to_rad", "gait.slow_to_tilt_deg", convert=_degrees),
+    _renaming("gait.careful_share", "gait.slow_speed_share"),
+)
 
 # The renamed settings of each section of an environment's settings.
-RENAMED: Mapping[str, tuple[Renaming, ...]] = {"task": _TASK, "metrics": _METRICS}
+RENAMED: Mapping[str, tuple[Renaming, ...]] = {"task": _TASK, "metrics": _METRICS, "robot": _ROBOT}
 _WALKING = {
     "progress_scale": "progress.weight",
     "near_miss": "near_miss.weight",

@@ -211,7 +211,7 @@ class AgentGroup:
         if isinstance(self.body, KinematicBody):
             self.body.drive(actions)
             return
-        known = now.motion
+        known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:

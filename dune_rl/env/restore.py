@@ -27,6 +27,6 @@ def check_arrival(saved: str | None, state: State | None) -> None:
     """
     if saved is not None and saved != state_digest(state):
         raise RestoreError(
-            "the episodes under way, played again, arrived elsewhere than where they were saved: this machine "
-            "or this version computes otherwise. Start new episodes, or go on where the run was saved."
+            "the episodes under way, played again, arrived elsewhere than where they were saved: this machine"
+            " or this version computes otherwise. Start new episodes, or go on where the run was saved."
         )

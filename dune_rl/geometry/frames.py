@@ -50,6 +50,16 @@ def rotation_from_yaw(yaw: Array) -> Array:
     return out
 
 
+def rotation_from_angles(angles: Array) -> Array:
+    """Body-to-world rotation, shape (..., 3, 3), by roll, pitch and yaw (..., 3) [rad]."""
+    out = np.empty((*angles.shape[:-1], 3, 3))
+    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(part, -1, 0) for part in (np.sin(angles), np.cos(angles)))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -sp, cp * sr, cp * cr
+    return out
+
+
 def roll_pitch_yaw(rotation: Array) -> Array:
     """Roll, pitch and yaw [rad], shape (..., 3), of rotations (..., 3, 3), applied in that order.
 

@@ -1,6 +1,5 @@
 """Default poses of the sensors on a robot."""
 
-import numpy as np
 from pydantic import Field
 
 from dune_rl.settings import Settings
@@ -11,10 +10,10 @@ Triple = tuple[float, float, float]
 class MountsConf(Settings):
     """Positions of the sensors in the robot's frame [m]: scanners and depth strip, camera, and IMU.
 
-    They apply to sensors whose own `mount_b` is null. `camera_pitch_rad` is positive downward.
+    They apply to sensors whose own `mount_b` is null. `camera_pitch_deg` is the downward tilt of the camera.
     """
 
     scanner_b: Triple = (0.174, 0.0, 0.196)
     camera_b: Triple = (0.2, 0.0, 0.175)
-    camera_pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    camera_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
     imu_b: Triple = (0.0, 0.0, 0.096)

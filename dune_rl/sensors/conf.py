@@ -19,9 +19,11 @@ from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.odometry import OdometryConf
 from dune_rl.sensors.position import PositionConf
 from dune_rl.sensors.realism.camera import CameraRealismConf
+from dune_rl.sensors.realism.defaults import default_realism
 from dune_rl.sensors.realism.lidar import LidarRealismConf
 from dune_rl.sensors.realism.pipeline import (
     EncoderRealismConf,
+    GoalRealismConf,
     ImuRealismConf,
     OdometryRealismConf,
     PositionRealismConf,
@@ -53,9 +55,12 @@ _PAST = "_past"
 
 
 class SensorRealismConf(Settings):
-    """The faults of real parts, for the sensors that have any; null is a perfect one.
+    """The faults of real parts.
 
-    A name alone (`imu: bno055`) is a part that is known, with all its figures.
+    Where all are null, every reading is exact. Once one is set, those that are null have the default part of
+    their kind (`realism/defaults.py`), and goal, velocity, the past scan's motion and what the robot's
+    controller knows are computed from faulty readings. A name alone (`imu: bno055`) is a part that is known,
+    with all its figures; `perfect` has no faults.
     """
 
     imu: ImuRealismConf | None = None
@@ -64,11 +69,17 @@ class SensorRealismConf(Settings):
     depth_strip: ReadingRealismConf | None = None
     height_scan: ReadingRealismConf | None = None
     camera: CameraRealismConf | None = None
+    goal: GoalRealismConf | None = None
     velocity: SpeedRealismConf | None = None
     encoders: EncoderRealismConf | None = None
     odometry: OdometryRealismConf | None = None
     currents: ReadingRealismConf | None = None
     position: PositionRealismConf | None = None
+
+    @property
+    def is_set(self) -> bool:
+        """Whether any sensor has faults."""
+        return any(getattr(self, name) is not None for name in type(self).model_fields)
 
     def check(self, step_s: float) -> None:
         """Raise ValueError where a rate or a latency does not fit control steps of `step_s`."""
@@ -128,7 +139,8 @@ class SensorsConf(Settings):
                 remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
                 raise ValueError(f"there is no sensor {name!r}; {remedy}")
             if instrument not in named and instrument not in SENSOR_KINDS:
-                _default_settings(instrument)
+                # A user's sensor: its settings take it to worker processes, and are saved with a run.
+                named[instrument] = _default_settings(instrument)
         return enabled
 
     def check_timing(self, step_s: float) -> None:
@@ -149,14 +161,31 @@ class SensorsConf(Settings):
         }
         return self.model_copy(update=changes)
 
-    def requests(self) -> list[SensorRequest]:
+    @property
+    def is_realistic(self) -> bool:
+        """Whether any sensor has the faults of a real part: then none is perfect unless it is set so."""
+        return self.realism.is_set or any(conf.realism is not None for conf in self.named.values())
+
+    def requests(self, step_s: float) -> list[SensorRequest]:
         """The enabled sensors, each once, in the order of their first readings."""
         readings: dict[str, list[str]] = {}
         for name in self.enabled:
             instrument = _instrument(name, self.named)
             assert instrument is not None
             readings.setdefault(instrument, []).append(name)
-        return [self._request(name, names) for name, names in readings.items()]
+        realistic = self.is_realistic
+        return [self._request(name, names, step_s, realistic) for name, names in readings.items()]
+
+    def navigation_requests(self, step_s: float) -> dict[str, SensorRequest]:
+        """The instruments that a robot navigates by, whether they are observed or not."""
+        names = ["imu", "odometry", "velocity"]
+        kinds = {_kind_of(name, self.named) for name in [*self.enabled, *self.named]}
+        if kinds & {"goal", "position"}:
+            names.append("position")
+        # One of another kind that has the name of such an instrument leaves that as it is.
+        named = {key: conf for key, conf in self.named.items() if key not in names or conf.sensor == key}
+        plain = self.model_copy(update={"named": named})
+        return {name: plain._request(name, [name], step_s, self.is_realistic) for name in names}
 
     def readings(self) -> list[str]:
         """Names of the readings, in order: a camera and a 3D LiDAR have one for each output."""
@@ -164,24 +193,26 @@ class SensorsConf(Settings):
         for name in self.enabled:
             instrument = _instrument(name, self.named)
             assert instrument is not None
-            request = self._request(instrument, [name])
-            kind = SENSOR_KINDS.get(request.kind)
-            outputs = request.settings.outputs if kind is not None and kind.has_outputs else ()
+            kind = SENSOR_KINDS.get(_kind_of(instrument, self.named) or "")
+            outputs = self._settings(instrument).outputs if kind is not None and kind.has_outputs else ()
             names += [f"{name}_{output}" for output in outputs] or [name]
         return names
 
-    def _request(self, name: str, readings: list[str]) -> SensorRequest:
+    def _settings(self, name: str) -> Any:
+        """The settings of the sensor called `name`."""
+        if name in self.named:
+            return self.named[name]
+        return getattr(self, name) if name in type(self).model_fields else _default_settings(name)
+
+    def _request(self, name: str, readings: list[str], step_s: float, realistic: bool) -> SensorRequest:
         kind = _kind_of(name, self.named)
         assert kind is not None
-        settings: Any
-        if name in self.named:
-            settings = self.named[name]
-            realism = settings.realism
-        else:
-            own = name in type(self).model_fields
-            settings = getattr(self, name) if own else _default_settings(kind)
-            realism = getattr(self.realism, name, None)
-        return SensorRequest(name, kind, settings, realism, tuple(readings), self.past_s, self.encoders)
+        realism = self.named[name].realism if name in self.named else getattr(self.realism, name, None)
+        if realism is None and realistic:
+            realism = default_realism(kind, step_s)
+        return SensorRequest(
+            name, kind, self._settings(name), realism, tuple(readings), self.past_s, self.encoders
+        )
 
 
 def _instrument(reading: str, named: Mapping[str, SensorSettings]) -> str | None:

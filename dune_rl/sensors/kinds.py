@@ -1,6 +1,6 @@
 """The kinds of sensors: their settings, their realism, and how each is built."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,13 +18,16 @@ from dune_rl.sensors.imu import ImuConf, ImuSensor
 from dune_rl.sensors.lidar import Lidar, LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.sensors.medium import Compose, RangeEffect, effects_of
+from dune_rl.sensors.navigation import EstimatedGoal, EstimatedVelocity, Navigation
 from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
 from dune_rl.sensors.odometry import Odometry, OdometryConf
 from dune_rl.sensors.position import Position, PositionConf
 from dune_rl.sensors.realism.camera import CameraRealismConf, realistic_camera
+from dune_rl.sensors.realism.defaults import LEG_SPEED
 from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
 from dune_rl.sensors.realism.pipeline import (
     EncoderRealismConf,
+    GoalRealismConf,
     ImuRealismConf,
     OdometryRealismConf,
     PositionRealismConf,
@@ -51,7 +54,8 @@ class SensorRequest:
     """One sensor to be built: its name, its settings on the carrier, and its realism (None: a perfect one).
 
     `readings` are the names of those of its readings that are observed. `past_s` is the age of a LiDAR's past
-    scan, and `encoders` are the encoders by which odometry counts.
+    scan, and `encoders` are the encoders by which odometry counts. With `navigation`, what is derived from
+    the robot's motion is computed from its readings instead of the truth.
     """
 
     name: str
@@ -61,6 +65,7 @@ class SensorRequest:
     readings: tuple[str, ...]
     past_s: float
     encoders: EncodersConf
+    navigation: Navigation | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,9 @@ def _lidar(request: SensorRequest, context: SensorContext) -> Sensor:
         effects.append(BeamFaults(request.realism, conf, request.name))
     delay_steps = max(1, round(request.past_s / context.step_s))
     effect = Compose(effects) if effects else None
-    scanner = Scanner(lidar, request.readings, context.num_rows, delay_steps, effect, request.name)
+    scanner = Scanner(
+        lidar, request.readings, context.num_rows, delay_steps, effect, request.name, request.navigation
+    )
     return _plain(scanner, request, context)
 
 
@@ -139,7 +146,10 @@ def _imu(request: SensorRequest, context: SensorContext) -> Sensor:
 
 
 def _goal(request: SensorRequest, context: SensorContext) -> Sensor:
-    return _plain(Goal(context.num_rows, context.diagonal_m, request.name), request, context)
+    rows, farthest_m = context.num_rows, context.diagonal_m
+    if request.navigation is not None and request.realism is None:
+        return EstimatedGoal(request.navigation, rows, farthest_m, request.name)
+    return _plain(Goal(rows, farthest_m, request.name), request, context)
 
 
 def _velocity(request: SensorRequest, context: SensorContext) -> Sensor:
@@ -198,7 +208,7 @@ SENSOR_KINDS: dict[str, SensorKind] = {
     "height_scan": SensorKind(HeightScanConf, _height_scan, ReadingRealismConf),
     "camera": SensorKind(CameraConf, _camera, CameraRealismConf, "camera", has_outputs=True),
     "imu": SensorKind(ImuConf, _imu, ImuRealismConf, "imu"),
-    "goal": SensorKind(NoSensorSettings, _goal),
+    "goal": SensorKind(NoSensorSettings, _goal, GoalRealismConf),
     "velocity": SensorKind(NoSensorSettings, _velocity, SpeedRealismConf),
     "planar_velocity": SensorKind(NoSensorSettings, _planar_velocity, ReadingRealismConf),
     "nearest_agent": SensorKind(NearestAgentConf, _nearest_agent, ReadingRealismConf),
@@ -221,3 +231,26 @@ def build_sensor(request: SensorRequest, context: SensorContext) -> Sensor:
     params = part.signature.arguments(request.settings)
     sensor = FunctionSensor(request.name, part.target, context.num_rows, bounds, params, part.origin)
     return _plain(sensor, request, context)
+
+
+def build_navigation(requests: Mapping[str, SensorRequest], context: SensorContext) -> Navigation:
+    """What the robots know of their motion, from instruments "imu", "velocity", "odometry" and "position".
+
+    A velocity with realism of its own is measured with these faults; otherwise the speed is that of the
+    odometry, on a body without wheels that of its legs, and the yaw rate the gyroscope's.
+    """
+    rows, step_s = context.num_rows, context.step_s
+    imu = build_sensor(requests["imu"], context)
+    instruments: dict[str, Sensor] = {"imu": imu}
+    own = requests["velocity"].realism
+    if own is not None:
+        instruments["velocity"] = realistic(Velocity(rows), own, rows, step_s)
+    elif context.carrier.drive is not None:
+        instruments["odometry"] = build_sensor(requests["odometry"], context)
+        instruments["velocity"] = EstimatedVelocity(instruments["odometry"], imu, rows)
+    else:
+        legs = realistic(Velocity(rows), LEG_SPEED, rows, step_s)
+        instruments |= {"legs": legs, "velocity": EstimatedVelocity(legs, imu, rows)}
+    if "position" in requests:
+        instruments["position"] = build_sensor(requests["position"], context)
+    return Navigation(instruments, rows, step_s)

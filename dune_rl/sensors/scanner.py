@@ -6,6 +6,7 @@ import numpy as np
 
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.medium import RangeEffect
+from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.state import GroupState, State
@@ -18,7 +19,8 @@ class Scanner:
     """The readings `name` and "<name>_past", (N, n_segments) [m]; those that `wanted` names.
 
     The past scan is `delay_steps` control steps old, seen from the present pose. `effects` change the ranges
-    of both: what beams meet in the air, and the faults of a real part.
+    of both: what beams meet in the air, and the faults of a real part. The past scan is carried over by the
+    robot's true motion, or by `navigation` where there is one.
     """
 
     def __init__(
@@ -29,9 +31,10 @@ class Scanner:
         delay_steps: int,
         effects: RangeEffect | None = None,
         name: str = "lidar",
+        navigation: Navigation | None = None,
     ) -> None:
         self._lidar = lidar
-        self._effects = effects
+        self._effects, self._navigation = effects, navigation
         self._names = [name, f"{name}_past"]
         self._wanted = wanted
         self._past = PastScan(lidar.conf, num_rows, delay_steps) if self._names[1] in wanted else None
@@ -61,6 +64,8 @@ class Scanner:
         self._scan = self._lidar.segments(ranges)
         if self._past is None:
             return
+        if self._navigation is not None:
+            position_w, rotation = self._navigation.position_w, self._navigation.rotation
         origin = self._lidar.origin(position_w, rotation)
         # A beam that met nothing has no end: it must not come back as a wall at the end of its range.
         ended = np.where(ranges < self._lidar.conf.range_m, ranges, np.float32(_NOWHERE_M))

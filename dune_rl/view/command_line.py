@@ -39,7 +39,8 @@ SETTINGS = (
 def main() -> None:
     """Run the command line; ends the process."""
     command.run_command(
-        HelpPage("Render a world, its agents and their sensors.", USAGE, SETTINGS, CLOSING), _main)
+        HelpPage("Render a world, its agents and their sensors.", USAGE, SETTINGS, CLOSING), _main
+    )
 
 
 def _main(parsed: Namespace) -> None:

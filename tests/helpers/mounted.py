@@ -1,5 +1,7 @@
 """Settings of sensors that stand where rover_zero carries them."""
 
+import numpy as np
+
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.depth_strip import DepthStripConf
@@ -24,7 +26,8 @@ def depth_strip_conf(**settings: object) -> DepthStripConf:
 
 
 def camera_conf(**settings: object) -> CameraConf:
-    return CameraConf(**{"mount_b": MOUNTS.camera_b, "pitch_rad": MOUNTS.camera_pitch_rad, **settings})
+    pitch_rad = float(np.deg2rad(MOUNTS.camera_pitch_deg))
+    return CameraConf(**{"mount_b": MOUNTS.camera_b, "pitch_rad": pitch_rad, **settings})
 
 
 def imu_conf(**settings: object) -> ImuConf:

@@ -3,10 +3,19 @@
 from typing import Any
 
 import numpy as np
-from states import STEP_S, NoGround
+from states import STEP_S, FixedProximity, NoGround
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.state import BatteryModel, ContactState, EpisodeState, GoalState, GroupState, Motion, State
+from dune_rl.state import (
+    BatteryModel,
+    ContactState,
+    EnergyState,
+    EpisodeState,
+    GoalState,
+    GroupState,
+    Motion,
+    State,
+)
 
 EXTENT = (-50.0, 50.0, -20.0, 20.0)
 
@@ -74,13 +83,11 @@ def agents(
             acceleration_b=vector(acceleration_b),
         ),
         ContactState(numbers(touching, bool), numbers(new, int), numbers(total, int)),
-        np.zeros((rows, 0, 4)),
-        numbers(done, bool),
-        lambda: numbers(clearance),
         GoalState(np.zeros((rows, 2)), distances, distances + numbers(progress), numbers(bearing)),
-        None if work_j is None else numbers(work_j),
-        battery,
+        numbers(done, bool),
+        FixedProximity(np.zeros((rows, 0, 4)), numbers(clearance)),
         radius_m,
+        None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
         {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
     )
 

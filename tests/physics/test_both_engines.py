@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulations import act, metric, motion_of_group, observation, started_simulation
+from simulations import act, metric, metrics, motion_of_group, observation, started_simulation
 
 from dune_rl.physics.interface import ENGINES
 
@@ -30,10 +30,6 @@ WANDERING: dict[str, Any] = {
 }
 
 
-def robots_of(simulation):
-    return [scene.robots[0] for scene in simulation.scenes.built]
-
-
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     world = {"name": "island", "grass_cover": 0.3}
@@ -44,27 +40,27 @@ def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch
         motion_of_group(bullet).position_w, motion_of_group(dart).position_w, atol=0.02
     )
     # The one goes where the other does: what is drawn, seen and earned must then agree in each bit.
-    for leader, engine in zip(*(robots_of(each) for each in (bullet, dart)), strict=True):
-        for told in ("body_state", "drive_state", "contacts"):
-            monkeypatch.setattr(engine, told, getattr(leader, told))
+    for scene in range(2):
+        (leader,), (follower,) = bullet.scenes.robots(scene), dart.scenes.robots(scene)
+        for name in ("body_state", "drive_state", "contacts"):
+            monkeypatch.setattr(follower, name, getattr(leader, name))
     dart.reseed(6)
     dart.reset()
     draws = np.random.default_rng(0)
     low, high = bullet.group().action_bounds
     for step in range(14):
-        ahead = draws.uniform(low, high, (2, len(low))).astype(np.float32)
-        people = draws.uniform(-1.0, 1.0, (2, 1, 2)).astype(np.float32)
-        steps = [act(each, ahead, walker=people).groups for each in (bullet, dart)]
-        for group in steps[0]:
-            np.testing.assert_array_equal(steps[0][group].reward, steps[1][group].reward)
-        np.testing.assert_array_equal(bullet.metrics(), dart.metrics())
-        for group in steps[0]:
-            found = observation(dart, group)
-            for name, expected in observation(bullet, group).items():
-                np.testing.assert_array_equal(found[name], expected, err_msg=f"{name}, step {step}")
+        ahead = draws.uniform(low, high, (2, len(low)))
+        people = draws.uniform(-1.0, 1.0, (2, 1, 2))
+        one, other = (act(simulation, ahead, walker=people) for simulation in (bullet, dart))
+        for name, expected in one.groups.items():
+            np.testing.assert_array_equal(other.groups[name].reward, expected.reward)
+            np.testing.assert_array_equal(metrics(dart, name), metrics(bullet, name))
+            found = observation(dart, name)
+            for part, value in observation(bullet, name).items():
+                np.testing.assert_array_equal(found[part], value, err_msg=f"{name} {part}, step {step}")
     assert np.ptp(observation(bullet)["currents"]) > 0.0
-    for batch in (bullet, dart):
-        batch.close()
+    for simulation in (bullet, dart):
+        simulation.close()
 
 
 # Tyres that grip less sideways are beyond DART.
@@ -77,16 +73,16 @@ GRIPPING_LEO = {"name": "leo_rover", "sideways_friction_share": 1.0}
 def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
     found = []
     for engine in ENGINES:
-        batch = started_simulation(
-            "flat", 4, 6, robot=robot, physics=engine, task=task, metrics={"energy": True}
-        )
-        start = motion_of_group(batch).position_w.copy()
-        speed = 0.7 * batch.group().body.robot.max_speed_mps
+        settings = {"robot": robot, "physics": engine, "task": task, "metrics": {"energy": True}}
+        simulation = started_simulation("flat", 4, 6, **settings)
+        start = motion_of_group(simulation).position_w.copy()
+        speed = 0.7 * simulation.group().body.robot.max_speed_mps
         for _ in range(60):
-            act(batch, [speed, 0.05])
-        assert np.linalg.norm(motion_of_group(batch).position_w - start, axis=1).min() > 0.4
-        found.append((motion_of_group(batch).position_w, metric(batch, "return"), metric(batch, "energy_wh")))
-        batch.close()
+            act(simulation, [speed, 0.05])
+        position = motion_of_group(simulation).position_w
+        assert np.linalg.norm(position - start, axis=1).min() > 0.4
+        found.append((position, metric(simulation, "return"), metric(simulation, "energy_wh")))
+        simulation.close()
     (here, earned, used), (there, also_earned, also_used) = found
     np.testing.assert_allclose(here, there, atol=0.2)
     np.testing.assert_allclose(earned, also_earned, rtol=0.15, atol=0.5)

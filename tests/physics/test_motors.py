@@ -18,10 +18,9 @@ from scenes import (
     quaternion_of,
     rover_body,
 )
-from simulations import act, every_engine, metric, observation
+from simulations import act, every_engine, metric, observation, started_simulation
 
-from dune_rl.config.build import make_simulation
-from dune_rl.config.compose import compose_environment
+from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
 from dune_rl.physics.motors import Motor, Servos, motor_power_w, servo_targets
 
@@ -292,22 +291,20 @@ def test_work_told_is_the_energy_that_a_wheel_has(backend):
 
 @every_engine
 def test_energy_is_counted_where_it_is_asked_for(engine):
-    def batch(energy: str):
-        words = ["actors=none", f"metrics.energy={energy}", f"physics={engine}"]
-        conf = compose_environment("flat", words)
-        made = make_simulation(conf, 2, 0)
-        made.reset()
+    def driven(**settings) -> VectorSimulation:
+        simulation = started_simulation("flat", 2, physics=engine, **settings)
         for _ in range(20):
-            act(made, [[0.0, 0.0], [0.8, 0.0]])
-        return conf, made
+            act(simulation, [[0.0, 0.0], [0.8, 0.0]])
+        return simulation
 
-    conf, measured = batch("true")
+    measured = driven(metrics={"energy": True})
     standing_wh, driving_wh = metric(measured, "energy_wh")
-    assert standing_wh == pytest.approx(conf.robot.battery.idle_w * 20 * 0.05 / 3600, rel=0.02)
+    idle_w = measured.group().body.robot.battery.idle_w
+    assert standing_wh == pytest.approx(idle_w * 20 * 0.05 / 3600, rel=0.02)
     # To bring 11 kg to 0.8 m/s alone takes 3.5 J.
     # The wheels' own turning takes a third more of it; a step's start is the dearest.
     assert driving_wh - standing_wh > 3.5 / 0.7 / 3600
     assert driving_wh - standing_wh < 2.5 * 3.5 / 0.7 / 3600
-    _, plain = batch("false")
-    assert "energy_wh" not in plain.metric_names()
-    np.testing.assert_array_equal(observation(plain)["lidar"], observation(measured)["lidar"])
+    without = driven()
+    assert "energy_wh" not in without.metric_names()
+    np.testing.assert_array_equal(observation(without)["lidar"], observation(measured)["lidar"])

@@ -260,12 +260,12 @@ def test_a_ball_in_a_groove_lies_at_the_height_that_geometry_says(backend, tmp_p
 
 @every_engine
 def test_an_inertial_unit_at_rest_feels_gravity(engine):
-    batch = started_simulation("flat", 2, physics=engine)
+    simulation = started_simulation("flat", 2, physics=engine)
     felt = []
     for _ in range(30):
-        act(batch)
-        felt.append(observation(batch)["imu"][:, :3])
-    batch.close()
+        act(simulation)
+        felt.append(observation(simulation)["imu"][:, :3])
+    simulation.close()
     # After a landing; what is left is the creep of brakes that are servos.
     np.testing.assert_allclose(np.mean(felt[15:], axis=(0, 1)), [0.0, 0.0, GRAVITY_MPS2], atol=0.02)
 

@@ -17,6 +17,8 @@ import dune_rl
 from dune_rl.errors import RegistryError
 from dune_rl.metrics.registry import METRICS
 from dune_rl.registry import Registry
+from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.registry import SENSORS
 from dune_rl.settings import Settings
 from dune_rl.tasks.registry import REWARDS, RewardTermConf
 
@@ -105,6 +107,22 @@ def test_settings_travel_to_other_processes() -> None:
     assert pickle.loads(pickle.dumps(there)) == there
 
 
+@dune_rl.sensor_bounds(low=0.0, high=5.0)
+def pace(state: Any, group: Any, *, gain: float = 1.0) -> np.ndarray:
+    return gain * np.asarray(group.speed)
+
+
+def test_a_sensor_travels_with_the_settings_that_enable_it() -> None:
+    dune_rl.register_sensor(pace)
+    conf = SensorsConf(enabled=("goal", "pace"))
+    assert conf.model_dump()["named"] == {"pace": {"sensor": "pace", "realism": None, "gain": 1.0}}
+    sent = pickle.dumps(conf)
+    SENSORS._user_parts.clear()
+    there = pickle.loads(sent)
+    assert [request.kind for request in there.requests()] == ["goal", "pace"]
+    assert SENSORS.part_of(there.named["pace"]).target is pace
+
+
 def untyped(state: Any, group: Any, *, gain=1.0) -> np.ndarray: ...  # type: ignore[no-untyped-def]
 def swapped(group: Any, state: Any) -> np.ndarray: ...  # type: ignore[empty-body]
 def weighted(state: Any, group: Any, *, weight: float = 1.0) -> np.ndarray: ...  # type: ignore[empty-body]
@@ -142,9 +160,7 @@ def test_values_of_a_users_term_are_checked() -> None:
 
 
 def test_only_classes_are_algorithms() -> None:
-    with pytest.raises(
-        RegistryError, match=r"class derived from .*Algorithm, and is <function slow"
-    ):
+    with pytest.raises(RegistryError, match=r"class derived from .*Algorithm, and is <function slow"):
         dune_rl.register_algorithm(slow)
 
 

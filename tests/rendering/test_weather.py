@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from instruments import moment
 from mounted import camera_conf
 from scanning import flat_with, lidar_in
 from scipy import integrate
 from simulations import act, observation, started_simulation
+from states import episode_state, state_of
 
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.errors import ConfigError
@@ -202,7 +202,7 @@ def test_the_share_of_returns_is_that_of_photons_there_and_back():
 @pytest.mark.parametrize("true", [3.0, 8.0])
 def test_returns_are_lost_and_invented_as_often_as_the_model_says(true):
     effect, count = in_haze(), 40_000
-    seen = effect.applied(np.full((1, count), true, np.float32), moment([0], [0]))[0]
+    seen = effect.applied(np.full((1, count), true, np.float32), episode_state([0], [0]))[0]
     extinction = 3.912 / 20.0
 
     def rate(r):
@@ -221,9 +221,9 @@ def test_returns_are_lost_and_invented_as_often_as_the_model_says(true):
 
 
 def test_where_nothing_returns_haze_may():
-    seen = in_haze().applied(np.full((1, 20_000), RANGE_M, np.float32), moment([0], [0]))
+    seen = in_haze().applied(np.full((1, 20_000), RANGE_M, np.float32), episode_state([0], [0]))
     assert 0.02 < (seen < RANGE_M).mean() < 0.3
-    thin = in_haze(2000.0).applied(np.full((1, 20_000), RANGE_M, np.float32), moment([0], [0]))
+    thin = in_haze(2000.0).applied(np.full((1, 20_000), RANGE_M, np.float32), episode_state([0], [0]))
     assert (thin < RANGE_M).mean() < 0.01
 
 
@@ -231,11 +231,11 @@ def test_haze_depends_on_the_moment_alone():
     effect = in_haze(10.0)
     true = np.random.default_rng(1).uniform(0.1, 12.0, (4, 128)).astype(np.float32)
     before = true.copy()
-    seen = effect.applied(true, moment([4, 9, 2, 7], [1, 5, 0, 2]))
+    seen = effect.applied(true, episode_state([4, 9, 2, 7], [1, 5, 0, 2]))
     np.testing.assert_array_equal(true, before)
-    assert effect.applied(true, moment([4, 9, 2, 7], [1, 5, 0, 2])).tobytes() == seen.tobytes()
-    assert effect.applied(true[[1]], moment([9], [5])).tobytes() == seen[1].tobytes()
-    for other in (moment([9], [6]), moment([8], [5]), moment([9], [5], seed=6)):
+    assert effect.applied(true, episode_state([4, 9, 2, 7], [1, 5, 0, 2])).tobytes() == seen.tobytes()
+    assert effect.applied(true[[1]], episode_state([9], [5])).tobytes() == seen[1].tobytes()
+    for other in (episode_state([9], [6]), episode_state([8], [5]), episode_state([9], [5], seed=6)):
         assert not np.array_equal(effect.applied(true[[1]], other)[0], seen[1])
 
 
@@ -243,10 +243,10 @@ def test_a_scan_in_fog_passes_the_same_gate_as_faults():
     walls = flat_with((4.0, 0.0, 0.0, 0.2, 8.0), (-6.0, 0.0, 0.0, 0.2, 8.0))
     lidar = lidar_in(walls)
     sensor = Scanner(lidar, ("lidar",), 1, 1, in_haze(10.0))
-    now = moment([3], [7])
-    now.position_w[:] = STANDING
-    sensor.measure(now)
-    true = lidar.ranges(now.position_w, now.rotation, now.actor_poses)
+    now = episode_state([3], [7])
+    now.motion.position_w[:] = STANDING
+    sensor.measure(now, state_of(now))
+    true = lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
     np.testing.assert_array_equal(sensor.read()["lidar"], lidar.segments(in_haze(10.0).applied(true, now)))
     assert (sensor.read()["lidar"] != lidar.segments(true)).any()
 

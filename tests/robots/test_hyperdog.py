@@ -5,13 +5,14 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 from defusedxml.ElementTree import parse
-from dune_rl.engine_comparison.watched import watched_batch
 from scenes import STEP_S, every_backend, plane, quaternion_of
-from simulations import act, every_engine, metric, motion_of_group, observation
+from simulations import act, every_engine, metric, motion_of_group, observation, outcome
 from walking_robots import Walk
 
 from dune_rl.config.build import build_robot, make_simulation, make_torchrl_env
 from dune_rl.config.compose import compose_environment
+from dune_rl.engine_comparison.recording import RecordedSimulation
+from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.paths import assets_folder
@@ -156,18 +157,22 @@ def _conf(*overrides: str):
 
 def _run(conf, scenes: int, steps: int = 25, first: int = 0, every: int = 4) -> list[np.ndarray]:
     """True states after each step of the scenes whose episodes are `first`, `first + every` and so on."""
-    batch = make_simulation(conf, scenes, 3)
-    batch.reseed(3, first)
-    batch.reset()
-    low, high = batch.group().action_bounds
+    simulation = make_simulation(conf, scenes, 3)
+    simulation.reseed(3, first)
+    simulation.reset()
+    low, high = _action_bounds(simulation)
     draws = np.random.default_rng(0).uniform(low, high, (steps, 4, len(low))).astype(np.float32)
-    found = []
+    states = []
     for actions in draws:
-        act(batch, actions[first : first + scenes])
-        motion = motion_of_group(batch)
-        found.append(np.concatenate([motion.position_w, motion.angular_b], axis=1))
-    batch.close()
-    return found
+        act(simulation, actions[first : first + scenes])
+        motion = motion_of_group(simulation)
+        states.append(np.concatenate([motion.position_w, motion.angular_b], axis=1))
+    simulation.close()
+    return states
+
+
+def _action_bounds(simulation: VectorSimulation) -> tuple[np.ndarray, np.ndarray]:
+    return simulation.group().action_bounds
 
 
 @pytest.mark.parametrize(
@@ -192,20 +197,20 @@ def test_fallen_and_kicking_it_observes_within_bounds(engine):
             "task.terminations.flipped.angle_deg=180",
         ],
     )
-    batch = make_simulation(conf, 4, 2)
-    batch.reset()
-    draws, bounds = np.random.default_rng(1), batch.group().observation_bounds
-    low, high = batch.group().action_bounds
+    simulation = make_simulation(conf, 4, 2)
+    simulation.reset()
+    draws, bounds = np.random.default_rng(1), simulation.group().observation_bounds
+    low, high = _action_bounds(simulation)
     fell = np.zeros(4, bool)
     for step in range(100):
         if step % 4 == 0:
             actions = draws.uniform(low, high, (4, 12)).astype(np.float32)
-        act(batch, actions)
-        fell |= motion_of_group(batch).tilt > np.deg2rad(100.0)
-        for name, reading in observation(batch).items():
+        act(simulation, actions)
+        fell |= motion_of_group(simulation).tilt > np.deg2rad(100.0)
+        for name, reading in observation(simulation).items():
             assert ((bounds[name][0] <= reading) & (reading <= bounds[name][1])).all(), name
     assert fell.sum() >= 2
-    batch.close()
+    simulation.close()
 
 
 @every_engine
@@ -213,56 +218,57 @@ def test_its_action_of_rest_stands(engine):
     conf = compose_environment(
         "flat", ["robot=hyperdog", "robot.action=joints", f"physics={engine}", "actors=none"]
     )
-    batch = make_simulation(conf, 1, 0)
-    batch.reset()
-    start = motion_of_group(batch).position_w[0].copy()
+    simulation = make_simulation(conf, 1, 0)
+    simulation.reset()
+    start = motion_of_group(simulation).position_w[0].copy()
+    rest = build_robot(conf.robot, 1).rest_action()
     for _ in range(40):
-        act(batch, batch.group().body.robot.rest_action())
-    np.testing.assert_allclose(motion_of_group(batch).position_w[0], start, atol=6e-3)
-    batch.close()
+        act(simulation, rest)
+    np.testing.assert_allclose(motion_of_group(simulation).position_w[0], start, atol=6e-3)
+    simulation.close()
 
 
 @every_engine
 def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
-    batch, scenes = watched_batch("flat", engine, "hyperdog", 4, 0, {})
-    batch.reset()
-    low, high = batch.group().action_bounds
+    run = RecordedSimulation("flat", engine, "hyperdog", 4, 0)
+    run.simulation.reset()
+    low, high = run.robot.action_bounds()
     draws = np.random.default_rng(0)
     lying, longest, ended = np.zeros(4), 0.0, 0
     for step in range(240):
         if step % 10 == 0:
             actions = draws.uniform(low, high, (4, 2)).astype(np.float32)
         if step % 60 == 0:
-            for scene, bearing in zip(scenes, draws.uniform(-np.pi, np.pi, 4), strict=True):
+            for scene, bearing in zip(run.scenes, draws.uniform(-np.pi, np.pi, 4), strict=True):
                 scene.robots[0].apply_force([200.0 * np.cos(bearing), 200.0 * np.sin(bearing), 0.0])
-        outcome = act(batch, actions)
-        lying = np.where(motion_of_group(batch).tilt > np.deg2rad(40.0), lying + 1, 0)
+        terminated = outcome(run.step(actions)).terminated
+        lying = np.where(run.motion.tilt > np.deg2rad(40.0), lying + 1, 0)
         longest = max(longest, lying.max())
-        if outcome.terminated.any():
-            ended += outcome.terminated.sum()
-            batch.reset(outcome.terminated)
-            lying[outcome.terminated] = 0
-    batch.close()
+        if terminated.any():
+            ended += terminated.sum()
+            run.simulation.reset(terminated)
+            lying[terminated] = 0
+    run.simulation.close()
     assert ended >= 4
     assert longest * STEP_S <= 2.0
 
 
 def test_instruments_on_joints_read_twelve_and_odometry_is_refused():
     conf = _conf("sensors=[imu,encoders,currents]")
-    batch = make_simulation(conf, 1, 0)
-    batch.reset()
-    readings = observation(batch)
+    simulation = make_simulation(conf, 1, 0)
+    simulation.reset()
+    readings = observation(simulation)
     assert readings["encoders"].shape == (1, 24)
     assert readings["currents"].shape == (1, 12)
-    batch.close()
+    simulation.close()
     with pytest.raises(ConfigError, match="odometry is of wheels"):
         make_simulation(_conf("sensors=[odometry]"), 1, 0)
 
 
-def test_who_goes_to_goals_by_speed_and_heading_says_that_joints_are_not_for_it():
+def test_go_to_goal_refuses_joints():
     env = make_torchrl_env(_conf("robot.action=joints"), 1, 0)
     with pytest.raises(
-        ConfigError, match=r"has 12 components; take policy=random, .*learning.warm_up=random"
+        ConfigError, match="it outputs a speed and a heading, and the action has 12 components"
     ):
         built_in_policy("go_to_goal", env)
     env.close()
@@ -274,12 +280,12 @@ def test_its_battery_lasts_about_the_fifty_minutes_that_its_authors_state(engine
         "flat",
         ["robot=hyperdog", "actors=none", "sensors=[imu]", "metrics.energy=true", f"physics={engine}"],
     )
-    batch = make_simulation(conf, 1, 0)
-    batch.reset()
+    simulation = make_simulation(conf, 1, 0)
+    simulation.reset()
     for _ in range(100):
-        act(batch, [0.3, 0.0])
-    share, range_km = metric(batch, "battery_share")[0], metric(batch, "range_km")[0]
-    batch.close()
+        act(simulation, [0.3, 0.0])
+    share, range_km = metric(simulation, "battery_share")[0], metric(simulation, "range_km")[0]
+    simulation.close()
     assert 40.0 < 5.0 / share / 60.0 < 60.0
     # 0.3 m/s for that long, less what it takes to get going.
     assert range_km == pytest.approx(0.3 * 5.0 / share / 1000.0, rel=0.15)

@@ -27,7 +27,7 @@ def episodes(world: str, robot: str, engine: Engine, *settings: str) -> list[Row
         ],
     )
     env = make_learning_env(conf, 16, 0)
-    rows = evaluate(built_in_policy("go_to_goal", env), env, 100, 0)
+    (rows,) = evaluate(built_in_policy("go_to_goal", env), env, 100, 0).values()
     env.close()
     return rows
 

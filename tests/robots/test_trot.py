@@ -104,11 +104,12 @@ def test_scenes_walk_apart_and_start_afresh():
 
 
 def test_it_takes_care_when_tilted():
-    trot = Trot(TrotConf(careful_from_rad=0.2, careful_to_rad=0.6, careful_share=0.2), HIPS_B, 5)
+    angles = {"slow_from_tilt_deg": np.rad2deg(0.2), "slow_to_tilt_deg": np.rad2deg(0.6)}
+    trot = Trot(TrotConf(**angles, slow_speed_share=0.2), HIPS_B, 5)
     tilt = np.array([[0.0, 0.0], [0.1, -0.1], [0.0, 0.4], [0.24, -0.32], [-1.0, 0.5]])
     np.testing.assert_allclose(trot.speed_share(tilt), [1.0, 1.0, 0.6, 0.6, 0.2])
 
 
 def test_care_that_ends_before_it_begins_is_refused():
-    with pytest.raises(ValidationError, match="careful_to_rad must be above"):
-        TrotConf(careful_from_rad=0.5, careful_to_rad=0.3)
+    with pytest.raises(ValidationError, match="slow_to_tilt_deg must be above"):
+        TrotConf(slow_from_tilt_deg=50.0, slow_to_tilt_deg=30.0)

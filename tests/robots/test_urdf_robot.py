@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from defusedxml.ElementTree import parse
 from scenes import STEP_S, Drive, every_backend
-from simulations import act, metric, motion_of_group
+from simulations import act, motion_of_group, state_of_group
 from urdf_files import CART, write_cart
 
 from dune_rl.config.build import make_simulation
@@ -250,15 +250,15 @@ def test_settings_that_do_not_fit_the_file_are_told(tmp_path, settings, message)
 def test_the_command_line_chooses_it(tmp_path, words):
     path = write_cart(tmp_path)
     conf = compose_environment("flat", ["actors=none", *words, f"robot.path={path}"])
-    batch = make_simulation(conf, 2, 0)
-    batch.reset()
+    simulation = make_simulation(conf, 2, 0)
+    simulation.reset()
     for _ in range(20):
-        act(batch, [[0.5, 0.0], [0.0, 0.5]])
-    assert metric(batch, "diverged")[0] == 0
-    assert motion_of_group(batch).velocity_b[0, 0] == pytest.approx(0.5, rel=0.1)
+        act(simulation, [[0.5, 0.0], [0.0, 0.5]])
+    assert not state_of_group(simulation).motion.diverged.any()
+    assert motion_of_group(simulation).velocity_b[0, 0] == pytest.approx(0.5, rel=0.1)
     # Over the body, whose top is 0.16 m high.
-    assert batch.group().suite.conf.lidar.mount_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
-    batch.close()
+    assert simulation.group().suite.conf.lidar.mount_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
+    simulation.close()
 
 
 def test_a_path_is_asked_for():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from dune_rl.tasks.walking import walker_observation
 from mounted import lidar_conf
 from people import meshes_of
 from scanning import flat_with

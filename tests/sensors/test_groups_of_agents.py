@@ -96,7 +96,9 @@ def context(worlds: tuple, rows: int, air: Callable[[int], BeamMedia] | None = N
 def thick_air(scenes: int) -> BeamMedia:
     """Haze, and grass in every second scene of the group."""
     grass = [EVERYWHERE if scene < scenes // 2 else None for scene in range(scenes)]
-    return BeamMedia(Haze.from_weather(WeatherConf(fog_visibility_m=15.0)), BatchedFoliage(SharedPerScene(grass)))
+    return BeamMedia(
+        Haze.from_weather(WeatherConf(fog_visibility_m=15.0)), BatchedFoliage(SharedPerScene(grass))
+    )
 
 
 def states(step: int, rng: np.random.Generator) -> tuple[GroupState, GroupState]:

@@ -87,6 +87,6 @@ def test_a_name_that_is_a_kind_takes_its_place():
     conf = SensorsConf.model_validate(
         {"enabled": ["velocity"], "named": {"velocity": {"sensor": "planar_velocity"}}}
     )
-    (request,) = conf.requests()
+    (request,) = conf.requests(0.05)
     assert (request.name, request.kind, request.readings) == ("velocity", "planar_velocity", ("velocity",))
     assert np.array_equal(conf.readings(), ["velocity"])

@@ -5,10 +5,15 @@ from pydantic import ValidationError
 
 from dune_rl.sensors.realism.camera import CameraRealismConf
 from dune_rl.sensors.realism.lidar import LidarRealismConf
-from dune_rl.sensors.realism.pipeline import ImuRealismConf, SpeedRealismConf
-from dune_rl.sensors.realism.presets import PARTS, preset
+from dune_rl.sensors.realism.pipeline import ImuRealismConf, PositionRealismConf, SpeedRealismConf
+from dune_rl.sensors.realism.presets import PARTS, find_part
 
-KINDS = {"imu": ImuRealismConf, "lidar": LidarRealismConf, "camera": CameraRealismConf}
+KINDS = {
+    "imu": ImuRealismConf,
+    "lidar": LidarRealismConf,
+    "camera": CameraRealismConf,
+    "position": PositionRealismConf,
+}
 
 
 @pytest.mark.parametrize(
@@ -54,7 +59,7 @@ def test_an_unknown_part_is_refused_with_those_there_are(conf, word, message):
         conf.model_validate(word)
     if conf.kind:
         with pytest.raises(ValueError, match=message):
-            preset(word, conf.kind)
+            find_part(word, conf.kind)
 
 
 def leaves(settings, before=""):
@@ -67,7 +72,7 @@ def leaves(settings, before=""):
 
 @pytest.mark.parametrize("name", PARTS)
 def test_every_part_is_valid_and_each_of_its_figures_has_a_source(name):
-    part = preset(name)
+    part = find_part(name)
     conf = KINDS[part.kind].model_validate(name)
     assert conf.preset == name
     assert conf.steps(0.05)

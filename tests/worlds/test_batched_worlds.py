@@ -5,7 +5,6 @@ import weakref
 
 import numpy as np
 import pytest
-from dune_rl.env.encounters import Encounters
 
 from dune_rl.config.build import build_world
 from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
@@ -201,17 +200,3 @@ def test_brightness_scales_sun_and_sky() -> None:
     full, half = Light.from_conf(LightConf()), Light.from_conf(LightConf(brightness=0.5))
     for name in ("sun", "zenith", "horizon"):
         np.testing.assert_allclose(getattr(half, name), getattr(full, name) / 2, rtol=1e-6)
-
-
-# -- encounters ------------------------------------------------------------------------------------
-
-
-def test_a_world_of_more_bodies_makes_room_for_them() -> None:
-    met = Encounters(2, 0, 3)
-    met.make_room(2)
-    begun, touching = met.update([(0, 1)], np.array([1, 1]))
-    assert (begun.tolist(), touching.tolist()) == ([1, 0], [True, False])
-    met.make_room(5)
-    met.make_room(3)
-    begun, _ = met.update([(0, 1), (1, 4)], np.array([2, 2]))
-    assert begun.tolist() == [0, 1]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mesh_worlds import rover_in
+from simulations import act, motion_of_group
 from world_files import bumpy_ground, ground_height
 
 from dune_rl.physics.bullet import scene as bullet
@@ -39,7 +40,7 @@ def driven(world: World, steps: int = 60) -> np.ndarray:
     batch = rover_in(world)
     path = []
     for _ in range(steps):
-        batch.step(np.array([[1.0, 0.0]]))
+        act(batch, [1.0, 0.0])
         path.append(motion_of_group(batch).position_w[0].copy())
     batch.close()
     above = np.array(path)[:, 2] - world.terrain.height(np.array(path)[:, :2])

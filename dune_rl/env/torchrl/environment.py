@@ -67,7 +67,9 @@ class DuneEnv(EnvBase):
 
     @property
     def metric_names(self) -> dict[str, tuple[str, ...]]:
-        """Names of the columns of what `EpisodeMetrics` adds to each group; those without metrics are left out."""
+        """Names of the columns of what `EpisodeMetrics` adds to each group; those without metrics are
+        left out.
+        """
         return {
             group.name: self._simulation.metric_names(group.name)
             for group in self._groups

@@ -37,7 +37,7 @@ class HyperDogMountsConf(MountsConf):
 
     scanner_b: tuple[float, float, float] = (-0.04, 0.0, 0.1)
     camera_b: tuple[float, float, float] = (0.24, 0.0, 0.028)
-    camera_pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    camera_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 

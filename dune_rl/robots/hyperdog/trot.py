@@ -26,9 +26,9 @@ class TrotConf(Settings):
     """Shape of the gait.
 
     In a cycle of `cycle_s` each foot swings for `swing_share` of it, lifted by `lift_m` on half a sine. The
-    hips are `height_m` above the feet, which are `out_m` outward of them. From a tilt of `careful_from_rad`
-    to `careful_to_rad` the speed falls linearly to `careful_share` of the commanded one, which prevents
-    falls on stones and steps.
+    hips are `height_m` above the feet, which are `out_m` outward of them. From a tilt of
+    `slow_from_tilt_deg` to `slow_to_tilt_deg` the speed falls linearly to `slow_speed_share` of the commanded
+    one, which prevents falls on stones and steps.
     """
 
     cycle_s: float = Field(0.5, ge=0.2, le=2.0)
@@ -36,16 +36,16 @@ class TrotConf(Settings):
     lift_m: float = Field(0.06, gt=0.0, le=0.1)
     height_m: float = Field(0.22, ge=0.15, le=0.27)
     out_m: float = Field(0.10, ge=0.0, le=0.15)
-    careful_from_rad: float = Field(0.18, ge=0.0, le=1.5)
-    careful_to_rad: float = Field(0.42, ge=0.0, le=1.5)
-    careful_share: float = Field(0.25, gt=0.0, le=1.0)
+    slow_from_tilt_deg: float = Field(10.3, ge=0.0, le=85.0)
+    slow_to_tilt_deg: float = Field(24.1, ge=0.0, le=85.0)
+    slow_speed_share: float = Field(0.25, gt=0.0, le=1.0)
 
     @model_validator(mode="after")
-    def _careful_in_order(self) -> Self:
-        if self.careful_to_rad <= self.careful_from_rad:
+    def _slow_in_order(self) -> Self:
+        if self.slow_to_tilt_deg <= self.slow_from_tilt_deg:
             raise ValueError(
-                f"careful_to_rad must be above careful_from_rad "
-                f"(got {self.careful_to_rad:g} and {self.careful_from_rad:g})"
+                f"slow_to_tilt_deg must be above slow_from_tilt_deg "
+                f"(got {self.slow_to_tilt_deg:g} and {self.slow_from_tilt_deg:g})"
             )
         return self
 
@@ -55,6 +55,7 @@ class Trot:
 
     def __init__(self, conf: TrotConf, hips_b: Array, num_robots: int) -> None:
         self._conf = conf
+        self._slow_from_rad, self._slow_to_rad = np.deg2rad([conf.slow_from_tilt_deg, conf.slow_to_tilt_deg])
         outward = conf.out_m * np.sign(hips_b[:, 1])
         self.rest_b: Array = hips_b + np.column_stack([np.zeros(4), outward, np.full(4, -conf.height_m)])
         self._phase = np.zeros(num_robots)
@@ -70,9 +71,9 @@ class Trot:
     def speed_share(self, tilt: Array) -> Array:
         """Share (N,) of the commanded speed at which to walk, by roll and pitch (N, 2) [rad]."""
         conf = self._conf
-        excess = np.hypot(tilt[:, 0], tilt[:, 1]) - conf.careful_from_rad
-        share = clip(excess / (conf.careful_to_rad - conf.careful_from_rad), 0.0, 1.0)
-        return 1.0 - (1.0 - conf.careful_share) * share
+        excess = np.hypot(tilt[:, 0], tilt[:, 1]) - self._slow_from_rad
+        share = clip(excess / (self._slow_to_rad - self._slow_from_rad), 0.0, 1.0)
+        return 1.0 - (1.0 - conf.slow_speed_share) * share
 
     def feet(self, twist: Array, tilt: Array, step_s: float) -> Array:
         """Positions (N, 4, 3) [m] of the feet after another `step_s`.

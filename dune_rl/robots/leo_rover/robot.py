@@ -41,7 +41,7 @@ class LeoMountsConf(MountsConf):
 
     scanner_b: tuple[float, float, float] = (0.0, 0.0, 0.6)
     camera_b: tuple[float, float, float] = (0.097, 0.0, -0.043)
-    camera_pitch_rad: float = Field(0.21, ge=-np.pi / 2, le=np.pi / 2)
+    camera_pitch_deg: float = Field(12.03, ge=-90.0, le=90.0)
     imu_b: tuple[float, float, float] = (0.063, -0.031, -0.039)
 
 

@@ -67,7 +67,7 @@ class UrdfMountsConf(Settings):
 
     scanner_b: Triple | None = None
     camera_b: Triple | None = None
-    camera_pitch_rad: float = Field(0.0, ge=-np.pi / 2, le=np.pi / 2)
+    camera_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
     imu_b: Triple | None = None
 
 
@@ -228,7 +228,7 @@ class UrdfRobot(WheeledRobot):
         return MountsConf(
             scanner_b=conf.scanner_b or (0.0, 0.0, round(self._top_m + _SCANNER_OVER_TOP_M, 4)),
             camera_b=conf.camera_b or (self._front_m, 0.0, round(self._top_m - self.height_m / 4, 4)),
-            camera_pitch_rad=conf.camera_pitch_rad,
+            camera_pitch_deg=conf.camera_pitch_deg,
             imu_b=conf.imu_b or (0.0, 0.0, middle),
         )
 

@@ -67,6 +67,13 @@ class CameraRealismConf(RealismConf):
             )
         return self
 
+    def fit_to(self, step_s: float) -> Self:
+        """As of any sensor; the shutter and the readout are shortened to a control step."""
+        fitted, taken_s = super().fit_to(step_s), self.shutter_s + self.readout_s
+        share = min(1.0, step_s / taken_s) if taken_s else 1.0
+        times = {"shutter_s": share * self.shutter_s, "readout_s": share * self.readout_s}
+        return fitted.model_copy(update=times)
+
     def steps(self, step_s: float) -> tuple[int, int]:
         """As of any sensor; a picture must also be taken within a control step."""
         taken_s = self.shutter_s + self.readout_s

@@ -112,14 +112,23 @@ class Faults:
 
     def applied(self, reading: Reading, rows: Rows, now: GroupState) -> Reading:
         """What the instruments in `rows` make of their true `reading` (len(rows), ...)."""
-        value = reading.reshape(len(reading), -1) + (self._bias[rows] + self._wander[rows])
+        return self.limited(self.noisy(reading, rows, now)).reshape(reading.shape)
+
+    def noisy(self, reading: Reading, rows: Rows, now: GroupState) -> Array:
+        """The true `reading` with biases and noise, (len(rows), entries), before steps between values."""
+        value: Array = reading.reshape(len(reading), -1) + (self._bias[rows] + self._wander[rows])
         if self._noise.any():
             place = now.episode.streams[rows], now.episode.steps[rows], self._entries
             value += normal(now.episode.seed, f"{self._name} noise", *place) * self._noise
+        return value
+
+    def limited(self, value: Array) -> Reading:
+        """`value` (n, entries), which changes, on its steps and within its bounds, in the reading's type."""
         if len(self._stepped):
             value[:, self._stepped] = np.rint(value[:, self._stepped] / self._quantum) * self._quantum
         if len(self._turning):
             value[:, self._turning] = wrap_angle(value[:, self._turning])
         if np.issubdtype(self._type, np.integer):
             np.rint(value, out=value)
-        return clip(value, self._low, self._high).astype(self._type).reshape(reading.shape)
+        limited: Reading = clip(value, self._low, self._high).astype(self._type)
+        return limited

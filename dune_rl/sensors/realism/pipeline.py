@@ -1,13 +1,14 @@
 """What real instruments add to the truth: rate, latency, noise, drifting biases and steps between values."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from dune_rl.sensors.realism.imu import ImuFaults
 from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, NoiseConf, Rows
-from dune_rl.sensors.realism.presets import Kind, preset
+from dune_rl.sensors.realism.presets import PartKind, find_part
 from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -22,10 +23,10 @@ class RealismConf(Settings):
     until then the first reading of the episode is given.
 
     Classes for a `kind` of part take the name of one: alone ("bno055"), or as
-    `preset` beside settings that differ.
+    `preset` beside settings that differ. "perfect" has no faults at all.
     """
 
-    kind: ClassVar[Kind | None] = None
+    kind: ClassVar[PartKind | None] = None
 
     preset: str | None = None
     rate_hz: float | None = Field(None, gt=0.0, le=10_000.0)
@@ -34,17 +35,31 @@ class RealismConf(Settings):
     @model_validator(mode="before")
     @classmethod
     def _of_part(cls, data: Any) -> Any:
+        if data == "perfect":
+            return {}
         if isinstance(data, str):
             data = {"preset": data}
         if not isinstance(data, Mapping) or not isinstance(data.get("preset"), str):
             return data
         if cls.kind is None:
             raise ValueError(f"preset must be null (got {data['preset']!r}): no parts are known here")
-        return _merged(preset(data["preset"], cls.kind).settings, data)
+        return _merged(find_part(data["preset"], cls.kind).settings, data)
 
     def channels(self, size: int) -> tuple[NoiseConf, ...]:
         """Faults of each of the `size` entries of a reading; none at all for a sensor with its own."""
         return ()
+
+    def faults(self, name: str, bounds: Bounds, num_rows: int, period_s: float) -> Faults | None:
+        """The faults of the reading `name`, read every `period_s`; None for a sensor with its own."""
+        channels = self.channels(bounds[0].size)
+        return Faults(name, bounds, channels, num_rows, period_s) if channels else None
+
+    def fit_to(self, step_s: float) -> Self:
+        """The same with the nearest rate and latency that control steps of `step_s` allow."""
+        every = 1 if self.rate_hz is None else max(1, round(1.0 / (step_s * self.rate_hz)))
+        rate_hz = None if every == 1 else 1.0 / (every * step_s)
+        late_s = round(self.latency_s / step_s) * step_s
+        return self.model_copy(update={"rate_hz": rate_hz, "latency_s": late_s})
 
     def steps(self, step_s: float) -> tuple[int, int]:
         """Control steps of `step_s` between two readings, and until a reading arrives; or ValueError."""
@@ -75,9 +90,15 @@ class RealismConf(Settings):
 
 
 class ImuRealismConf(RealismConf):
-    """Faults of an inertial unit: `tilt` is of roll and pitch, `heading` of yaw."""
+    """Faults of an inertial unit: `tilt` is of roll and pitch, `heading` of yaw.
+
+    Where `heading_from` is the gyroscope, yaw is the integral of its rate since the episode began, so that
+    the errors of the rate add up; a magnetometer's has those of `heading` alone.
+    """
 
     kind = "imu"
+
+    heading_from: Literal["gyroscope", "magnetometer"] = "gyroscope"
 
     accelerometer: NoiseConf = NoiseConf()
     gyroscope: NoiseConf = NoiseConf()
@@ -87,6 +108,12 @@ class ImuRealismConf(RealismConf):
     def channels(self, size: int) -> tuple[NoiseConf, ...]:
         """Three axes of each, and three angles."""
         return (self.accelerometer,) * 3 + (self.gyroscope,) * 3 + (self.tilt,) * 2 + (self.heading,)
+
+    def faults(self, name: str, bounds: Bounds, num_rows: int, period_s: float) -> Faults | None:
+        """The faults of the reading `name`, whose heading drifts where the gyroscope gives it."""
+        channels = self.channels(bounds[0].size)
+        made = ImuFaults if self.heading_from == "gyroscope" else Faults
+        return made(name, bounds, channels, num_rows, period_s)
 
 
 class SpeedRealismConf(RealismConf):
@@ -134,8 +161,21 @@ class OdometryRealismConf(RealismConf):
         return (self.place, self.place, self.heading, self.forward, self.turn)
 
 
+class GoalRealismConf(RealismConf):
+    """Faults of what is known of the goal: `distance` [m] and `bearing` [rad]."""
+
+    distance: NoiseConf = NoiseConf()
+    bearing: AngleNoiseConf = AngleNoiseConf()
+
+    def channels(self, size: int) -> tuple[NoiseConf, ...]:
+        """One each."""
+        return (self.distance, self.bearing)
+
+
 class PositionRealismConf(RealismConf):
     """Faults of a satellite receiver and a compass: `place` is of x and y [m], `height` of z [m]."""
+
+    kind = "position"
 
     place: NoiseConf = NoiseConf()
     height: NoiseConf = NoiseConf()
@@ -164,9 +204,9 @@ class Realism:
         for name, bounds in sensor.bounds().items():
             low = bounds[0]
             self._ring[name] = np.zeros((delay + 1, num_rows, *low.shape), low.dtype)
-            channels = conf.channels(low.size)
-            if channels:
-                self._faults[name] = Faults(name, bounds, channels, num_rows, self._every * step_s)
+            faults = conf.faults(name, bounds, num_rows, self._every * step_s)
+            if faults is not None:
+                self._faults[name] = faults
         self._slots, self._newest = delay + 1, 0
 
     def bounds(self) -> dict[str, Bounds]:

@@ -6,10 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-Kind = Literal["imu", "lidar", "camera"]
+PartKind = Literal["imu", "lidar", "camera", "position"]
 
 _G = 9.80665
 _DEG = float(np.pi / 180)
+# Radius that holds half of the readings (CEP) over the deviation of each axis.
+_CEP = float(np.sqrt(2 * np.log(2)))
 
 _BMI055 = "Bosch BMI055, which has the same two dies (comparison table, blog.csdn.net article 103731233)"
 _BNO055 = "Bosch BNO055 data sheet BST-BNO055-DS000-14"
@@ -24,30 +26,32 @@ _RPLIDAR_A3 = "SLAMTEC RPLIDAR A3M1, as tabled in the docs of app4mc-racecar, li
 _OS1 = "Ouster OS1 data sheet, optical performance"
 _IMX219 = "line of 3448 (IMX219PQH5-C data sheet, table 21) at 182.4 MHz (Linux driver imx219.c), 1232 lines"
 _IMX477 = "Raspberry Pi HQ camera measured at gain 1, strollswithmydog.com, 'Pi HQ Cam Sensor Performance'"
+_F9 = "u-blox integration manual UBX-20039643, section 2.1.4, real time kinematic"
 _D4XX = "Intel, 'BKMs for tuning D4xx': z² * 0.08 / (424 * 0.05), for 848 columns, 90 degrees, 50 mm"
 
 
 @dataclass(frozen=True)
-class Part:
+class SensorPart:
     """A real part: settings for its kind of sensor, and a source for each of them by its dotted name.
 
     A source that begins with "estimate" is no more than that.
     """
 
-    kind: Kind
+    kind: PartKind
     name: str
     settings: Mapping[str, Any]
     sources: Mapping[str, str]
 
 
-PARTS: Mapping[str, Part] = {
-    "bno055": Part(
+PARTS: Mapping[str, SensorPart] = {
+    "bno055": SensorPart(
         "imu",
         "Bosch BNO055, in a fusion mode, where it takes its own offsets off",
         {
             "accelerometer": {"noise_density": 150e-6 * _G, "quantum": 0.01},
             "gyroscope": {"noise_density": 0.014 * _DEG, "quantum": _DEG / 16},
             "tilt": {"bias": 0.5 * _DEG, "quantum": _DEG / 16},
+            "heading_from": "magnetometer",
             "heading": {"bias": 2.5 * _DEG, "quantum": _DEG / 16},
         },
         {
@@ -57,46 +61,57 @@ PARTS: Mapping[str, Part] = {
             "gyroscope.quantum": f"1 °/s = 16 LSB: {_BNO055}, table 3-22",
             "tilt.bias": "estimate: half a degree, constant over an episode",
             "tilt.quantum": "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com",
+            "heading_from": f"absolute orientation, from all three sensors: {_BNO055}",
             "heading.bias": "estimate: two and a half degrees, the magnetometer's, constant over an episode",
             "heading.quantum": "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com",
         },
     ),
-    "mpu6050": Part(
+    "mpu6050": SensorPart(
         "imu",
         "InvenSense MPU-6050 at ±16 g and ±2000 °/s, its gyroscope zeroed at rest",
         {
             "accelerometer": {"noise_density": 400e-6 * _G, "bias": 50e-3 * _G / 3, "quantum": _G / 2048},
-            "gyroscope": {"noise_density": 0.005 * _DEG, "quantum": _DEG / 16.4},
+            "gyroscope": {
+                "noise_density": 0.005 * _DEG,
+                "bias_instability": 0.0012 * _DEG,
+                "quantum": _DEG / 16.4,
+            },
+            "tilt": {"bias": 50e-3 / 3},
         },
         {
             "accelerometer.noise_density": f"400 µg/√Hz: {_MPU6050}, section 6.2",
             "accelerometer.bias": f"±50 mg (x, y), taken as three deviations: {_MPU6050}, section 6.2",
             "accelerometer.quantum": f"2048 LSB/g: {_MPU6050}, section 6.2",
             "gyroscope.noise_density": f"0.005 °/s/√Hz: {_MPU6050}, section 6.1",
+            "gyroscope.bias_instability": "0.0012 °/s by Allan deviation: robotics.stackexchange.com/q/8860",
             "gyroscope.quantum": f"16.4 LSB/(°/s): {_MPU6050}, section 6.1",
+            "tilt.bias": "the accelerometer's bias over gravity, as levelling by it gives",
         },
     ),
-    "xsens_mti_1": Part(
+    "xsens_mti_1": SensorPart(
         "imu",
         "Xsens MTi-1",
         {
             "accelerometer": {"noise_density": 120e-6 * _G, "bias_instability": 0.03e-3 * _G},
             "gyroscope": {"noise_density": 0.007 * _DEG, "bias_instability": 10 * _DEG / 3600},
+            "tilt": {"bias": 0.5 * _DEG},
         },
         {
             "accelerometer.noise_density": f"120 µg/√Hz: {_MTI_1}",
             "accelerometer.bias_instability": f"0.03 mg: {_MTI_1}",
             "gyroscope.noise_density": f"0.007 °/s/√Hz: {_MTI_1}",
             "gyroscope.bias_instability": f"10 °/h: {_MTI_1}",
+            "tilt.bias": "estimate: half a degree, as levelling by its accelerometer gives",
         },
     ),
-    "xsens_mti_630": Part(
+    "xsens_mti_630": SensorPart(
         "imu",
         "Xsens MTi-630",
         {
             "accelerometer": {"noise_density": 60e-6 * _G, "bias_instability": 15e-6 * _G},
             "gyroscope": {"noise_density": 0.007 * _DEG, "bias_instability": 8 * _DEG / 3600},
             "tilt": {"bias": 0.2 * _DEG},
+            "heading_from": "magnetometer",
             "heading": {"bias": 1.0 * _DEG},
         },
         {
@@ -105,15 +120,17 @@ PARTS: Mapping[str, Part] = {
             "gyroscope.noise_density": f"0.007 °/s/√Hz: {_MTI_630}",
             "gyroscope.bias_instability": f"8, read as °/h where the table has °/s: {_MTI_630}",
             "tilt.bias": f"0.2° RMS, taken as constant over an episode: {_MTI_630}",
+            "heading_from": f"an attitude and heading reference system: {_MTI_630}",
             "heading.bias": f"1° RMS, taken as constant over an episode: {_MTI_630}",
         },
     ),
-    "adis16448": Part(
+    "adis16448": SensorPart(
         "imu",
         "Analog Devices ADIS16448, as calibrated for a visual-inertial data set",
         {
             "accelerometer": {"noise_density": 2.0e-3, "bias_walk": 3.0e-3, "quantum": _G / 1200},
             "gyroscope": {"noise_density": 1.6968e-4, "bias_walk": 1.9393e-5, "quantum": 0.04 * _DEG},
+            "tilt": {"bias": 0.5 * _DEG},
         },
         {
             "accelerometer.noise_density": _EUROC,
@@ -122,9 +139,10 @@ PARTS: Mapping[str, Part] = {
             "gyroscope.noise_density": _EUROC,
             "gyroscope.bias_walk": _EUROC,
             "gyroscope.quantum": f"0.04 °/s: {_ADIS_DRIVER}",
+            "tilt.bias": "estimate: half a degree, as levelling by its accelerometer gives",
         },
     ),
-    "rplidar_a1": Part(
+    "rplidar_a1": SensorPart(
         "lidar",
         "SLAMTEC RPLIDAR A1M8",
         {"rate_hz": 5.0, "noise_share": 0.01 / 3, "half_return_m": 12.0},
@@ -134,7 +152,7 @@ PARTS: Mapping[str, Part] = {
             "half_return_m": f"12 m for white objects, taken as where half return: {_RPLIDAR_A1}",
         },
     ),
-    "rplidar_a2m8": Part(
+    "rplidar_a2m8": SensorPart(
         "lidar",
         "SLAMTEC RPLIDAR A2M8",
         {"rate_hz": 10.0, "noise_share": 0.01 / 3, "half_return_m": 12.0},
@@ -144,7 +162,7 @@ PARTS: Mapping[str, Part] = {
             "half_return_m": f"range of 12 m, taken as where half return: {_RPLIDAR_A2}",
         },
     ),
-    "rplidar_a3": Part(
+    "rplidar_a3": SensorPart(
         "lidar",
         "SLAMTEC RPLIDAR A3M1 in its outdoor mode",
         {"rate_hz": 10.0, "noise_share": 0.01 / 3, "half_return_m": 20.0, "reflectance": (0.16, 1.0)},
@@ -155,7 +173,7 @@ PARTS: Mapping[str, Part] = {
             "reflectance": f"black objects to 10 m where white ones to 25, squared: {_RPLIDAR_A3}",
         },
     ),
-    "hokuyo_utm_30lx": Part(
+    "hokuyo_utm_30lx": SensorPart(
         "lidar",
         "Hokuyo UTM-30LX, which scans at 40 Hz: each control step",
         {"noise_m": 0.01, "half_return_m": 30.0},
@@ -164,7 +182,7 @@ PARTS: Mapping[str, Part] = {
             "half_return_m": "range of 30 m, taken as where half return: BlenSor's generic LIDAR",
         },
     ),
-    "velodyne_vlp16": Part(
+    "velodyne_vlp16": SensorPart(
         "lidar",
         "Velodyne VLP-16, one of its rings",
         {"rate_hz": 10.0, "noise_m": 0.03, "half_return_m": 100.0},
@@ -174,7 +192,7 @@ PARTS: Mapping[str, Part] = {
             "half_return_m": "range of 100 m, taken as where half return: the same table",
         },
     ),
-    "ouster_os1": Part(
+    "ouster_os1": SensorPart(
         "lidar",
         "Ouster OS1, one of its rings",
         {
@@ -192,7 +210,7 @@ PARTS: Mapping[str, Part] = {
             "reflectance": f"40 m at 10 % where 120 m at 80 %, squared: {_OS1}",
         },
     ),
-    "dune_paper": Part(
+    "dune_paper": SensorPart(
         "lidar",
         "no part, but what the published simulation has written and switched off",
         {"noise_m": 0.05, "dropout": 0.05},
@@ -201,7 +219,7 @@ PARTS: Mapping[str, Part] = {
             "dropout": "the published simulation's code: 5 % to the largest range",
         },
     ),
-    "raspberry_pi_v2": Part(
+    "raspberry_pi_v2": SensorPart(
         "camera",
         "Raspberry Pi camera module 2 (Sony IMX219), 1640 by 1232 pixels",
         {
@@ -219,7 +237,7 @@ PARTS: Mapping[str, Part] = {
             "read_noise_e": "estimate: the IMX477's",
         },
     ),
-    "raspberry_pi_hq": Part(
+    "raspberry_pi_hq": SensorPart(
         "camera",
         "Raspberry Pi high quality camera (Sony IMX477); its time of readout is not known here",
         {"shutter_s": 0.01, "auto_exposure_s": 0.5, "full_well_e": 8180.0, "read_noise_e": 3.0},
@@ -230,7 +248,7 @@ PARTS: Mapping[str, Part] = {
             "read_noise_e": _IMX477,
         },
     ),
-    "realsense_d435": Part(
+    "realsense_d435": SensorPart(
         "camera",
         "Intel RealSense D435, its depth; its colours stay as they are",
         {
@@ -248,11 +266,27 @@ PARTS: Mapping[str, Part] = {
             "depth_dropout": "estimate: one pixel in fifty",
         },
     ),
+    "zed_f9p": SensorPart(
+        "position",
+        "u-blox ZED-F9P with corrections from a base station (RTK), beside a compass",
+        {
+            "rate_hz": 10.0,
+            "place": {"noise": 0.01 / _CEP},
+            "height": {"noise": 0.02 / _CEP},
+            "heading": {"bias": 2.5 * _DEG},
+        },
+        {
+            "rate_hz": "up to 20 Hz with RTK, of which 10 is taken: docs.sparkfun.com, RTK firmware, GNSS",
+            "place.noise": f"0.01 m + 1 ppm CEP, near the base: {_F9}",
+            "height.noise": "estimate: twice the horizontal error",
+            "heading.bias": "estimate: two and a half degrees, a compass's, constant over an episode",
+        },
+    ),
 }
 
 
-def preset(name: str, kind: Kind | None = None) -> Part:
-    """The part of a name; ValueError tells which there are, and of which `kind` where one is asked for."""
+def find_part(name: str, kind: PartKind | None = None) -> SensorPart:
+    """The part called `name`, of this `kind` where one is given; ValueError where there is none."""
     known = [key for key, part in PARTS.items() if kind in (None, part.kind)]
     if name in known:
         return PARTS[name]

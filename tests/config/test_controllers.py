@@ -1,0 +1,54 @@
+"""Behaviours and trained policies that drive groups, as they are configured."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dune_rl.config.build import make_simulation
+from dune_rl.config.compose import compose_environment
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.errors import CheckpointError
+
+POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
+
+
+def simulation_of(controller: object, **sections: object) -> VectorSimulation:
+    other = {"body": "rover_zero", "count": 2, "controller": controller, **sections}
+    conf = compose_environment("flat", (), {"agents": {"idle": {"body": "leo_rover"}, "other": other}})
+    simulation = make_simulation(conf, 2, seed=4)
+    simulation.reset(np.ones(2, bool))
+    return simulation
+
+
+def goal_distances(simulation: VectorSimulation, steps: int) -> np.ndarray:
+    """Distance of each agent of the group `other` to its goal at every step, (steps, N)."""
+    still = {"idle": np.zeros((2, 1, 2))}
+    distances = []
+    for _ in range(steps):
+        simulation.step(still)
+        distances.append(simulation.state.groups["other"].goal.distance.copy())
+    return np.array(distances)
+
+
+@pytest.mark.parametrize("controller", ["go_to_goal", {"name": "go_to_goal"}, {"checkpoint": str(POLICY)}])
+def test_a_group_drives_to_its_goals_by_itself(controller: object) -> None:
+    simulation = simulation_of(controller)
+    assert simulation.agents == ("idle_0",)
+    distances = goal_distances(simulation, 100)
+    assert (distances.min(axis=0) < distances[0] - 1.0).all()
+    simulation.close()
+
+
+def test_settings_of_a_behaviour_reach_it() -> None:
+    slow = simulation_of({"name": "go_to_goal", "speed_mps": 0.1})
+    distances = goal_distances(slow, 40)
+    assert (distances[0] - distances[-1] < 0.3).all()
+    slow.close()
+
+
+def test_a_policy_of_another_body_is_refused() -> None:
+    with pytest.raises(
+        CheckpointError, match=r"was made for another environment: lidar is missing|lidar has"
+    ):
+        simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
