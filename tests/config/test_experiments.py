@@ -33,3 +33,12 @@ def test_studies_name_no_folder_of_the_machine_they_ran_on() -> None:
         config = torch.load(file, weights_only=True)["config"]
         assert not Path(config["run_dir"]).is_absolute()
         assert "run_dir: runs/" in (file.parent / "config.yaml").read_text()
+
+
+def test_the_redesign_kept_every_byte() -> None:
+    folder = EXPERIMENTS / "redesign"
+    before, after = ((folder / name).read_text() for name in ("before.csv", "after.csv"))
+    assert before == after
+    cases = before.strip().splitlines()[1:]
+    text = (folder / "README.md").read_text()
+    assert text.count("| same | same |") == len(cases) / 2 == 7

@@ -28,8 +28,9 @@ import dune_rl
 WORLDS = ("flat", "inspection")
 AGENTS = {"one agent": "walkers", "three agents": "external_walkers"}
 # Goals lie 2 m away and more: some episodes end by arrival, many at once, and the others by time.
-SHORT = {"termination": {"max_steps": 12, "goal_distance_m": 4.0}}
-BY_TIME_ALONE = {"termination": {"max_steps": 12, "goal_distance_m": 1.0}}
+SHORT = {"terminations": {"time_limit": {"max_steps": 12}, "goal_reached": {"distance_m": 4.0}}}
+BY_TIME_ALONE = {"terminations": {"time_limit": {"max_steps": 12}, "goal_reached": {"distance_m": 1.0}}}
+TWO_STEPS = {"terminations": {"time_limit": {"max_steps": 2}}}
 
 Make = Callable[[], ParallelEnv]
 
@@ -107,7 +108,7 @@ def test_every_robot_on_both_engines(place: str, tmp_path: Path) -> None:
     env.close()
     # Which compares with a fresh environment of the same seed, too.
     check_no_leak(here, 14)
-    batched = dune_rl.make(world, 2, **settings, task={"termination": {"max_steps": 2}})
+    batched = dune_rl.make(world, 2, **settings, task=TWO_STEPS)
     check_torchrl(batched)
     batched.close()
 
@@ -130,7 +131,7 @@ def test_gymnasium_of_a_dog_on_the_second_engine() -> None:
 
 @pytest.mark.parametrize("scenes", [1, 3])
 def test_torchrl(world: str, actors: str, scenes: int) -> None:
-    env = dune_rl.make(world, scenes, actors=actors, task={"termination": {"max_steps": 2}})
+    env = dune_rl.make(world, scenes, actors=actors, task=TWO_STEPS)
     check_torchrl(env)
     env.close()
 

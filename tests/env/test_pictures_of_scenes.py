@@ -1,19 +1,14 @@
 """Pictures of a rover in its scene, and environments that render them."""
 
-from copy import copy
-from functools import cache
-
 import gymnasium
 import numpy as np
 import pytest
-from batches import idle, real_batch
 from conformance import difference
-from dune_rl.actors.actor import ActorConf
-from dune_rl.env.batch import Batch
-from dune_rl.env.motion import Motion
 from painting import SIZE, box, plain
 from scanning import turned
 from scenes import about
+from scripted_physics import scripted_simulation
+from simulations import act, goals_w, motion_of_group, started_simulation
 
 import dune_rl
 from dune_rl.env.pictures import Pictures
@@ -21,32 +16,26 @@ from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
-
-def pictures_in(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Pictures:
-    """Of a rover that stands at (`x`, `y`) in `world`, alone."""
-    batch = copy(flat_batch())
-    batch.sites, batch.rovers = BatchedWorlds([(world, batch.weather)]), (copy(batch.rovers[0]),)
-    batch.rovers[0].motion = Motion(1, batch.robot)
-    batch.rovers[0].goals_w = np.array([[3.0, 0.0]])
-    stand(batch, x, y, yaw)
-    return Pictures(batch)
+# Any ground will do for a rover that is put down by hand.
+ANYWHERE = {"spawn": {"region": "anywhere", "max_slope_deg": 60.0, "min_goal_distance_m": 0.0}}
 
 
-@cache
-def flat_batch() -> Batch:
-    """One rover alone; its physics is over, since nothing moves in a picture."""
-    batch = real_batch("flat", sensors=["goal"])
-    batch.close()
-    return batch
+class RoverInWorld:
+    """A rover alone where a test puts it in `world`, with its goal at (3, 0), and its pictures."""
 
+    def __init__(self, world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> None:
+        self.world = world
+        self.simulation, (self._robot,) = scripted_simulation(world, sensors=["goal"], task=ANYWHERE)
+        self.pictures = Pictures(self.simulation)
+        goals_w(self.simulation)[0] = 3.0, 0.0
+        self.put(x, y, yaw)
 
-def stand(batch: Batch, x: float, y: float, yaw: float) -> None:
-    z = float(batch.world.terrain.height([x, y])) + 0.125
-    batch.motion.set_row(0, (x, y, z, *about([0, 0, 1], yaw), *[0.0] * 6))
-    batch.motion.begin(np.array([True]))
+    def put(self, x: float, y: float, yaw: float) -> None:
+        z = float(self.world.terrain.height([x, y])) + 0.125
+        self._robot.state = np.array([x, y, z, *about([0, 0, 1], yaw), *[0.0] * 6])
+        self.simulation.group().body.read_start(np.array([True]), [self._robot])
 
 
 def eye_behind(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
@@ -58,16 +47,16 @@ def eye_behind(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> np.ndarra
     return np.array(views[0].eye)
 
 
-def in_sight(pictures: Pictures, eye: np.ndarray, position: np.ndarray) -> bool:
+def in_sight(world: World, eye: np.ndarray, position: np.ndarray) -> bool:
     """Whether nothing stands between `eye` and what is a little over the rover."""
-    rays = bake_world(pictures._batch.world, LightConf()).rays
+    rays = bake_world(world, LightConf()).rays
     towards = eye - position
     length = float(np.linalg.norm(towards))
     return bool(rays.first_hit(position[None], (towards / length)[None], length)[0][0] >= length - 1e-4)
 
 
 def test_the_view_from_behind_shows_the_rover_in_the_middle(monkeypatch):
-    pictures = pictures_in(plain(), 1.0, -2.0, 0.8)
+    pictures = RoverInWorld(plain(), 1.0, -2.0, 0.8).pictures
     picture = pictures.from_behind(0, *SIZE)
     monkeypatch.setattr(pictures, "bodies", lambda scene: [])
     changed = (picture != pictures.from_behind(0, *SIZE)).any(axis=-1)
@@ -82,7 +71,7 @@ def test_the_view_from_behind_shows_the_rover_in_the_middle(monkeypatch):
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0, -1.3])
 def test_the_view_is_from_behind_and_above_and_looks_ahead(yaw, monkeypatch):
-    eye = eye_behind(pictures_in(plain(), 1.0, -2.0, yaw), monkeypatch)
+    eye = eye_behind(RoverInWorld(plain(), 1.0, -2.0, yaw).pictures, monkeypatch)
     back = turned(yaw).T @ (eye - [1.0, -2.0, 0.125])
     assert back[0] < -2.0 and abs(back[1]) < 1e-6 and back[2] > 1.0
 
@@ -99,50 +88,61 @@ def test_the_view_is_from_behind_and_above_and_looks_ahead(yaw, monkeypatch):
     ],
 )
 def test_the_view_is_never_from_behind_a_wall(behind_m, monkeypatch):
-    pictures = pictures_in(plain(box(-behind_m - 0.1, 0.0, 0.2, 6.0, 3.0)))
-    eye = eye_behind(pictures, monkeypatch)
+    world = plain(box(-behind_m - 0.1, 0.0, 0.2, 6.0, 3.0))
+    eye = eye_behind(RoverInWorld(world).pictures, monkeypatch)
     assert eye[0] > -behind_m
-    assert in_sight(pictures, eye, np.array([0.0, 0.0, 0.575]))
+    assert in_sight(world, eye, np.array([0.0, 0.0, 0.575]))
     if behind_m > 3.0:
-        np.testing.assert_allclose(eye, eye_behind(pictures_in(plain()), monkeypatch))
+        np.testing.assert_allclose(eye, eye_behind(RoverInWorld(plain()).pictures, monkeypatch))
 
 
 def test_the_view_is_never_from_inside_the_ground(monkeypatch):
     rng = np.random.default_rng(3)
     world = plain(heights=rng.normal(0.0, 0.8, (11, 11)))
-    pictures, nearest = pictures_in(world), []
+    rover, nearest = RoverInWorld(world), []
     for x, y, yaw in rng.uniform([-8, -8, -3], [8, 8, 3], (200, 3)):
-        stand(pictures._batch, x, y, yaw)
-        eye = eye_behind(pictures, monkeypatch)
+        rover.put(x, y, yaw)
+        eye = eye_behind(rover.pictures, monkeypatch)
         nearest.append(eye[2] - float(world.terrain.height(eye[:2])))
     assert min(nearest) > 0.3
     # Some of them had to give way.
     assert min(nearest) < 0.5
 
 
-def test_a_scene_shows_the_rover_its_actors_and_the_goal():
-    walk = ActorConf(waypoints=((-3.0, 3.0), (3.0, 3.0)))
-    batch = real_batch("flat", 2, actors=[walk.model_dump()], sensors=["goal"])
-    batch.step(idle(batch))
-    pictures = Pictures(batch)
+def test_a_scene_shows_its_robots_its_walkers_and_the_goals():
+    walker = {"waypoints": [[-3.0, 3.0], [3.0, 3.0]]}
+    simulation = started_simulation(
+        "flat", 2, robots=["rover_zero", "rover_zero"], actors=[walker], sensors=["goal"]
+    )
+    act(simulation)
+    pictures = Pictures(simulation)
+    robots, people = motion_of_group(simulation), motion_of_group(simulation, "walker")
     for scene in (0, 1):
-        *rover, actor, flag = pictures.bodies(scene)
-        assert len(rover) == 5
-        np.testing.assert_allclose(rover[0].position, batch.motion.position_w[scene])
-        np.testing.assert_allclose(rover[0].rotation, batch.motion.rotation[scene])
-        x, y, z, yaw = batch.actors.poses[scene, 0]
-        np.testing.assert_allclose(actor.position, [x, y, z])
-        np.testing.assert_allclose(actor.rotation, turned(yaw), atol=1e-12)
-        np.testing.assert_allclose(flag.position, [*batch.goals_w[scene], 0.0])
+        *parts, person, flag, other_flag = pictures.bodies(scene)
+        # A hull and four wheels of each rover.
+        assert len(parts) == 10
+        for number, row in enumerate((2 * scene, 2 * scene + 1)):
+            hull = parts[5 * number]
+            np.testing.assert_allclose(hull.position, robots.position_w[row])
+            np.testing.assert_allclose(hull.rotation, robots.rotation[row])
+            goal = (flag, other_flag)[number]
+            np.testing.assert_allclose(goal.position, [*goals_w(simulation)[row], 0.0])
+        x, y, z = people.position_w[scene]
+        np.testing.assert_allclose(person.position, [x, y, z])
+        np.testing.assert_allclose(person.rotation, turned(people.yaw[scene]), atol=1e-12)
         view = Viewpoint((x - 3.0, y, 1.0), (x, y, 1.0))
         orange = pictures.seen(view, scene, *SIZE)[30:42, 46:50].reshape(-1, 3).astype(int)
         assert ((orange[:, 0] - orange[:, 2]) > 60).any()
-        assert (pictures.from_behind(scene, *SIZE) != pictures.from_behind(1 - scene, *SIZE)).any()
-    batch.close()
+        first, second = (pictures.from_behind(scene, *SIZE, agent=f"rover_{number}") for number in (0, 1))
+        assert (first != second).any()
+        assert (pictures.from_behind(scene, *SIZE) == first).all()
+        assert (pictures.from_behind(1 - scene, *SIZE) != first).any()
+        assert (pictures.from_behind(scene, *SIZE, agent="walker_0") != first).any()
+    simulation.close()
 
 
 def test_the_place_is_seen_whole_from_above():
-    pictures = pictures_in(plain(box(4.0, 4.0, 3.0, 3.0, 3.0, colour=(0.9, 0.1, 0.1))))
+    pictures = RoverInWorld(plain(box(4.0, 4.0, 3.0, 3.0, 3.0, colour=(0.9, 0.1, 0.1)))).pictures
     seen = pictures.of_the_place(0, *SIZE, samples=1)
     assert seen.shape == (72, 96, 3) and seen.dtype == np.uint8
     red = seen[..., 0].astype(int) - seen[..., 1] > 40

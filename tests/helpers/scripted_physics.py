@@ -12,6 +12,7 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import RobotBody, SceneSpec
 from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
+from dune_rl.worlds.world import World
 
 
 class ScriptedRobot:
@@ -91,8 +92,11 @@ class ScriptedScene:
 def scripted_simulation(
     world: Any = "flat", num_scenes: int = 1, seed: int = 0, **settings: Any
 ) -> tuple[VectorSimulation, list[ScriptedRobot]]:
-    """A simulation of `environment_conf` that has been reset, and its robots, scene after scene."""
-    conf = environment_conf(world, **settings)
+    """A simulation of `environment_conf` that has been reset, and its robots, scene after scene.
+
+    `world` may be a `World` that a test has built.
+    """
+    conf = environment_conf("flat" if isinstance(world, World) else world, **settings)
     scenes: list[ScriptedScene] = []
 
     def make_scene(spec: SceneSpec) -> ScriptedScene:
@@ -100,7 +104,7 @@ def scripted_simulation(
         return scenes[-1]
 
     simulation = VectorSimulation(
-        world=build_world(conf.world),
+        world=world if isinstance(world, World) else build_world(conf.world),
         groups=group_setups(conf),
         make_scene=make_scene,
         physics=conf.physics,

@@ -1,0 +1,171 @@
+"""Kinematic agents: they move as unicycles, over the ground and not through obstacles."""
+
+import numpy as np
+import pytest
+from scripted_physics import scripted_simulation
+from simulations import act, goals_w, motion_of_group, put_walkers
+from yards import yard
+
+from dune_rl.bodies.person import PersonConf
+from dune_rl.env.kinematic import KinematicBody
+from dune_rl.geometry.frames import wrap_angle
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.world import World
+
+STEP_S = 0.05
+PERSON = PersonConf(speed_mps=1.5)
+
+
+def bodies(*poses: tuple[float, float, float], world: World | None = None) -> KinematicBody:
+    """Persons of one scene at (x, y, yaw)."""
+    worlds = BatchedWorlds([(world or yard(), WeatherConf())])
+    made = KinematicBody(PERSON, worlds, len(poses), STEP_S)
+    made.place(0, np.array([(x, y, 0.0, yaw) for x, y, yaw in poses]))
+    made.read_start(np.ones(len(poses), bool))
+    return made
+
+
+def walk(body: KinematicBody, speed: float, heading: float, steps: int = 1) -> None:
+    for _ in range(steps):
+        body.drive(np.tile([speed, heading], (len(body.poses), 1)))
+
+
+def test_an_agent_goes_where_it_turns() -> None:
+    body = bodies((1.0, 1.0, 0.5))
+    walk(body, 1.2, 0.1)
+    expected = np.array([np.cos(0.6), np.sin(0.6)])
+    np.testing.assert_allclose(body.poses[0], [*(1.0 + 0.06 * expected), 0.0, 0.6], atol=1e-12)
+    motion = body.motion
+    np.testing.assert_allclose(motion.velocity_w[0], [*(1.2 * expected), 0.0], atol=1e-9)
+    np.testing.assert_allclose(motion.velocity_b[0], [1.2, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(motion.roll_pitch_yaw[0], [0.0, 0.0, 0.6], atol=1e-12)
+    np.testing.assert_array_equal(motion.position_w, body.poses[:, :3])
+
+
+def test_agents_move_by_their_own_actions() -> None:
+    body = bodies((0.0, 0.0, 0.0), (0.0, 5.0, 0.0))
+    body.drive(np.array([[1.0, 0.0], [0.5, np.pi]]))
+    np.testing.assert_allclose(body.poses[0], [0.05, 0.0, 0.0, 0.0], atol=1e-12)
+    turned = 3.0 * STEP_S
+    x, y = 0.025 * np.cos(turned), 5.0 + 0.025 * np.sin(turned)
+    np.testing.assert_allclose(body.poses[1], [x, y, 0.0, turned], atol=1e-12)
+
+
+@pytest.mark.parametrize("heading", [2.0, -2.0])
+def test_an_agent_turns_no_faster_than_it_can(heading: float) -> None:
+    body = bodies((0.0, 0.0, 3.0))
+    walk(body, 0.0, heading, 4)
+    expected = 3.0 + np.sign(heading) * PERSON.max_turn_radps * STEP_S * 4
+    assert body.poses[0, 3] == pytest.approx(wrap_angle(np.asarray(expected)))
+
+
+@pytest.mark.parametrize(("commanded", "reached"), [(9.0, 1.5), (0.7, 0.7), (-1.0, 0.0)])
+def test_an_agent_keeps_its_speed_limits(commanded: float, reached: float) -> None:
+    body = bodies((0.0, 0.0, 0.0))
+    walk(body, commanded, 0.0, 10)
+    np.testing.assert_allclose(body.poses[0, :2], [10 * reached * STEP_S, 0.0], atol=1e-9)
+
+
+def test_bounds_of_actions_are_those_limits() -> None:
+    low, high = bodies((0.0, 0.0, 0.0)).action_bounds()
+    np.testing.assert_allclose([low, high], [[0.0, -np.pi], [1.5, np.pi]])
+
+
+def test_an_agent_follows_the_ground() -> None:
+    slope = HeightField(np.tile(np.arange(21) * 0.2, (21, 1)), 1.0, (-10.0, -10.0))
+    body = bodies((0.0, 0.0, 0.3), world=World("slope", slope, region=(-5, 5, -5, 5)))
+    walk(body, 1.0, 0.0, 30)
+    x, y, z, _ = body.poses[0]
+    assert x > 1.0
+    assert z == pytest.approx(float(slope.height([x, y])))
+
+
+def test_an_obstacle_stops_an_agent_which_may_turn_away() -> None:
+    body = bodies((-4.0, 0.0, 0.0), world=yard((0.0, 0.0, 0.0, 2.0, 2.0)))
+    walk(body, 1.5, 0.0, 60)
+    # 0.25 m from the box's face at x = -1, as near as whole steps and the world's grid let it come.
+    assert body.poses[0, 0] == pytest.approx(-1.25, abs=0.16)
+    assert body.poses[0, 0] < -1.25 + 0.08
+    assert body.blocked.all()
+    np.testing.assert_allclose(body.motion.velocity_w, 0.0, atol=1e-12)
+    walk(body, 1.5, np.pi, 30)
+    assert not body.blocked.any()
+    assert body.poses[0, 0] < -1.5
+
+
+def test_the_edge_of_the_world_stops_an_agent() -> None:
+    for yaw in (0.0, np.pi / 2, np.pi, -np.pi / 2):
+        body = bodies((0.0, 0.0, yaw))
+        walk(body, 1.5, 0.0, 200)
+        assert np.abs(body.poses[0, :2]).max() == pytest.approx(9.0, abs=0.08)
+        assert np.abs(body.poses[0, :2]).max() <= 9.0
+        assert body.blocked.all()
+
+
+def test_a_motion_that_was_read_stays_as_it_is() -> None:
+    body = bodies((0.0, 0.0, 0.0))
+    walk(body, 1.0, 0.0)
+    kept, position = body.motion, body.motion.position_w.copy()
+    walk(body, 1.0, 0.3, 3)
+    body.place(0, np.array([[5.0, 5.0, 0.0, 1.0]]))
+    np.testing.assert_array_equal(kept.position_w, position)
+
+
+# -- in a simulation -------------------------------------------------------------------------------
+
+WAY = {"waypoints": [[-3.0, 6.0], [3.0, 6.0]]}
+EXTERNAL = {"controller": "external", "speed_mps": 1.5, **WAY}
+
+
+def test_only_external_walkers_are_agents() -> None:
+    scripted = {"length_range_m": [3.0, 8.0]}
+    simulation, _ = scripted_simulation(actors=[scripted, EXTERNAL, scripted, EXTERNAL])
+    assert simulation.agents == ("rover_0", "walker_0", "walker_1")
+    (others,) = [group for group in simulation.groups if not group.is_external]
+    assert others.count == 2 and others.name not in ("rover", "walker")
+
+
+def test_an_agent_that_arrives_is_sent_to_the_other_end() -> None:
+    simulation, _ = scripted_simulation(actors=[EXTERNAL])
+
+    def goal() -> np.ndarray:
+        return goals_w(simulation, "walker")[0]
+
+    put_walkers(simulation, [2.0, 6.0, 0.0, 0.0])
+    np.testing.assert_allclose(goal(), [3.0, 6.0], atol=0.06)
+    for _ in range(9):
+        act(simulation, walker=[1.0, 0.0])
+    np.testing.assert_allclose(goal(), [3.0, 6.0], atol=0.06)
+    for _ in range(3):
+        act(simulation, walker=[1.0, 0.0])
+    np.testing.assert_allclose(goal(), [-3.0, 6.0], atol=0.06)
+    put_walkers(simulation, [-2.9, 6.0, 0.0, 0.0])
+    act(simulation)
+    np.testing.assert_allclose(goal(), [3.0, 6.0], atol=0.06)
+
+
+def test_external_and_scripted_walkers_do_not_mix() -> None:
+    walking, standing = (scripted_simulation(actors=[{}, EXTERNAL])[0] for _ in range(2))
+    for _ in range(20):
+        act(walking, walker=[1.5, 0.1])
+        act(standing)
+    (scripted,) = [group.name for group in walking.groups if not group.is_external]
+    places = {
+        name: [motion_of_group(simulation, name).position_w for simulation in (walking, standing)]
+        for name in ("walker", scripted)
+    }
+    np.testing.assert_array_equal(*places[scripted])
+    assert not np.array_equal(*places["walker"])
+
+
+def test_scripted_walkers_have_the_velocity_that_they_walk_with() -> None:
+    simulation, _ = scripted_simulation(num_scenes=3, actors=[{"speed_mps": 0.7}, {"speed_mps": 0.7}])
+    for _ in range(10):
+        before = motion_of_group(simulation, "walker").position_w
+        act(simulation)
+        motion = motion_of_group(simulation, "walker")
+        walked = (motion.position_w - before)[:, :2] / STEP_S
+        np.testing.assert_allclose(motion.velocity_w[:, :2], walked, atol=1e-9)
+    assert np.hypot(*walked.T).max() == pytest.approx(0.7, rel=0.01)
