@@ -1,4 +1,4 @@
-"""Maps: that their layers say what the world, the spawner and the actors do, and what the command writes."""
+"""Maps: layers that agree with the world, the spawner and the agents, and what the command writes."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,20 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dune_rl.actors.actor import ActorConf
-from dune_rl.view.drivers import ending
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
+from states import episode_state
 from world_files import CRATE, write_yard
 
 from dune_rl import view
 from dune_rl.config.compose import compose_view
 from dune_rl.config.schema import ViewConf
-from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.view import drivers, maps
+from dune_rl.seeding import stream
+from dune_rl.state import ContactState
+from dune_rl.tasks.spawn import Placement, Spawner
+from dune_rl.view import endings, maps
+from dune_rl.view.endings import describe_ending
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import (
@@ -30,7 +32,6 @@ from dune_rl.visualization.site_map.layers import (
     choose_spread_episodes,
     contour_levels,
     covered_by,
-    placements,
     prop_footprints,
     site_statistics,
     slope_class,
@@ -60,7 +61,7 @@ def conf_of(*words: str) -> ViewConf:
 
 @cache
 def site(world: str) -> MapContent:
-    return maps.site_of(conf_of(f"+world={world}"), [])
+    return maps.map_content(conf_of(f"+world={world}"), [])
 
 
 def box(name: str, low: Corner, high: Corner, kind: str = "box", **more: bool) -> Prop:
@@ -158,9 +159,9 @@ def test_the_last_of_many_kinds_are_put_together() -> None:
 def test_every_solid_prop_is_on_the_map(name: str) -> None:
     world = site(name).world
     solid = [prop for prop in world.props if prop.solid]
-    assert {each.kind for each in site(name).things} == {prop.kind for prop in solid}
+    assert {each.kind for each in site(name).footprints} == {prop.kind for prop in solid}
     corners = np.concatenate(
-        [np.zeros((0, 2)), *(each.triangles.reshape(-1, 2) for each in site(name).things)]
+        [np.zeros((0, 2)), *(each.triangles.reshape(-1, 2) for each in site(name).footprints)]
     )
     for prop in solid:
         low, high = prop.vertices[:, :2].min(axis=0), prop.vertices[:, :2].max(axis=0)
@@ -170,7 +171,7 @@ def test_every_solid_prop_is_on_the_map(name: str) -> None:
 
 def test_each_kind_is_drawn_in_a_colour_of_its_own() -> None:
     axes = Figure().add_subplot()
-    found = site("inspection").things
+    found = site("inspection").footprints
     tints = {each.kind: tint for each, tint in zip(found[1:], colours.OBSTACLES, strict=False)}
     draw_props(axes, found, tints)
     drawn = [each for each in axes.collections if isinstance(each, PolyCollection)]
@@ -205,7 +206,8 @@ def test_the_marked_cells_are_the_spawner_s(name: str) -> None:
                                spawner.cells[np.lexsort(spawner.cells.T)])  # fmt: skip
     assert free.traversable[mask].all()
     assert cell_values_at(free, mask, spawner.cells).all()
-    for each in placements(spawner, 3, 20):
+    for episode in range(20):
+        each = spawner.sample(stream(3, "spawn", episode))
         assert cell_values_at(free, mask, np.array([[each.x, each.y], [each.goal_x, each.goal_y]])).all()
 
 
@@ -218,11 +220,14 @@ def test_points_beyond_the_world_are_in_no_cell() -> None:
 
 def test_examples_are_episodes_of_the_seed_that_lie_apart() -> None:
     spawner = site("rubicon").spawner
-    chosen = choose_spread_episodes(spawner, 5, 4, 1.2)
-    first = placements(spawner, 5, max(chosen) + 1)
+
+    def place_robots(episode: int) -> list[Placement]:
+        return [spawner.sample(stream(5, "spawn", episode))]
+
+    chosen = choose_spread_episodes(place_robots, 4, 1.2)
     assert len(chosen) == 4
-    assert all(first[episode] == each for episode, each in chosen.items())
-    ends = {n: np.array([[p.x, p.y], [p.goal_x, p.goal_y]]) for n, p in chosen.items()}
+    assert all(place_robots(episode) == placements for episode, placements in chosen.items())
+    ends = {n: np.array([[p.x, p.y], [p.goal_x, p.goal_y]]) for n, (p,) in chosen.items()}
     for a, here in ends.items():
         for b, there in ends.items():
             if a != b:
@@ -243,13 +248,13 @@ def test_the_actors_paths_are_walkable(name: str) -> None:
 
 
 def test_there_are_no_paths_where_nobody_walks() -> None:
-    assert maps.site_of(conf_of("+world=flat", "actors=none"), []).paths == []
+    assert maps.map_content(conf_of("+world=flat", "actors=none"), []).paths == []
 
 
 def test_way_points_are_the_path() -> None:
-    walker = ActorConf(waypoints=((-3.0, 0.0), (0.0, 2.0), (3.0, 0.0)))
-    conf = conf_of("+world=flat").model_copy(update={"actors": (walker,)})
-    (path,) = maps.site_of(conf, []).paths
+    walker = "{body: person, controller: path, path: {waypoints: [[-3, 0], [0, 2], [3, 0]]}}"
+    conf = conf_of("+world=flat", f"agents={{rover: {{body: rover_zero}}, walker: {walker}}}")
+    (path,) = maps.map_content(conf, []).paths
     np.testing.assert_allclose(path[0], [-3, 0], atol=1e-6)
     np.testing.assert_allclose(path[-1], [3, 0], atol=0.06)
 
@@ -278,7 +283,7 @@ def test_the_ground_s_colours_tell_slope_starts_and_passages() -> None:
 
 def test_figures_are_those_of_the_ground() -> None:
     world = world_with(box("a", (0, 0, -5), (2, 2, 5)), slope=0.25)
-    spawner = maps.Spawner(world, conf_of("+world=flat").task.spawn, 0.3)
+    spawner = Spawner(world, conf_of("+world=flat").task.spawn, 0.3)
     found = site_statistics(world, spawner.free_space, (-4.0, 4.0, -4.0, 4.0), 25.0)
     assert (found.width_m, found.depth_m) == (8.0, 8.0)
     assert found.relief_m == pytest.approx(0.25 * 7.9)
@@ -289,38 +294,75 @@ def test_figures_are_those_of_the_ground() -> None:
     assert found.traversable == pytest.approx(1.0 - (4.0 + 4 * 2 * 0.3 + np.pi * 0.3**2) / 64.0, abs=0.01)
 
 
-# -- drives -------------------------------------------------------------------------------------------
+# -- tracks -------------------------------------------------------------------------------------------
 
 
-def test_drives_are_the_episodes_of_the_seed() -> None:
+def test_tracks_are_those_of_the_episodes_of_the_seed() -> None:
     conf = conf_of("+world=flat", "actors=none", "policy=go_to_goal", "seed=4", "episodes=3")
-    driven = maps.drives(conf, QUIET)
-    here = maps.site_of(conf, driven)
-    assert [each.episode for each in driven] == list(here.episodes) == [0, 1, 2]
-    for each in driven:
-        start = here.episodes[each.episode]
-        np.testing.assert_allclose(each.track[0], [start.x, start.y], atol=0.05)
-        left = float(np.hypot(*(each.track[-1] - [start.goal_x, start.goal_y])))
-        assert each.ending == "goal reached" and left < here.goal_distance_m
-        assert np.hypot(*np.diff(each.track, axis=0).T).max() < 0.2
+    tracks = maps.drive_episodes(conf, QUIET)
+    here = maps.map_content(conf, tracks)
+    assert [each.episode for each in tracks] == list(here.episodes) == [0, 1, 2]
+    for each in tracks:
+        (start,) = here.episodes[each.episode]
+        np.testing.assert_allclose(each.points[0], [start.x, start.y], atol=0.05)
+        left = float(np.hypot(*(each.points[-1] - [start.goal_x, start.goal_y])))
+        assert each.agent == "rover_0" and each.ending == "goal reached" and left < here.goal_distance_m
+        assert np.hypot(*np.diff(each.points, axis=0).T).max() < 0.2
 
 
 def test_more_episodes_than_scenes_are_driven_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     conf = conf_of("+world=flat", "actors=none", "policy=go_to_goal", "episodes=3", "seed=4")
-    together = maps.drives(conf, QUIET)
+    together = maps.drive_episodes(conf, QUIET)
     monkeypatch.setattr(maps, "_MOST_SCENES", 2)
-    for a, b in zip(together, maps.drives(conf, QUIET), strict=True):
+    for a, b in zip(together, maps.drive_episodes(conf, QUIET), strict=True):
         assert (a.episode, a.ending) == (b.episode, b.ending)
-        np.testing.assert_array_equal(a.track, b.track)
+        np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_all_agents_of_all_groups_have_tracks() -> None:
+    words = ["robots=[rover_zero,rover_zero,leo_rover]", "policy=go_to_goal", "episodes=1"]
+    conf = conf_of("+world=flat", *words)
+    tracks = maps.drive_episodes(conf, QUIET)
+    assert [each.agent for each in tracks] == ["rover_0", "rover_1", "leo_rover_0", "walker_0", "walker_1"]
+    here = maps.map_content(conf, tracks)
+    robots, walkers = tracks[:3], tracks[3:]
+    for track, start in zip(robots, here.episodes[0], strict=True):
+        np.testing.assert_allclose(track.points[0], [start.x, start.y], atol=0.05)
+        assert track.ending is not None
+    assert all(each.ending is None and np.ptp(each.points, axis=0).max() > 1.0 for each in walkers)
+    found = texts(draw_site_map(here, "", "", 72))
+    for label in ("0a", "0b", "0c", "tracks of other agents"):
+        assert label in found
 
 
 def test_every_ending_has_a_colour_and_a_mark() -> None:
-    assert set(colours.ENDINGS) == {*drivers._ENDINGS.values(), "out of time"}
-    assert len(set(colours.ENDINGS.values())) == len({mark for _, mark in colours.ENDINGS.values()})
-    nothing = dict.fromkeys(drivers._ENDINGS, 0.0)
-    assert ending(nothing) == "out of time"
-    assert ending(nothing | {"reached": 1.0}) == "goal reached, after a collision"
-    assert ending(nothing | {"reached": 1.0, "success": 1.0}) == "goal reached"
+    collided = {"goal reached, after a collision", "physics diverged"}
+    assert set(colours.ENDINGS) == {*endings._ENDINGS.values(), *collided}
+    styles = {*colours.ENDINGS.values(), colours.ending_style("battery empty")}
+    assert len(styles) == len({mark for _, mark in styles}) == len(colours.ENDINGS) + 1
+
+
+@pytest.mark.parametrize(
+    ("ended", "collisions", "text"),
+    [
+        (["goal_reached"], 0, "goal reached"),
+        (["goal_reached", "time_limit"], 2, "goal reached, after a collision"),
+        (["time_limit", "stuck"], 0, "stuck"),
+        (["time_limit"], 1, "out of time"),
+        (["battery_empty"], 0, "battery empty"),
+        ([], 0, "cut short"),
+    ],
+)
+def test_endings_are_described(ended: list[str], collisions: int, text: str) -> None:
+    names = ("goal_reached", "stuck", "time_limit", "battery_empty")
+    state = replace(
+        episode_state([0, 1], [3, 3]),
+        endings={name: np.array([False, name in ended]) for name in names},
+    )
+    counts = np.array([0, collisions])
+    state = replace(state, contacts=ContactState(counts > 0, counts, counts))
+    assert describe_ending(state, 1) == text
+    assert describe_ending(state, 0) == "cut short"
 
 
 # -- the page -----------------------------------------------------------------------------------------
@@ -333,8 +375,8 @@ def texts(figure: Figure) -> list[str]:
 def test_a_page_says_what_is_on_it() -> None:
     figure = draw_site_map(site("inspection"), "inspection", "world: seed 0", 72)
     found = texts(figure)
-    for text in ("inspection", "world: seed 0", "the site", "starts and goals", "solar array", "water",
-                 "bridge, driven on", "over 25°, too steep", "64 by 64 m", "8 by 8 m"):  # fmt: skip
+    for text in ("inspection", "world: seed 0", "the world", "starts and goals", "solar array", "water",
+                 "bridge, drivable", "over 25°, too steep", "64 by 64 m", "8 by 8 m"):  # fmt: skip
         assert text in found
     panels = [axes for axes in figure.axes if axes.get_xlabel()]
     assert [axes.get_xlabel() for axes in panels] == ["x [m], east"] * 2
@@ -349,7 +391,7 @@ def test_a_page_says_what_is_on_it() -> None:
 
 
 def test_a_region_as_large_as_the_world_needs_one_panel() -> None:
-    here = maps.site_of(conf_of("+world=flat", "task.spawn.region=anywhere", "world.size_m=20"), [])
+    here = maps.map_content(conf_of("+world=flat", "task.spawn.region=anywhere", "world.size_m=20"), [])
     figure = draw_site_map(here, "flat", "", 72)
     assert "starts and goals" not in texts(figure)
     assert len([axes for axes in figure.axes if axes.get_xlabel()]) == 1
@@ -357,8 +399,8 @@ def test_a_region_as_large_as_the_world_needs_one_panel() -> None:
 
 def test_the_closer_panel_holds_all_that_was_driven() -> None:
     here = site("flat")
-    far = Track(0, np.array([[0.0, 0.0], [20.0, 3.0]]), "stuck")
-    figure = draw_site_map(replace(here, drives=[far]), "", "", 72)
+    far = Track("rover_0", 0, np.array([[0.0, 0.0], [20.0, 3.0]]), "stuck")
+    figure = draw_site_map(replace(here, tracks=[far]), "", "", 72)
     closer = [axes for axes in figure.axes if axes.get_xlabel()][1]
     assert closer.get_xlim()[1] > 20.0
     assert "stuck: 1 of 1" in texts(figure)
@@ -373,7 +415,8 @@ def test_nothing_written_overlaps_or_leaves_the_page(name: str, driven: bool) ->
             [np.linspace(*here.spawner.region[:2], 9), np.full(9, here.spawner.region[2])], axis=1
         )
         here = replace(
-            here, drives=[Track(number, track, each) for number, each in enumerate(colours.ENDINGS)]
+            here,
+            tracks=[Track("rover_0", number, track, each) for number, each in enumerate(colours.ENDINGS)],
         )
     figure = draw_site_map(here, name, maps.subtitle(conf_of(f"+world={name}")), 72)
     figure.canvas.draw()
@@ -414,13 +457,15 @@ def test_an_imported_world_has_a_map(kind: str, call: Call, folder: Path) -> Non
     conf = conf_of(*words)
     assert maps.title(conf) == f"mesh: {file.name}"
     assert str(folder) not in maps.subtitle(conf)
-    corners = np.concatenate([each.triangles for each in maps.site_of(conf, []).things]).reshape(-1, 2)
+    corners = np.concatenate([each.triangles for each in maps.map_content(conf, []).footprints]).reshape(
+        -1, 2
+    )
     assert (np.abs(corners - CRATE).max(axis=1) < 0.51).sum() >= 6
 
 
 def test_equal_settings_give_equal_bytes_and_a_seed_others(call: Call, folder: Path) -> None:
     words = ["+world=island", "view=map", COARSE, "policy=go_to_goal", "episodes=2"]
-    words.append("task.termination.max_steps=60")
+    words.append("task.terminations.time_limit.max_steps=60")
     made = []
     for more in (["out=a"], ["out=b"], ["out=c", "seed=1"]):
         assert call(*words, *more) == 0
@@ -468,8 +513,3 @@ def test_ctrl_c_leaves_no_half_a_file(call: Call, folder: Path, monkeypatch: pyt
     monkeypatch.setattr(Figure, "savefig", interrupted)
     assert call("+world=flat", "view=map", COARSE) == 130
     assert not list((folder / "views").iterdir())
-
-
-def test_a_map_is_refused_where_actors_are_agents() -> None:
-    with pytest.raises(ConfigError, match="only the rover is an agent here"):
-        compose_view(["+world=flat", "view=map", "actors=external_walkers"])

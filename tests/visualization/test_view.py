@@ -8,18 +8,13 @@ import av
 import numpy as np
 import pytest
 import yaml
-from batches import idle, real_batch
 from PIL import Image
-from training import make_sac
+from simulations import act, observation, started_simulation
 
-import dune_rl
 from dune_rl import view
 from dune_rl.config.compose import compose, compose_view
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
-from dune_rl.learning.checkpoint import write
-from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.saved_policies import policy_entry
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.visualization.contact_sheet import contact_sheet
@@ -75,7 +70,14 @@ def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(call: Call, folde
 
 
 def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
-    words = ["view=video", BLIND, "longest_s=9", "seed=4", "frames_per_s=4", "task.termination.max_steps=12"]
+    words = [
+        "view=video",
+        BLIND,
+        "longest_s=9",
+        "seed=4",
+        "frames_per_s=4",
+        "task.terminations.time_limit.max_steps=12",
+    ]
     assert call(*TINY, *words) == 0
     frames, length_s = frames_of(folder / "views" / "flat_seed4.mp4")
     # At steps 0, 5, 10 and 12, and 1.5 s of the last.
@@ -114,23 +116,15 @@ def test_a_sheet_before_it_does_not_change_a_film(call: Call, folder: Path) -> N
     np.testing.assert_array_equal(film_of(call, "view=both", "policy=random"), alone)
 
 
-@pytest.mark.parametrize("robot", ["rover_zero", "hyperdog"])
-def test_a_checkpoint_drives(
-    robot: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    env = dune_rl.make("flat", 1, sensors=["goal", "velocity"], actors="none", robot=robot)
-    group = next(iter(env.group_map))
-    spec = PolicySpec.of(env, group)
-    env.close()
-    config = compose(["+world=flat", "sensors=[goal,velocity]", "actors=none", "seed=7", f"robot={robot}"])
-    groups = {group: policy_entry(make_sac(spec, folder, hidden=(8,)))}
-    write(folder / "policy.pt", "policy", {"groups": groups, "config": config.model_dump(mode="json")})
-    words = [word for word in TINY if "=none" not in word and not word.startswith("+world")]
-    assert call(*words, "checkpoint=policy.pt", "view=video", "longest_s=0.2", "seed=2") == 0
-    assert len(frames_of(folder / "views" / "flat_seed2.mp4")[0]) == 3 + 15
-    capsys.readouterr()
-    assert call(*words, "checkpoint=policy.pt", "policy=random") == 2
-    assert capsys.readouterr().err == "choose one driver: checkpoint=PATH or policy=NAME\n"
+def test_the_agent_that_is_followed_is_chosen_by_name(call: Call, folder: Path) -> None:
+    words = [word for word in TINY if word != "actors=none"]
+    pictures = []
+    for agent in ("rover_0", "rover_1", "walker_0"):
+        more = ["robots=[rover_zero,rover_zero]", BLIND, "view=video", "longest_s=0.1", f"agent={agent}"]
+        assert call(*words, *more, f"out={agent}") == 0
+        pictures.append(frames_of(folder / agent / "flat_seed0.mp4")[0][0])
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        assert np.abs(pictures[first].astype(int) - pictures[second]).mean() > 1.0
 
 
 def test_the_episode_s_seed_is_not_the_training_s() -> None:
@@ -145,8 +139,7 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
         (["height=32"], "height must be at least 64 (got 32)"),
         (["view=film"], "view must be one of sheet, video, both, orbit, map (got 'film')"),
         (["frames_per_s=0"], "frames_per_s must be above 0.0 (got 0)"),
-        (["actors=external_walkers"],
-         "only the rover is an agent here; take scripted actors (actors=walkers) or parallel_env"),
+        (["agent=rover_7"], "agent: there is no agent 'rover_7'; did you mean rover_0?"),
         (["-m", "seed=1,2"], "this command runs once; leave -m out"),
         (["out=file"], "cannot write file: a file of that name is in the way; choose another place"),
         (["out=file/views"], "cannot write file/views: a part of the path is a file; choose another place"),
@@ -215,10 +208,12 @@ def panels(readings: dict[str, np.ndarray], conf: SensorsConf) -> list[str]:
 
 @pytest.fixture(scope="module")
 def everything() -> Iterator[tuple[dict[str, np.ndarray], SensorsConf]]:
-    batch = real_batch("flat", sensors="all")
-    batch.step(idle(batch))
-    yield {name: value[0] for name, value in batch.observe().items()}, batch.sensors
-    batch.close()
+    simulation = started_simulation("flat", sensors="all")
+    act(simulation, [0.0, 0.0])
+    suite = simulation.group().suite
+    assert suite is not None
+    yield {name: value[0] for name, value in observation(simulation).items()}, suite.conf
+    simulation.close()
 
 
 def test_a_sheet_has_a_panel_for_each_reading(everything) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN, SMALL, TALL_M
-from simulations import started_simulation
+from simulations import goals_w, motion_of_group, started_simulation
 
 from dune_rl.config.compose import compose
 from dune_rl.errors import ConfigError
@@ -158,8 +158,8 @@ def test_it_is_no_obstacle():
     assert grown.clearance([[0.0, 0.0]]) == np.inf
     np.testing.assert_array_equal(grown.solid_mesh().vertices, bare.solid_mesh().vertices)
     without, within = (started_simulation({**SMALL, "grass_cover": cover}, 2, seed=4) for cover in (0.0, 0.9))
-    np.testing.assert_array_equal(without.motion.position_w, within.motion.position_w)
-    np.testing.assert_array_equal(without.goals_w, within.goals_w)
+    np.testing.assert_array_equal(motion_of_group(without).position_w, motion_of_group(within).position_w)
+    np.testing.assert_array_equal(goals_w(without), goals_w(within))
     for simulation in (without, within):
         simulation.close()
 

@@ -62,17 +62,17 @@ def test_png_with_16_bits_is_scaled_by_its_relief(tmp_path):
     matches(build(tmp_path / "m.png", relief_m=0.8), shift=0.4)
     low = float(samples().min())
     matches(build(tmp_path / "m.png", relief_m=0.8, lowest_m=low))
-    with pytest.raises(WorldError, match=r"is a picture: set world.relief_m"):
+    with pytest.raises(WorldError, match=r"is an image: set world.relief_m"):
         build(tmp_path / "m.png")
 
 
 def test_8_bits_and_colour_are_warned_of(tmp_path):
     grey = np.round((samples() + 0.4) / 0.8 * 255).astype(np.uint8)
     Image.fromarray(grey).save(tmp_path / "m.png")
-    with pytest.warns(WorldWarning, match="has 8 bits a sample"):
+    with pytest.warns(WorldWarning, match="has 8 bits per sample"):
         matches(build(tmp_path / "m.png", relief_m=0.8), tolerance=0.006, shift=0.4)
     Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "c.png")
-    with pytest.warns(WorldWarning, match="is a colour picture"):
+    with pytest.warns(WorldWarning, match="is a colour image"):
         matches(build(tmp_path / "c.png", relief_m=0.8), tolerance=0.006, shift=0.4)
 
 
@@ -80,7 +80,7 @@ def test_a_geotiff_tells_its_size_unless_in_degrees(tmp_path):
     write_tiff(tmp_path / "m.tif", samples(), scale=(0.2, 0.2), keys=METRES)
     matches(build(tmp_path / "m.tif", size_m=None))
     write_tiff(tmp_path / "d.tif", samples(), scale=(0.2, 0.2), keys=DEGREES)
-    with pytest.raises(WorldError, match=r"does not say how large it is in metres: set world.size_m"):
+    with pytest.raises(WorldError, match=r"does not contain its size in metres: set world.size_m"):
         build(tmp_path / "d.tif", size_m=None)
     matches(build(tmp_path / "d.tif"))
 
@@ -179,7 +179,7 @@ def test_what_is_no_map_is_refused_in_words(tmp_path):
     np.save(tmp_path / "m.npy", samples())
     with pytest.raises(WorldError, match=r"set world.size_m"):
         build(tmp_path / "m.npy", size_m=None)
-    with pytest.raises(WorldError, match=r"a map of 0.1 by 16 m is no world"):
+    with pytest.raises(WorldError, match=r"a map of 0.1 by 16 m cannot be a world"):
         build(tmp_path / "m.npy", size_m=(0.1, 16))
 
 

@@ -137,7 +137,7 @@ def test_a_mesh_far_from_its_origin_is_moved_there(tmp_path):
     mesh = joined(yard())
     mesh.apply_translation([500_000.0, 5_000_000.0, 1200.0])
     (tmp_path / "utm.obj").write_text(obj_text({"Terrain": mesh}))
-    with pytest.warns(WorldWarning, match="lies far from its origin and is moved there"):
+    with pytest.warns(WorldWarning, match="is far from its origin and is moved there"):
         world = build_mesh(MeshConf(path=str(tmp_path / "utm.obj")))
     np.testing.assert_allclose(world.extent, (-10, 10, -8, 8), atol=1.0)
     assert np.ptp(world.terrain.heights) < 1.0
@@ -163,7 +163,7 @@ def test_the_agriculture_world():
     path = SHARED_WORLDS / "agriculture_world.dae"
     with pytest.warns(WorldWarning) as caught:
         world = build_mesh(MeshConf(path=str(path)))
-    assert all(re.search(r"\.jpg is missing: what it colours", str(w.message)) for w in caught)
+    assert all(re.search(r"\.jpg is missing; its faces have a plain colour", str(w.message)) for w in caught)
     assert len({str(w.message) for w in caught}) == len(caught) == 6
     np.testing.assert_allclose(np.diff(world.extent)[[0, 2]], [120, 160], atol=0.5)
     assert world.terrain.heights.min() == pytest.approx(-4.84, abs=0.05)

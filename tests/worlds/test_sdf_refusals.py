@@ -137,7 +137,7 @@ def test_files_that_are_no_world_are_refused_in_words(tmp_path):
     refused_text(tmp_path, "<sdf>", "no valid XML")
     refused_text(tmp_path, "<urdf/>", "no SDF file: its root is <urdf>")
     refused_text(tmp_path, "<a>" * 9000 + "</a>" * 9000, "nested more than 128 deep")
-    refused_text(tmp_path, sdf(), "holds nothing that a robot could stand on")
+    refused_text(tmp_path, sdf(), "has nothing that a robot could stand on")
     refused_text(
         tmp_path, sdf(GROUND, model("a", "<box><size>1 2</size></box>")), "<size> must hold 3 numbers"
     )

@@ -184,7 +184,7 @@ def test_colours_lights_and_friction(tmp_path):
     assert not world.light.shadows
     assert build(tmp_path, PLANE.format(surface=MU.format(0.7)), friction=0.4).friction == 0.4
     assert build(tmp_path, GROUND).friction == 1.0
-    with pytest.warns(WorldWarning, match="has a friction of 100; 5 is taken"):
+    with pytest.warns(WorldWarning, match="has a friction of 100; 5 is used"):
         assert build(tmp_path, PLANE.format(surface=MU.format(100))).friction == 5.0
 
 
@@ -223,7 +223,7 @@ def test_what_is_not_supported_is_named_once(tmp_path):
         "<polyline> as a shape is not supported",
         "lights of type 'point' are left out",
         "https:// addresses are not supported",
-        "models that are not <static> stand still",
+        "models that are not <static> do not move here",
         "<pose relative_to> is not supported",
     ):
         assert len([text for text in texts if said in text]) == 1, said

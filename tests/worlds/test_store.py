@@ -18,7 +18,6 @@ from dune_rl.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.paths import cache_folder
 from dune_rl.rendering.light import LightConf
-from dune_rl.worlds import registry
 from dune_rl.worlds.appearance import bake_world, precompute_appearance
 from dune_rl.worlds.cache import store as module
 from dune_rl.worlds.cache.folder import CacheFolder, CacheWarning
@@ -94,7 +93,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
         built.append(conf)
         return build(conf)
 
-    monkeypatch.setattr(registry, "build", counting)
+    monkeypatch.setattr(module, "build", counting)
     return built
 
 

@@ -187,7 +187,9 @@ def test_one_surface_everywhere():
 
 
 def test_sinkage_needs_surfaces():
-    with pytest.raises(WorldError, match=r"world\.sinkage=true needs to know .* set world\.surfaces"):
+    with pytest.raises(
+        WorldError, match=r"world\.sinkage=true needs a surface material: set world\.surfaces"
+    ):
         world_of("flat", sinkage=True)
 
 

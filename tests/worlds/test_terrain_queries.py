@@ -100,5 +100,5 @@ def test_queries_take_any_shape_and_answer_where_there_is_nothing() -> None:
 
 def test_a_radius_too_small_for_the_world_is_refused() -> None:
     wide = HeightField(np.zeros((2, 2)), 10_000.0, (0.0, 0.0))
-    with pytest.raises(ValueError, match=r"take 15 or more"):
+    with pytest.raises(ValueError, match=r"use 15 or more"):
         World("wide", wide, region=(1.0, 2.0, 1.0, 2.0)).roughness([[0.0, 0.0]], 1.0)
