@@ -10,7 +10,6 @@ from typing import Protocol, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-
 # Columns that the whole line takes beside a bar that can be read.
 _WIDE = 120
 
