@@ -70,7 +70,8 @@ def _evaluate(conf: EvaluateConf) -> None:
             advance = partial(_advance, bar, task)
             results[name] = evaluate(policy, env, conf.episodes, conf.seed, progress=advance)
     env.close()
-    for group in agents:
+    # Groups without metrics have no rows.
+    for group in next(iter(results.values())):
         title = f"{conf.world.name}, {group}" if len(agents) > 1 else conf.world.name
         _show(console, {name: rows[group] for name, rows in results.items()}, title, conf)
     records = [

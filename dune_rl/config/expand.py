@@ -15,6 +15,31 @@ from dune_rl.suggestions import closest, one_of
 _SECTIONS = ("sensors", "task", "metrics")
 
 
+class _OptionReader:
+    """The options of Hydra's groups and their settings, each read once."""
+
+    def __init__(self, loader: ConfigLoader) -> None:
+        self._loader = loader
+        self._names: dict[str, list[str]] = {}
+        self._settings: dict[tuple[str, str], dict[str, Any]] = {}
+
+    def names(self, group: str) -> list[str]:
+        """The options of a group, sorted."""
+        if group not in self._names:
+            self._names[group] = option_names(self._loader, group)
+        return self._names[group]
+
+    def changed(self, group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings of an option with `changes`, but for the name, which need not be that of its file."""
+        if (group, name) not in self._settings:
+            composed = OmegaConf.to_container(hydra_compose(f"{group}/{name}")[group], resolve=True)
+            assert isinstance(composed, dict)
+            self._settings[group, name] = {str(key): value for key, value in composed.items()}
+        return merged(
+            self._settings[group, name], {key: value for key, value in changes.items() if key != "name"}
+        )
+
+
 def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """Put the settings of options in the place of their names in `data`; the faults in the names.
 
@@ -23,16 +48,24 @@ def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     differ. A list of sensors is what is enabled, and a list of actors becomes
     groups. What has no known name is left out, so that the rest is checked.
     """
-    faults = _expand_robots(data, loader)
+    options = _OptionReader(loader)
+    faults = _expand_robots(data, options)
     if isinstance(actors := data.get("actors"), Sequence) and not isinstance(actors, str):
         data["actors"] = groups_of_list(actors)
     for section in ("agents", "actors"):
         groups = data.get(section)
         if isinstance(groups, Mapping):
             data[section] = {
-                name: _expanded_group(group, f"{section}.{name}", loader, faults)
+                name: _expanded_group(group, f"{section}.{name}", options, faults)
                 for name, group in groups.items()
+                if not name.isdigit()
             }
+            names = one_of(data[section]) if data[section] else "that of a group"
+            faults += [
+                f"{section}.{name}: agent groups have names, not numbers; write {names} for {name}"
+                for name in groups
+                if name.isdigit()
+            ]
     return faults
 
 
@@ -48,34 +81,34 @@ def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     return out
 
 
-def _expand_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
+def _expand_robots(data: dict[str, Any], options: _OptionReader) -> list[str]:
     robots = data.get("robots")
     if not isinstance(robots, list):
         return []
-    options = option_names(loader, "robot")
+    names = options.names("robot")
     chosen: list[Any] = []
     faults: list[str] = []
     for robot in robots:
         changes = robot if isinstance(robot, Mapping) else {"name": robot}
         name = changes.get("name")
-        if name in options:
-            chosen.append(_changed_option("robot", name, changes))
+        if name in names:
+            chosen.append(options.changed("robot", name, changes))
         elif name is None:
-            faults.append(f"robots: each is a name or has one: choose {one_of(options)} (got {robot!r})")
+            faults.append(f"robots: each is a name or has one: choose {one_of(names)} (got {robot!r})")
         else:
-            faults.append(f"there is no robot {name!r}; choose {one_of(options)}")
+            faults.append(f"there is no robot {name!r}; choose {one_of(names)}")
     data["robots"] = chosen or (None if faults else [])
     return faults
 
 
-def _expanded_group(group: Any, path: str, loader: ConfigLoader, faults: list[str]) -> Any:
+def _expanded_group(group: Any, path: str, options: _OptionReader, faults: list[str]) -> Any:
     if not isinstance(group, Mapping):
         return group
     out = dict(group)
     body = {"name": group["body"]} if isinstance(group.get("body"), str) else group.get("body")
     # Persons, and robots of users' packages, are known to the schema alone.
-    if isinstance(body, Mapping) and body.get("name") in option_names(loader, "robot"):
-        out["body"] = _changed_option("robot", str(body["name"]), body)
+    if isinstance(body, Mapping) and body.get("name") in options.names("robot"):
+        out["body"] = options.changed("robot", str(body["name"]), body)
     for section in _SECTIONS:
         value = group.get(section)
         if section == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
@@ -83,20 +116,12 @@ def _expanded_group(group: Any, path: str, loader: ConfigLoader, faults: list[st
             continue
         changes = {"name": value} if isinstance(value, str) else value
         if isinstance(changes, Mapping) and isinstance(name := changes.get("name"), str):
-            options = option_names(loader, section)
-            if name in options:
-                out[section] = _changed_option(section, name, changes)
+            known = options.names(section)
+            if name in known:
+                out[section] = options.changed(section, name, changes)
             else:
-                near = closest(name, options)
-                remedy = f"did you mean {near}?" if near else f"choose {one_of(options)}"
+                near = closest(name, known)
+                remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
                 faults.append(f"{path}.{section}: there is no {section} {name!r}; {remedy}")
                 out[section] = None
     return out
-
-
-def _changed_option(group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of an option with `changes`, but for the name, which need not be that of its file."""
-    settings = OmegaConf.to_container(hydra_compose("environment", [f"{group}={name}"])[group], resolve=True)
-    assert isinstance(settings, dict)
-    stated = {str(key): value for key, value in settings.items()}
-    return merged(stated, {key: value for key, value in changes.items() if key != "name"})

@@ -118,6 +118,27 @@ def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
     assert len((folder / "new" / "rows.csv").read_text().splitlines()) == 3
 
 
+def test_a_team_is_trained_and_several_groups_are_evaluated(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    team = "agents={rover: {body: rover_zero, count: 2}, scout: {body: leo_rover, controller: go_to_goal}}"
+    words = [word for word in TINY if not word.startswith("actors")]
+    assert call(train.main, "+world=flat", team, "run_dir=run", *words) == 0
+    assert call(evaluate.main, "checkpoint=run", "episodes=2") == 0
+    rows = list(csv.DictReader((folder / "run" / "episodes_flat_seed0.csv").read_text().splitlines()))
+    assert [(row["agent"], row["episode"]) for row in rows] == [
+        *(("rover_0", "0"), ("rover_1", "0"), ("rover_0", "1"), ("rover_1", "1")),
+    ]
+    robots = ["robots=[rover_zero,leo_rover]", "actors=external_walkers", "out=both.csv"]
+    limit = "task.terminations.time_limit.max_steps=20"
+    assert call(evaluate.main, "+world=flat", "policy=go_to_goal", "episodes=1", *robots, limit) == 0
+    told = capsys.readouterr().out
+    assert "flat, rover: 1 episodes" in told and "flat, leo_rover: 1 episodes" in told
+    rows = list(csv.DictReader((folder / "both.csv").read_text().splitlines()))
+    # Walkers have no metrics.
+    assert [row["agent"] for row in rows] == ["rover_0", "leo_rover_0"]
+
+
 def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

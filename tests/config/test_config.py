@@ -262,6 +262,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "friction"),
         (["world=flat", "actors.walker.body.speed_mps=9"],
          "actors.walker.body.speed_mps must be at most 5.0 (got 9)"),
+        (["world=flat", "actors.1.speed_mps=9"],
+         "actors.1: agent groups have names, not numbers; write walker for 1"),
         (["world=flat", "actors.walker.speed_mps=9"],
          "actors.walker.speed_mps is not a setting; did you mean actors.walker.body.speed_mps?"),
         (["world=flat", "physics.control_hz=30"],
