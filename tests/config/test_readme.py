@@ -28,7 +28,9 @@ COMMANDS = sorted(
         match[1].strip()
         for language, text in BLOCKS
         if language in ("sh", "bash")
-        for match in re.finditer(r"(?:\S*python) -m (dune_rl\..*)$", text, flags=re.MULTILINE)
+        for match in re.finditer(
+            r"(?:\S*python) -m (dune_rl\..*)$", text.replace("\\\n", " "), flags=re.MULTILINE
+        )
     }
 )
 PYTHON = [text for language, text in BLOCKS if language == "python"]
