@@ -65,19 +65,18 @@ def parallel_env(
     config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "ParallelDuneEnv":
-    """A PettingZoo `ParallelEnv`: the agent `rover_0`, and one for each actor whose controller is external.
+    """A PettingZoo `ParallelEnv` of all agents whose group is external: by default `rover_0` alone.
 
-    `robots=["rover_zero", {"name": "leo_rover", "wheel_friction": 0.8}]` puts
-    several robots into the scene, which are the agents `rover_0`, `rover_1`, ...
-    A flat LiDAR sees of the others what there is at its own height; a lower
-    `mounts={"scanner_b": ...}` of a robot meets their hulls (see the README).
+    `agents={"rover": {"body": "rover_zero", "count": 2}, ...}` names the groups
+    of a scene. `robot="leo_rover"`, `robots=["rover_zero", {"name": "leo_rover",
+    "wheel_friction": 0.8}]` and `actors="external_walkers"` are shorter forms.
 
     `settings` are sections of the configuration: a name chooses an option
-    (`actors="external_walkers"`), a mapping changes values
-    (`task={"max_steps": 100}`). `overrides` are command-line words
-    (`["task.max_steps=100"]`), `config_dirs` further folders of options, as
-    `--config-dir` does. With `render_mode="rgb_array"`, `render()` gives
-    a picture of the rover. Raises `ConfigError` naming every fault.
+    (`task="paper"`), a mapping changes values (`world={"name": "flat",
+    "friction": 0.5}`). `overrides` are command-line words
+    (`["world.friction=0.5"]`), `config_dirs` further folders of options, as
+    `--config-dir` has them. With `render_mode="rgb_array"`, `render()` gives
+    a picture of the first agent. Raises `ConfigError` naming every fault.
     """
     from dune_rl.config.build import make_parallel_env
     from dune_rl.config.compose import compose_environment
@@ -95,7 +94,7 @@ def gym_env(
     config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "GymnasiumEnv":
-    """A Gymnasium `Env` of the rover alone; arguments as for `parallel_env`."""
+    """A Gymnasium `Env` of the one external agent; arguments as for `parallel_env`."""
     from dune_rl.config.build import make_gymnasium_env
     from dune_rl.config.compose import compose_environment
     from dune_rl.config.schema import SingleAgentConf

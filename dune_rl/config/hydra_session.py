@@ -47,6 +47,8 @@ def hydra_session(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
         yield Hydra.create_main_hydra2("dune_rl", search_path).config_loader
     except yaml.YAMLError as error:
         raise ConfigError(f"a file of settings is no valid YAML: {' '.join(str(error).split())}") from None
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(f"cannot compose the settings: {str(error).splitlines()[0]}") from None
     finally:
         GlobalHydra.instance().clear()
         if before is not None:

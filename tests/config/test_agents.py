@@ -245,3 +245,11 @@ def test_sensors_of_every_group_are_checked() -> None:
 def test_the_task_of_a_group_has_defaults_of_its_own() -> None:
     groups = groups_of(agents={"a": {"body": "rover_zero", "task": {"spawn": {"margin_m": 0.5}}}})
     assert groups["a"].task == TaskConf.model_validate({"spawn": {"margin_m": 0.5}})
+
+
+def test_a_broken_option_of_the_user_is_named(tmp_path: Path) -> None:
+    (tmp_path / "task").mkdir()
+    (tmp_path / "task" / "mine.yaml").write_text("defaults:\n  - absent\n  - _self_\n")
+    agents = {"rover": {"body": "rover_zero", "task": "mine"}}
+    with pytest.raises(ConfigError, match=r"cannot compose the settings: .*Could not find 'task/absent'"):
+        compose_environment("flat", (), {"agents": agents}, config_dirs=[str(tmp_path)])
