@@ -78,11 +78,17 @@ class StaticBody:
 
 @dataclass(frozen=True)
 class KinematicCapsule:
-    """Upright capsule whose motion is prescribed; its origin is on the ground below its centre."""
+    """Upright capsule whose motion is prescribed; its origin is on the ground below its centre.
+
+    It pushes robots with at most `max_push_n` [N], horizontally, and is held
+    back or pushed away by what resists more. The default is what ISO 11228-2
+    takes for the most that men should start a load with.
+    """
 
     name: str
     radius_m: float
     height_m: float
+    max_push_n: float = 250.0
 
 
 @dataclass(frozen=True)
@@ -290,7 +296,16 @@ class PhysicsScene(Protocol):
         """Advance `count` physics steps under the robots' commands and forces.
 
         Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
-        end; those near a robot move there in `count` equal parts.
+        end; those near a robot move there in `count` equal parts. Bodies that
+        a robot holds back do not get there: see `held_back_poses`.
+        """
+        ...
+
+    def held_back_poses(self) -> NDArray[np.float64] | None:
+        """Where the kinematic bodies are after a step in which a robot held any of them back, else None.
+
+        Poses (K, 4: x, y, z, yaw), with z and yaw as commanded. The next step
+        moves the bodies from there.
         """
         ...
 

@@ -176,6 +176,15 @@ class Stage:
         self.engine.set_command(np.broadcast_to(np.asarray(wheels, float), joints).tolist())
         self.scene.step(count, self.actors)
 
+    def walk(self, velocity_w: Sequence[float], count: int = SUBSTEPS) -> None:
+        """Move the one kinematic body at a velocity (2) [m/s] from where it is; wheels stand still."""
+        x, y, *others = self.actors[0]
+        duration = count * TIMESTEP_S
+        self.step(count, 0.0, [[x + velocity_w[0] * duration, y + velocity_w[1] * duration, *others]])
+        held_back = self.scene.held_back_poses()
+        if held_back is not None:
+            self.actors = held_back
+
     @property
     def state(self) -> np.ndarray:
         return np.array(self.engine.body_state())

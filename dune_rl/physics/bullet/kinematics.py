@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,57 @@ from dune_rl.physics.stderr import suppress_stderr
 with suppress_stderr():
     import pybullet
 
+# Between those of abdomen and thigh, 10 and 50 N/mm, in ISO/TS 15066. At 1 m/s the force grows by 100 N in a
+# physics step of 5 ms, which is how far it can exceed the limit.
+_STIFFNESS_NPM, _DAMPING_NSPM = 20e3, 200.0
+
 # Bodies that are not near any robot are moved out of the way once, and not at all after that.
 _PARKING_POSE = [0.0, 0.0, -1e4, 0.0]
+
+
+class PushedRobot(Protocol):
+    """What a capsule needs to know of a robot that it pushes."""
+
+    def velocity_xy(self) -> tuple[float, float]:
+        """Present horizontal velocity [m/s]."""
+        ...
+
+
+class _Push:
+    """Horizontal force of a capsule on robots in a physics step, over all contact points."""
+
+    def __init__(self) -> None:
+        self._x = self._y = self._power_w = 0.0
+        self._points = 0
+
+    def add(self, x: float, y: float, velocity: tuple[float, float]) -> None:
+        """Add the force (x, y) [N] at a point of a robot with a horizontal velocity [m/s]."""
+        self._x, self._y, self._points = self._x + x, self._y + y, self._points + 1
+        self._power_w += x * velocity[0] + y * velocity[1]
+
+    def retreat_m(self, advance_m: Sequence[float], limit_n: float, timestep_s: float) -> tuple[float, float]:
+        """Way (x, y) [m] that the capsule has to step back, so as not to push harder than `limit_n` next.
+
+        It is about to advance by `advance_m` (x, y), and the robots move on.
+        """
+        force_n = math.hypot(self._x, self._y)
+        closing_m = (advance_m[0] * self._x + advance_m[1] * self._y - self._power_w * timestep_s) / force_n
+        excess_m = closing_m + (force_n - limit_n) / (self._points * _STIFFNESS_NPM)
+        if not excess_m > 0.0:
+            return 0.0, 0.0
+        return excess_m * self._x / force_n, excess_m * self._y / force_n
 
 
 class BulletCapsules:
     """The kinematic capsules of a PyBullet client, in collision `group` with `mask`.
 
-    `poses` (K, 4: x, y, z, yaw) are those at the end of the last control step.
+    PyBullet moves them whatever is in their way. So that they push with a
+    limited force, their contacts are springs: after each physics step in which
+    the force is above the limit, a capsule is set back by as much as brings it
+    down to the limit.
+
+    `poses` (K, 4: x, y, z, yaw) are those at the end of the last control step,
+    and `any_held_back` whether robots held any of the capsules back in it.
     """
 
     def __init__(self, client: int, bodies: Sequence[KinematicCapsule], group: int, mask: int) -> None:
@@ -27,8 +71,14 @@ class BulletCapsules:
         self.handles = [self._add(body, group, mask) for body in bodies]
         self._centre_heights = [body.height_m / 2 for body in bodies]
         self._parked = [False] * len(bodies)
+        self._limits_n = [body.max_push_n for body in bodies]
+        self._indices = {handle: index for index, handle in enumerate(self.handles)}
         self.poses: list[list[float]] = [[0.0] * 4 for _ in bodies]
+        self.any_held_back = False
         self._old = self.poses
+        self._positions: dict[int, tuple[float, float]] = {}
+        self._offsets: dict[int, tuple[float, float]] = {}
+        self._pushes: dict[int, _Push] = {}
 
     def _add(self, body: KinematicCapsule, group: int, mask: int) -> int:
         shape = pybullet.createCollisionShape(
@@ -39,12 +89,19 @@ class BulletCapsules:
         )
         handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
         pybullet.setCollisionFilterGroupMask(handle, -1, group, mask, physicsClientId=self._client)
-        pybullet.changeDynamics(handle, -1, lateralFriction=KINEMATIC_FRICTION, physicsClientId=self._client)
+        pybullet.changeDynamics(
+            handle,
+            -1,
+            lateralFriction=KINEMATIC_FRICTION,
+            contactStiffness=_STIFFNESS_NPM,
+            contactDamping=_DAMPING_NSPM,
+            physicsClientId=self._client,
+        )
         return handle
 
     def reset(self, poses: NDArray[np.float64]) -> None:
         """Put the bodies at `poses` (K, 4)."""
-        self.poses = poses.tolist()
+        self.poses, self.any_held_back = poses.tolist(), False
         for index, pose in enumerate(self.poses):
             self._move(index, pose)
             self._parked[index] = False
@@ -52,6 +109,7 @@ class BulletCapsules:
     def begin_step(self, poses: list[list[float]], near: Sequence[int]) -> None:
         """Start the motion to `poses` (K, 4) of the bodies whose indices are in `near`; remove all others."""
         self._old, self.poses = self.poses, poses
+        self._offsets.clear()
         for index, is_parked in enumerate(self._parked):
             if index in near:
                 self._parked[index] = False
@@ -63,7 +121,46 @@ class BulletCapsules:
         """Put a body at `share` of the way that it moves in this control step."""
         new = self.poses[index]
         x, y, z = (a + (b - a) * share for a, b in zip(self._old[index][:3], new[:3], strict=True))
+        if index in self._offsets:
+            back_x, back_y = self._offsets[index]
+            x, y = x + back_x, y + back_y
+        self._positions[index] = x, y
         self._move(index, [x, y, z, new[3]])
+
+    def record_contacts(self, contacts: Sequence[tuple[Any, ...]], robot: PushedRobot) -> None:
+        """Take note of a robot's contact points in the last physics step, as PyBullet lists them."""
+        for contact in contacts:
+            index, force_n = self._indices.get(contact[2]), contact[9]
+            if index is None or not force_n > 0.0:
+                continue
+            # From the axis of the capsule to the point on its surface.
+            x, y = (a - b for a, b in zip(contact[6][:2], self._positions[index], strict=True))
+            length = math.hypot(x, y)
+            if length > 0.0:
+                velocity = robot.velocity_xy()
+                push = self._pushes.setdefault(index, _Push())
+                push.add(force_n * x / length, force_n * y / length, velocity)
+
+    def yield_to_robots(self, share: float, timestep_s: float) -> None:
+        """Set back the capsules that would push harder than they may in the next physics step.
+
+        They are about to move by `share` of their way in this control step.
+        """
+        for index, push in self._pushes.items():
+            old, new = self._old[index], self.poses[index]
+            advance = [share * (new[axis] - old[axis]) for axis in (0, 1)]
+            back_x, back_y = push.retreat_m(advance, self._limits_n[index], timestep_s)
+            if back_x or back_y:
+                x, y = self._offsets.get(index, (0.0, 0.0))
+                self._offsets[index] = x - back_x, y - back_y
+        self._pushes.clear()
+
+    def end_step(self) -> None:
+        """Update the poses of capsules that were held back."""
+        for index, (back_x, back_y) in self._offsets.items():
+            x, y, z, yaw = self.poses[index]
+            self.poses[index] = [x + back_x, y + back_y, z, yaw]
+        self.any_held_back = bool(self._offsets)
 
     def _move(self, index: int, pose: list[float]) -> None:
         x, y, z, yaw = pose

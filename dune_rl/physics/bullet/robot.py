@@ -4,6 +4,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame, Quadruple, Triple
@@ -284,6 +285,11 @@ class BulletRobot:
         position, _, velocity, _ = self._read_base()
         return position[0], position[1], math.hypot(*velocity)
 
+    def velocity_xy(self) -> tuple[float, float]:
+        """Horizontal velocity of the base [m/s]."""
+        velocity = self._read_base()[2]
+        return velocity[0], velocity[1]
+
     def begin_step(self, count: int) -> None:
         """Pass the commands to the motors for the next `count` physics steps."""
         self._touched.clear()
@@ -394,13 +400,16 @@ class BulletRobot:
         states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
         return tuple(state[0] for state in states)
 
-    def record_contacts(self) -> None:
-        """Add what the robot touched in the last physics step to `contacts`."""
+    def record_contacts(self) -> Sequence[tuple[Any, ...]]:
+        """Add what the robot touched in the last physics step to `contacts`; returns all contact points."""
         numbers, touched = self._body_numbers, self._touched
-        for contact in pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client):
+        points: Sequence[tuple[Any, ...]]
+        points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
+        for contact in points:
             # Ground has no number: what remains is collisions.
             if contact[2] in numbers and contact[8] < _CONTACT_DISTANCE_M:
                 touched.add(numbers[contact[2]])
+        return points
 
     def contacts(self) -> list[int]:
         return sorted(self._touched)

@@ -131,8 +131,9 @@ class BulletScene:
         )
         self._kinematics.begin_step(poses, near)
         watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
-        if not watched and not forces and not near:
+        if not watched and not forces:
             self.step_passive(count)
+            self._kinematics.end_step()
             return
         for substep in range(1, count + 1):
             for body in near:
@@ -141,7 +142,16 @@ class BulletScene:
                 robots[index].act_force(force)
             self.step_passive(1)
             for robot in watched:
-                robot.record_contacts()
+                contacts = robot.record_contacts()
+                if near:
+                    self._kinematics.record_contacts(contacts, robot)
+            if near:
+                self._kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
+        self._kinematics.end_step()
+
+    def held_back_poses(self) -> NDArray[np.float64] | None:
+        kinematics = self._kinematics
+        return np.array(kinematics.poses) if kinematics.any_held_back else None
 
     def step_passive(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.physics.dart.bodies import KinematicBodies, LinkMaterial, StaticGeometry
+from dune_rl.physics.dart.kinematics import KinematicCapsules
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
+from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry
 
 # DART refuses bodies without mass; a contact proxy has as good as none.
 _PROXY_MASS_KG, _PROXY_MOMENT_KGM2 = 1e-9, 1e-12
@@ -31,7 +32,7 @@ class CollisionFilter:
         self,
         robots: Sequence[DartRobot],
         static_geometry: StaticGeometry,
-        kinematics: KinematicBodies,
+        kinematics: KinematicCapsules,
         first_number: int,
         engine_filter: Any,
     ) -> None:

@@ -7,16 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.contact_gate import ContactGate
-from dune_rl.physics.dart.bodies import (
-    KinematicBodies,
-    StaticGeometry,
-    load_shared_meshes,
-    terrain_friction,
-)
 from dune_rl.physics.dart.collision_filter import CollisionFilter
 from dune_rl.physics.dart.corners import CornerContacts
+from dune_rl.physics.dart.kinematics import KinematicCapsules
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
+from dune_rl.physics.dart.statics import StaticGeometry, load_shared_meshes, terrain_friction
 from dune_rl.physics.interface import SceneSpec
 
 # A smaller tolerance needs more sweeps and changes no yaw rate by 1 %.
@@ -31,7 +27,6 @@ class DartScene:
         self._meshes = load_shared_meshes(spec.statics)
         self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
-        self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._gate = ContactGate(spec.statics, spec.kinematics)
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
@@ -43,9 +38,8 @@ class DartScene:
         spec = self._spec
         skeletons = [robot.load() for robot in self.robots]
         self._static_geometry.restore_friction()
-        self._kinematics = KinematicBodies(spec, self.robots)
-        self._kinematic_poses = kinematic_poses.tolist()
-        self._place_kinematics(self._centres(kinematic_poses))
+        self._kinematics = KinematicCapsules(spec, self.robots)
+        self._kinematics.place(kinematic_poses)
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
         world.setGravity([0.0, 0.0, -spec.gravity_mps2])
@@ -67,19 +61,6 @@ class DartScene:
         for skeleton in (self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons):
             world.addSkeleton(skeleton)
 
-    def _centres(self, kinematic_poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        centres = kinematic_poses[:, :3].copy()
-        centres[:, 2] += self._centre_heights
-        return centres
-
-    def _place_kinematics(self, centres: NDArray[np.float64]) -> None:
-        """Put the kinematic bodies at `centres` (K, 3) [m], at rest."""
-        skeleton, zeros = self._kinematics.skeleton, np.zeros(centres.size)
-        self._kinematic_centres = centres
-        skeleton.setPositions(centres.ravel())
-        skeleton.setVelocities(zeros)
-        skeleton.setCommands(zeros)
-
     def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         self._add_corners()
         # A robot that falls on its back penetrates deeply within the physics steps of one control step.
@@ -92,27 +73,17 @@ class DartScene:
             if force is not None:
                 forces[index] = force
             robot.begin_step(count)
-        duration_s = count * self._spec.timestep_s
+        duration_s, kinematics = count * self._spec.timestep_s, self._kinematics
         near, exposed = self._gate.find_contacts(
-            self.robots, duration_s, forces, self._kinematic_poses, poses := kinematic_poses.tolist()
+            self.robots, duration_s, forces, kinematics.poses, kinematic_poses.tolist()
         )
-        self._kinematic_poses = poses
-        centres = self._centres(kinematic_poses)
-        if near:
-            self._start_kinematics(centres, near, duration_s)
-        elif poses:
-            self._place_kinematics(centres)
+        kinematics.begin_step(kinematic_poses, near, duration_s)
         self._advance(count, forces, exposed)
-        if near:
-            self._place_kinematics(centres)
+        kinematics.end_step()
 
-    def _start_kinematics(self, centres: NDArray[np.float64], near: Sequence[int], duration_s: float) -> None:
-        """Start the motion of the bodies `near` to `centres` (K, 3) [m]; put the others there at once."""
-        start = centres.copy()
-        start[near] = self._kinematic_centres[near]
-        self._kinematics.skeleton.setPositions(start.ravel())
-        # The engine moves them at these speeds, and contacts take the speeds into account.
-        self._kinematics.skeleton.setCommands((centres - start).ravel() / duration_s)
+    def held_back_poses(self) -> NDArray[np.float64] | None:
+        kinematics = self._kinematics
+        return np.array(kinematics.poses) if kinematics.any_held_back else None
 
     def _clear_contact_cache(self) -> None:
         """Make the collision detector recompute all contacts in the next physics step.

@@ -1,4 +1,4 @@
-"""Static and kinematic bodies of a DART scene."""
+"""Static bodies of a DART scene."""
 
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.files import is_open_surface, write_meshes
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import ROBOT_FRICTION, DartRobot, parse_skeleton
-from dune_rl.physics.interface import KINEMATIC_FRICTION, SceneSpec, StaticBody
+from dune_rl.physics.interface import StaticBody
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
 _TRIANGLE_MARGIN_M = 0.01
@@ -61,15 +61,15 @@ class StaticGeometry:
                 is_open = meshes.is_open[number]
                 for robot, body, nodes in zip(robots, self.foot_ground, self._foot_nodes, strict=True):
                     friction = static.friction * robot.spec.ground_friction
-                    node = _add_shape(body, shape, friction, -_margin_m(robot.has_spherical_feet) * is_open)
+                    node = add_shape(body, shape, friction, -_margin_m(robot.has_spherical_feet) * is_open)
                     # DART multiplies the two coefficients, and a robot's is 0 until it is set.
                     node.getDynamicsAspect().setRestitutionCoeff(static.restitution)
                     nodes.append((node, friction))
                 for (friction, margin), body in grounds.items():
-                    _add_shape(body, shape, static.friction * friction, -margin * is_open)
+                    add_shape(body, shape, static.friction * friction, -margin * is_open)
                 continue
             for material, body in self.obstacles.items():
-                self.numbers[_add_shape(body, shape, static.friction * material.friction)] = number
+                self.numbers[add_shape(body, shape, static.friction * material.friction)] = number
         self.skeleton.setMobile(False)
 
     def use_foot_friction(self, robot: int) -> float:
@@ -104,28 +104,8 @@ def terrain_friction(statics: Iterable[StaticBody]) -> float:
     return next((body.friction for body in statics if body.ground), 1.0)
 
 
-class KinematicBodies:
-    """The kinematic capsules, in one skeleton: they move at commanded speeds and do not turn.
-
-    Each is present once for each `LinkMaterial` that collides with it.
-    """
-
-    def __init__(self, spec: SceneSpec, robots: Sequence[DartRobot]) -> None:
-        self.skeleton = dartpy.dynamics.Skeleton("kinematics")
-        self.bodies: dict[LinkMaterial, list[Any]] = {material: [] for material in obstacle_materials(robots)}
-        self.numbers: dict[Any, int] = {}
-        for index, capsule in enumerate(spec.kinematics):
-            joint, base = self.skeleton.createTranslationalJointAndBodyNodePair()
-            joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
-            shape = dartpy.dynamics.CapsuleShape(capsule.radius_m, capsule.height_m - 2 * capsule.radius_m)
-            for count, (material, bodies) in enumerate(self.bodies.items()):
-                body = self.skeleton.createWeldJointAndBodyNodePair(base)[1] if count else base
-                node = _add_shape(body, shape, KINEMATIC_FRICTION * material.friction)
-                self.numbers[node] = spec.kinematic_number(index)
-                bodies.append(body)
-
-
-def _add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> Any:
+def add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> Any:
+    """Add a collision shape with a friction coefficient to a body; returns its shape node."""
     node = body.createShapeNode(shape)
     node.createCollisionAspect()
     node.createDynamicsAspect().setFrictionCoeff(friction)
@@ -145,7 +125,7 @@ class CollisionMeshes:
         self._holder = dartpy.dynamics.Skeleton("meshes")
         body = self._holder.createWeldJointAndBodyNodePair()[1]
         for shape in self.shapes:
-            _add_shape(body, shape, 0.0)
+            add_shape(body, shape, 0.0)
         self._group = self.detector.createCollisionGroup()
         self._group.addShapeFrames([*body.getShapeNodes()])
 
