@@ -87,11 +87,11 @@ def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
 
 def _view(conf: ViewConf) -> None:
     folder = Path(conf.out)
-    folder.mkdir(parents=True, exist_ok=True)
     console = command.make_console()
     if conf.view == "map":
         from dune_rl.view.maps import write_map
 
+        folder.mkdir(parents=True, exist_ok=True)
         _print_path(console, write_map(conf, folder / f"{conf.world.name}_map.png", console))
         return
     from dune_rl.view.episode import EpisodeView
@@ -99,6 +99,8 @@ def _view(conf: ViewConf) -> None:
 
     episode = EpisodeView(conf)
     try:
+        # Only now, when nothing is wrong with the settings.
+        folder.mkdir(parents=True, exist_ok=True)
         if conf.view == "orbit":
             _print_path(console, write_orbit(episode, folder / f"{conf.world.name}_orbit.png"))
         if conf.view in ("sheet", "both"):

@@ -119,7 +119,7 @@ def test_a_sensor_travels_with_the_settings_that_enable_it() -> None:
     sent = pickle.dumps(conf)
     SENSORS._user_parts.clear()
     there = pickle.loads(sent)
-    assert [request.kind for request in there.requests()] == ["goal", "pace"]
+    assert [request.kind for request in there.requests(0.05)] == ["goal", "pace"]
     assert SENSORS.part_of(there.named["pace"]).target is pace
 
 

@@ -131,7 +131,7 @@ def test_looks_are_kept_beside_worlds(
     monkeypatch.setattr("dune_rl.rendering.baked_scenery.sky_share", None)
     monkeypatch.setattr("dune_rl.worlds.appearance.ground_texture", None)
     kept = bake_world(store.get(conf), light)
-    for name in ("sky_share", "things_sky_share", "ground", "faces", "segments"):
+    for name in ("sky_share", "props_sky_share", "ground", "faces", "segments"):
         assert list(parts(getattr(kept, name))) == list(parts(getattr(fresh, name)))
 
 
