@@ -143,7 +143,7 @@ class Pictures:
         return float(self._simulation.worlds.worlds[scene].terrain.height(xy))
 
     def _free_eye(self, scene: int, position: Array, eye: Array) -> Array:
-        """As far toward `eye` as nothing stands between it and the rover, and not in the ground."""
+        """The point nearest to `eye` from which the agent is in sight, above the ground."""
         start = position + np.array([0.0, 0.0, 0.45])
         # From behind; where a wall leaves no room there, from ever higher up.
         ways = eye - start + np.outer([0.0, 1.0, 2.5, 40.0], [0.0, 0.0, _ABOVE_M])

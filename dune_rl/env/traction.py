@@ -1,4 +1,6 @@
-"""What the ground's surfaces do to wheels: grip, bounce, give and rolling resistance, wheel by wheel."""
+"""Contacts of wheels with the ground: friction, restitution, compliance and rolling resistance, by
+surface.
+"""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -23,37 +25,36 @@ _NOWHERE = 255
 
 
 class Traction:
-    """The wheels' contacts in M scenes, which follow the surfaces under them where a world has a map.
+    """Contacts of the wheels of N robots with the ground, which follow the surfaces where a world has a map.
 
-    Feet are wheels that do not roll, taken where they are when the robot stands.
+    Feet are wheels that do not roll, at the places where they are when the robot stands.
 
-    `friction_factor`, `tyre_factor` (both of friction) and `stiffness_factor` (M,)
-    multiply those of all the wheels' contacts in a scene; set them before the
-    scene's `begin`. `load_factor` (M,) multiplies what weighs on the wheels, by
-    which they roll harder; how far they sink stays that of the robot as described. Worlds
-    without a map have the friction's alone: there, contacts are rigid, and
-    where the factor is 1 nothing is done.
+    `friction_factor`, `tyre_factor` (both of friction) and `stiffness_factor` (N,) multiply those of all
+    the wheels' contacts of a robot; set them before the robot's `begin`. `load_factor` (N,) multiplies the
+    load on the wheels, and with it their rolling resistance; how far they sink stays that of the robot as
+    described. In worlds without a map contacts are rigid, and the factors of friction are the only ones
+    that act.
     """
 
-    def __init__(self, robot: Robot, physics: PhysicsConf, num_scenes: int) -> None:
+    def __init__(self, robot: Robot, physics: PhysicsConf, num_rows: int) -> None:
         self._robot = robot
         self._wheels_b = robot.contact_centres_b
         self._rolls = robot.wheels is not None
         wheels = len(self._wheels_b)
         self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
         self._slowest = _GRAVITY_MPS2 * physics.control_step_s
-        self.friction_factor = np.ones(num_scenes)
-        self.tyre_factor = np.ones(num_scenes)
-        self.stiffness_factor = np.ones(num_scenes)
-        self.load_factor = np.ones(num_scenes)
-        self._worlds: list[World | None] = [None] * num_scenes
+        self.friction_factor = np.ones(num_rows)
+        self.tyre_factor = np.ones(num_rows)
+        self.stiffness_factor = np.ones(num_rows)
+        self.load_factor = np.ones(num_rows)
+        self._worlds: list[World | None] = [None] * num_rows
         self._groups: list[tuple[World, NDArray[np.intp], Array]] | None = None
-        self.surfaces = np.full((num_scenes, wheels), _NOWHERE, np.uint8)
+        self.surfaces = np.full((num_rows, wheels), _NOWHERE, np.uint8)
 
     def begin(
         self, scene: int, world: World, engine: PhysicsRobot, position_w: Array, quaternion: Array
     ) -> None:
-        """Set the contacts of a scene's robot that has just been placed so in `engine`, in `world`."""
+        """Set the contacts of a robot that was just placed in `world` at this pose; `scene` is its row."""
         if self._worlds[scene] is not world:
             self._worlds[scene], self._groups = world, None
         self.surfaces[scene] = _NOWHERE
@@ -71,14 +72,13 @@ class Traction:
 
     @property
     def needs_wheels(self) -> bool:
-        """Whether `update` is to know the wheels' speeds."""
+        """Whether `update` needs the wheels' speeds."""
         return bool(self._mapped()) and self._rolls
 
     def update(self, engines: Sequence[PhysicsRobot], motion: Motion) -> Array | None:
-        """Let the contacts follow the rovers, and give the rolling resistance (M, 3) [N], world frame.
+        """Update the contacts by where the robots are; gives the rolling resistance (N, 3) [N], world frame.
 
-        None where no scene's world has a map, or nothing rolls. The force is
-        meant to act over one control step.
+        None where no world has a map, or nothing rolls. The force acts over one control step.
         """
         groups = self._mapped()
         if not groups:
@@ -104,13 +104,14 @@ class Traction:
         return None if speeds is None else force
 
     def _held(self, coefficients: Array, ahead: Array, rims: Array) -> Array:
-        """Resistance along each rover's nose over a wheel's load, (N,), of wheels with `coefficients` (N, W).
+        """Resistance along each robot's x axis over a wheel's load, (N,), of wheels with `coefficients` (N,
+        W).
 
         `ahead` (N, W) is how fast the wheels go [m/s] and `rims` how fast they
         turn; the lesser is how fast they roll: a locked wheel and one that
         spins on the spot do not. Below the speed that resistance takes away
-        within a control step it goes with the speed, so that it stops a rover
-        and never turns it round.
+        within a control step it goes with the speed, so that it stops a robot
+        and never reverses it.
         """
         rolls = np.where(ahead * rims > 0.0, np.minimum(np.abs(ahead), np.abs(rims)), 0.0)
         held: Array = np.minimum(rolls / self._slowest, coefficients) * np.sign(ahead)
