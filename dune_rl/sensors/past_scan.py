@@ -24,6 +24,7 @@ class PastScan:
         self._first_rad = np.float32(-conf.fov_rad / 2 - conf.fov_rad / conf.n_beams / 2)
         self._per_rad = np.float32(conf.n_segments / conf.fov_rad)
         self._rows = np.arange(num_rows)[:, None] * conf.n_segments
+        self._is_full_circle = bool(np.isclose(conf.fov_rad, 2 * np.pi))
 
     def restart(self, mask: NDArray[np.bool_], ends_w: Array) -> None:
         """Let the scenes in `mask` (M,) have seen nothing but the end points `ends_w` (M, n_beams, 3)."""
@@ -45,7 +46,7 @@ class PastScan:
         ends_b = (ends_w - origin_w[:, None].astype(np.float32)) @ rotation.astype(np.float32)
         x, y = ends_b[..., 0], ends_b[..., 1]
         segment = np.floor((np.arctan2(y, x) - self._first_rad) * self._per_rad).astype(np.int64)
-        if np.isclose(conf.fov_rad, 2 * np.pi):
+        if self._is_full_circle:
             segment %= conf.n_segments
         seen = (segment >= 0) & (segment < conf.n_segments)
         nearest = np.full(self._rows.size * conf.n_segments, conf.range_m, np.float32)
