@@ -73,7 +73,7 @@ def _evaluate(conf: EvaluateConf) -> None:
     # Groups without metrics have no rows.
     for group in next(iter(results.values())):
         title = f"{conf.world.name}, {group}" if len(agents) > 1 else conf.world.name
-        _show(console, {name: rows[group] for name, rows in results.items()}, title, conf)
+        _show(console, conf, title, {name: rows[group] for name, rows in results.items()}, len(agents[group]))
     records = [
         _record(name, conf, agents[group], row)
         for name, by_group in results.items()
@@ -88,13 +88,16 @@ def _advance(bar: Progress, task: TaskID, done: int) -> None:
     bar.update(task, completed=done)
 
 
-def _show(console: Console, results: dict[str, list["Row"]], title: str, conf: EvaluateConf) -> None:
+def _show(
+    console: Console, conf: EvaluateConf, title: str, results: dict[str, list["Row"]], num_agents: int
+) -> None:
     """Print the table of one group, and the paired test where two policies are compared."""
     from dune_rl.learning.measures import summary
     from dune_rl.learning.table import paired_line, results_table
 
     title = f"{title}: {conf.episodes} episodes of seed {conf.seed}"
-    console.print(results_table({name: summary(rows) for name, rows in results.items()}, title))
+    estimates = {name: summary(rows) for name, rows in results.items()}
+    console.print(results_table(estimates, title, num_agents=num_agents))
     if len(results) == 2 and all("success" in rows[0] for rows in results.values()):
         console.print(paired_line(*results.items()))
 

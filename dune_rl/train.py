@@ -174,8 +174,10 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
 
     for group, rows in result.evaluation.items():
         name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
-        title = f"{name}: {conf.learning.evaluation.episodes} unseen episodes after {result.frames:,} frames"
-        console.print(results_table({"trained": summary(rows)}, title))
+        episodes = conf.learning.evaluation.episodes
+        title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
+        table = results_table({"trained": summary(rows)}, title, num_agents=len(rows) // episodes)
+        console.print(table)
     lines = [f"Kept in {result.run_dir}:"]
     lines += [
         f"  {path.name}"

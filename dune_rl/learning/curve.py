@@ -30,7 +30,7 @@ def draw_curve(history: History, path: Path, title: str) -> None:
     shown = [(key, label) for key, label in _ROWS if any(key in row for row in history)]
     size = (1 + 6 * len(groups), 3 * len(shown))
     figure = Figure(figsize=size, dpi=130, layout="constrained")
-    grid = figure.subplots(len(shown), len(groups), sharex=True, sharey="row", squeeze=False)
+    grid = figure.subplots(len(shown), len(groups), sharex=True, squeeze=False)
     for column, group in zip(grid.T, groups, strict=True):
         rows = [row for row in history if str(row.get("group", "")) == group]
         for axes, (key, label) in zip(column, shown, strict=True):

@@ -28,7 +28,8 @@ class Status:
     @property
     def seconds_left(self) -> float:
         """Time to the end at the recent speed [s]; NaN while that is unknown."""
-        left = self.total_frames - self.frames
+        # The last batch may go beyond the total.
+        left = max(0, self.total_frames - self.frames)
         return left / self.frames_per_s if self.frames_per_s > 0 else math.nan
 
     def counts(self) -> str:

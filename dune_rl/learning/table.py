@@ -13,14 +13,19 @@ from dune_rl.learning.statistics import Estimate
 _FORMS = {"SR": (100, "{:.0f}", " %"), "TR": (100, "{:.0f}", " %"), "battery": (100, "{:.2f}", " %")}
 
 
-def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str) -> Table:
+def results_table(
+    results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1
+) -> Table:
     """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
 
-    Measures that not all policies have are left out.
+    Measures that not all policies have are left out. The intervals take the
+    `num_agents` agents of an episode for independent, and the caption says so.
     """
-    table = Table(
-        title=title, caption="brackets: 95 % intervals", caption_justify="left", title_justify="left"
-    )
+    caption = "brackets: 95 % intervals"
+    if num_agents > 1:
+        title += f", {num_agents} agents each"
+        caption += ", as if the agents of an episode were independent"
+    table = Table(title=title, caption=caption, caption_justify="left", title_justify="left")
     table.add_column("measure", no_wrap=True)
     for policy in results:
         table.add_column(Text(policy), justify="right")

@@ -90,7 +90,7 @@ def weights(folder: Path) -> dict[str, torch.Tensor]:
 
 
 def assert_halves_make_a_whole(
-    make_env: MakeEnv, folder: Path, learning: SacConf = SMALL, frames: int = 2048, half: int = 1300
+    make_env: MakeEnv, folder: Path, learning: SacConf = SMALL, frames: int = 1280, half: int = 900
 ) -> None:
     """Two half-runs end with the weights, targets and optimiser moments of one whole run, bit for bit."""
     trainer(folder / "whole", learning, make_env=make_env, total_frames=frames).train()

@@ -12,11 +12,11 @@ from dune_rl.learning.collector import MakeEnv
 # With these settings six of six seeds reached all goals after 2,048 frames.
 QUICK = small(
     hidden=(64, 64),
-    batch_size=128,
-    updates_per_frame=1 / 4,
+    batch_size=256,
+    updates_per_frame=1 / 8,
     gamma=0.9,
     n_steps=4,
-    learning_rate=3e-3,
+    learning_rate=5e-3,
     tau=0.02,
     evaluation=SMALL.evaluation.model_copy(update={"every_frames": 10**6, "episodes": 20, "scenes": 20}),
 )

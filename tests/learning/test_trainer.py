@@ -36,10 +36,10 @@ def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
 
 def test_a_run_stopped_during_its_warm_up_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     guided = small(warm_up="go_to_goal")
-    trainer(tmp_path / "whole", guided).train(stop_after_frames=1024)
+    trainer(tmp_path / "whole", guided).train(stop_after_frames=768)
     first = trainer(tmp_path / "halves", guided).train(stop_after_frames=256)
     assert first.frames < guided.learning_starts and first.updates == 0
-    trainer(tmp_path / "halves", guided, resume=tmp_path / "halves").train(1024)
+    trainer(tmp_path / "halves", guided, resume=tmp_path / "halves").train(768)
     whole, halves = weights(tmp_path / "whole"), weights(tmp_path / "halves")
     assert not [key for key, value in whole.items() if not value.equal(halves[key])]
 
@@ -86,20 +86,20 @@ def test_workers_act_by_the_weights_that_they_are_sent() -> None:
 
 
 def test_async_run_resumes_its_counts(tmp_path: Path) -> None:
-    first = trainer(tmp_path / "run", small(mode="async")).train(stop_after_frames=1000)
-    second = trainer(tmp_path / "run", small(mode="async"), resume=tmp_path / "run").train()
-    assert first.frames < second.frames == 2048
-    assert second.updates == (2048 - 512 + 128) // 16
+    first = trainer(tmp_path / "run").train(stop_after_frames=640)
+    second = trainer(tmp_path / "run", small(mode="async"), resume=tmp_path / "run").train(1024)
+    assert first.frames < second.frames == 1024
+    assert second.updates == (1024 - 512 + 128) // 16
 
 
 def test_run_on_disk_storage_resumes(tmp_path: Path) -> None:
-    trainer(tmp_path / "run", small(storage="disk")).train(stop_after_frames=1024)
+    trainer(tmp_path / "run", small(storage="disk")).train(stop_after_frames=640)
     again = trainer(tmp_path / "run", small(storage="disk"), resume=tmp_path / "run")
-    assert len(again._learners["rover"]._replay) == 1024
+    assert len(again._learners["rover"]._replay) == 640
     assert list((tmp_path / "run" / "replay-rover").glob("*.memmap"))
-    assert again.train().frames == 2048
+    assert again.train(768).frames == 768
     assert not (tmp_path / "run" / "replay-rover").exists()
-    assert [path.name for path in (tmp_path / "run").glob("replay-*")] == ["replay-rover-2048.npy"]
+    assert [path.name for path in (tmp_path / "run").glob("replay-*")] == ["replay-rover-768.npy"]
 
 
 def test_a_run_is_not_overwritten(tmp_path: Path) -> None:
