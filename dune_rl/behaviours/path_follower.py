@@ -73,6 +73,9 @@ class PathFollower:
         self._loop = np.zeros((len(worlds), count), np.int64)
         self._travelled = np.zeros((len(worlds), count))
         self._outbound = np.ones(rows, bool)
+        # How far agents are off their paths [m], and by how much they moved along them last.
+        self._offsets = np.zeros((len(worlds), count, 2))
+        self._step = np.zeros((len(worlds), count))
 
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
         """Find the paths of `world` unless they are known.
@@ -136,13 +139,39 @@ class PathFollower:
                 if apart >= self.conf.start_distance_m:
                     break
         self._outbound[scene * self.count : (scene + 1) * self.count] = True
+        self._offsets[scene] = 0.0
         return poses
 
     def advance(self, distance_m: float) -> Array:
-        """Poses (N, 4) after another `distance_m` along each agent's loop."""
-        self._travelled += distance_m
+        """Poses (N, 4) after another `distance_m` along each agent's loop; who is off it goes back first."""
+        self._step[:] = distance_m
+        is_off = self._offsets.any()
+        if is_off:
+            length = np.hypot(self._offsets[..., 0], self._offsets[..., 1])
+            back = np.minimum(length, distance_m)
+            self._offsets *= 1.0 - (back / np.where(length > 0.0, length, 1.0))[..., None]
+            self._step -= back
+        self._travelled += self._step
         poses = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
+        if is_off:
+            poses[..., :2] += self._offsets
+            height = query_grouped(self._worlds.groups, _height, poses[..., :2])
+            poses[..., 2] = np.where(self._offsets.any(axis=2), height, poses[..., 2])
         return poses.reshape(-1, 4)
+
+    def hold_back(self, scene: int, poses: Array) -> None:
+        """Take note that the agents of a scene have come to `poses` (G, 4) by the last `advance`.
+
+        What an agent lacks of its step it walks again; what it is off its path beyond that it walks back.
+        """
+        loop = self._loop[scene]
+        world = self._worlds[scene]
+        bank = self._paths[world].bank
+        target = bank.pose(loop, self._travelled[scene])
+        heading = np.stack([np.cos(target[:, 3]), np.sin(target[:, 3])], axis=1)
+        lacking = ((target[:, :2] - poses[:, :2]) * heading).sum(axis=1)
+        self._travelled[scene] -= np.clip(lacking, 0.0, self._step[scene])
+        self._offsets[scene] = poses[:, :2] - bank.pose(loop, self._travelled[scene])[:, :2]
 
     def renew(self, mask: Flags) -> None:
         """Send the agents in `mask` (N,) to the other end of their path."""
@@ -163,3 +192,7 @@ class PathFollower:
     def _near_end(self, world: World, loop: NDArray[np.int64]) -> Array:
         bank = self._paths[world].bank
         return bank.poses[bank.starts[loop]]
+
+
+def _height(world: World, xy: Array) -> Array:
+    return world.terrain.height(xy)

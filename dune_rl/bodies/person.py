@@ -36,6 +36,8 @@ class PersonConf(Settings):
     max_turn_radps: float = Field(3.0, gt=0.0, le=50.0)
     radius_m: float = Field(0.25, gt=0.0, le=2.0)
     height_m: float = Field(1.75, gt=0.0, le=5.0)
+    # Largest horizontal force on robots [N], see `KinematicCapsule`.
+    max_push_n: float = Field(250.0, gt=0.0, le=5_000.0)
 
     @model_validator(mode="after")
     def _is_a_capsule(self) -> Self:
@@ -45,7 +47,7 @@ class PersonConf(Settings):
 
     def collision_shape(self, name: str) -> KinematicCapsule:
         """The capsule that physics moves, called `name`."""
-        return KinematicCapsule(name, self.radius_m, self.height_m)
+        return KinematicCapsule(name, self.radius_m, self.height_m, self.max_push_n)
 
     def mesh(self) -> MovingMesh:
         """The shape that sensors see, its origin on the ground."""

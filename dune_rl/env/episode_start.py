@@ -120,6 +120,13 @@ class EpisodeStart:
                     found[group.name] += engines
         return found
 
+    def hold_back(self, scene: int, poses: Array) -> None:
+        """Put the kinematic bodies of a scene, which robots have held back, at `poses` (K, 4)."""
+        first = 0
+        for group in self._kinematic:
+            group.hold_back(scene, poses[first : first + group.count])
+            first += group.count
+
     def kinematic_poses(self) -> Array:
         """Poses (M, K, 4) of all kinematic bodies, in the order of their groups."""
         scenes = len(self._scenes.worlds)

@@ -42,6 +42,7 @@ class KinematicBody:
         self.blocked = np.zeros(rows, bool)
         self._unblocked = np.zeros(rows, bool)
         self._still = np.zeros((rows, 3))
+        self._before = self.poses
         self.motion = self._at_rest()
 
     def action_bounds(self) -> tuple[Array, Array]:
@@ -97,10 +98,21 @@ class KinematicBody:
         self._arrive(poses)
         self.blocked = ~free
 
+    def hold_back(self, scene: int, poses: Array) -> None:
+        """Be at `poses` (G, 4), on the ground, in a scene where robots were in the way in this step."""
+        rows = slice(scene * self.count, (scene + 1) * self.count)
+        reached = self.poses.copy()
+        reached[rows, :2] = poses[:, :2]
+        moved = (reached[:, :2] != self.poses[:, :2]).any(axis=1)
+        height = self._worlds.height(reached[:, :2].reshape(-1, self.count, 2)).ravel()
+        reached[:, 2] = np.where(moved, height, reached[:, 2])
+        self.poses = self._before
+        self._arrive(reached)
+
     def _arrive(self, poses: Array) -> None:
         velocity, turning = np.zeros((2, len(poses), 3))
         velocity[:, :2] = (poses[:, :2] - self.poses[:, :2]) / self._step_s
-        self.poses = poses
+        self._before, self.poses = self.poses, poses
         self.motion = self._moving(velocity, turning)
 
     def _at_rest(self) -> Motion:

@@ -166,13 +166,20 @@ class SceneManager:
 
     # -- a step -----------------------------------------------------------------------------------
 
-    def step(self, kinematic_poses: NDArray[np.float64]) -> None:
+    def step(self, kinematic_poses: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
         """Advance the physics of all scenes by a control step, at whose end bodies are at the poses (M,
         K, 4).
+
+        Returns by scene where the bodies (K, 4) are instead, if a robot held any of them back.
         """
         substeps = self.conf.substeps
-        for scene, poses in zip(self._physics, kinematic_poses, strict=True):
+        held_back = {}
+        for index, (scene, poses) in enumerate(zip(self._physics, kinematic_poses, strict=True)):
             scene.step(substeps, poses)  # type: ignore[union-attr]
+            reached = scene.held_back_poses()  # type: ignore[union-attr]
+            if reached is not None:
+                held_back[index] = reached
+        return held_back
 
     def step_passive(self) -> None:
         """Advance physics alone by a control step, with the last commands and nothing moved."""

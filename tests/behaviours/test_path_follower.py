@@ -138,6 +138,48 @@ def test_paths_are_of_the_world_that_a_scene_is_in() -> None:
         assert world.clearance(np.array(poses)[:, scene, :2]).min() >= RADIUS_M - 0.05
 
 
+# -- held back by robots ----------------------------------------------------------------------------
+
+
+def test_a_walker_that_is_held_back_walks_on_from_there() -> None:
+    stopped, free = (Walkers(PathConf(waypoints=BEND.tolist()), scenes=2) for _ in range(2))
+    place = stopped.poses[0].copy()
+    for _ in range(20):
+        stopped.walk()
+        stopped.poses[0, :2] = place[:2]
+        stopped.follower.hold_back(0, stopped.poses[:1])
+    # For as long as it stands it does not get ahead on its path; the other scene's walker does.
+    for _ in range(40):
+        stopped.walk()
+        free.walk()
+        np.testing.assert_allclose(stopped.poses[0], free.poses[0], atol=0.02)
+    for _ in range(20):
+        free.walk()
+    np.testing.assert_array_equal(stopped.poses[1], free.poses[1])
+
+
+@pytest.mark.parametrize("aside", [(0.3, -0.4), (0.0, 0.02)])
+def test_a_walker_that_is_pushed_off_its_path_walks_back_at_its_speed(aside: tuple[float, float]) -> None:
+    ground, speed = hills(), 1.0
+    world = World("hills", ground, region=(-9.0, 9.0, -9.0, 9.0))
+    walkers = Walkers(PathConf(waypoints=BEND.tolist()), world=world)
+    walkers.walk(speed)
+    walkers.poses[0, :2] += aside
+    walkers.follower.hold_back(0, walkers.poses[:1])
+    track = [walkers.poses[0].copy()]
+    for _ in range(30):
+        walkers.walk(speed)
+        track.append(walkers.poses[0].copy())
+    track = np.array(track)
+    steps = np.hypot(*np.diff(track[:, :2], axis=0).T)
+    assert steps.max() < 1.01 * speed * STEP_S
+    # Back on its path, and on the ground all the way.
+    path = walkers.follower.paths(0)[0]
+    assert np.hypot(*(path - track[0, :2]).T).min() > 0.015
+    assert np.hypot(*(path - track[-1, :2]).T).min() < 0.03
+    np.testing.assert_allclose(track[1:, 2], ground.height(track[1:, :2]), atol=0.01)
+
+
 # -- settings --------------------------------------------------------------------------------------
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scripted_physics import scripted_simulation
-from simulations import act, goals_w, motion_of_group, put_walkers
+from simulations import act, every_engine, goals_w, motion_of_group, put_walkers, started_simulation
 from yards import yard
 
 from dune_rl.bodies.person import PersonConf
@@ -95,6 +95,26 @@ def test_an_obstacle_stops_an_agent_which_may_turn_away() -> None:
     assert body.poses[0, 0] < -1.5
 
 
+def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> None:
+    slope = HeightField(np.tile(0.1 * np.arange(-10.0, 11.0), (21, 1)), 1.0, (-10.0, -10.0))
+    world = World("slope", slope, region=(-9.0, 9.0, -9.0, 9.0))
+    body = bodies((0.0, 0.0, 0.0), (0.0, 3.0, 0.0), world=world)
+    walk(body, 1.0, 0.0)
+    before = body.poses.copy()
+    walk(body, 1.0, 0.0)
+    commanded = body.poses.copy()
+    reached = commanded.copy()
+    reached[0, :2] = before[0, :2] + [0.01, -0.02]
+    body.hold_back(0, reached)
+    np.testing.assert_allclose(body.poses[0], [0.06, -0.02, 0.006, 0.0], atol=1e-9)
+    np.testing.assert_allclose(body.motion.velocity_w[0], [0.2, -0.4, 0.0], atol=1e-9)
+    # The other has got to where it went.
+    np.testing.assert_array_equal(body.poses[1], commanded[1])
+    np.testing.assert_allclose(body.motion.velocity_w[1], [1.0, 0.0, 0.0], atol=1e-9)
+    walk(body, 1.0, 0.0)
+    np.testing.assert_allclose(body.poses[:, 0], [0.11, 0.15], atol=1e-9)
+
+
 def test_the_edge_of_the_world_stops_an_agent() -> None:
     for yaw in (0.0, np.pi / 2, np.pi, -np.pi / 2):
         body = bodies((0.0, 0.0, yaw))
@@ -169,3 +189,48 @@ def test_scripted_walkers_have_the_velocity_that_they_walk_with() -> None:
         walked = (motion.position_w - before)[:, :2] / STEP_S
         np.testing.assert_allclose(motion.velocity_w[:, :2], walked, atol=1e-9)
     assert np.hypot(*walked.T).max() == pytest.approx(0.7, rel=0.01)
+
+
+@every_engine
+@pytest.mark.parametrize("controller", ["path", "external"])
+def test_a_robot_holds_a_weak_walker_back(engine: str, controller: str) -> None:
+    speed = 0.8
+    walker = {
+        "count": 1,
+        "controller": controller,
+        "body": {"name": "person", "speed_mps": speed, "max_push_n": 40.0},
+        "path": {"waypoints": [[-8.0, 1.0], [8.0, 1.0]]},
+    }
+    simulation = started_simulation("flat", 2, physics=engine, actors={"walker": walker})
+
+    def walk(steps: int) -> np.ndarray:
+        """Places (steps, 2, 2) of both walkers."""
+        places = []
+        for _ in range(steps):
+            act(simulation, [0.0, 0.0], **({"walker": [speed, 0.0]} if controller == "external" else {}))
+            motion = motion_of_group(simulation, "walker")
+            steps_m = motion.position_w[:, :2] - (places[-1] if places else motion.position_w[:, :2])
+            if places:
+                np.testing.assert_allclose(motion.velocity_w[:, :2], steps_m / STEP_S, atol=1e-9)
+            places.append(motion.position_w[:, :2].copy())
+        return np.array(places)
+
+    def put_rover(x: float, y: float) -> None:
+        (robot,) = simulation.scenes.robots(0)
+        robot.set_start_pose([x, y, 0.125], [0.0, 0.0, 0.0, 1.0])
+        simulation.scenes.reset(0, simulation.group("walker").body.poses[:1])
+
+    x, y, _, yaw = simulation.group("walker").body.poses[0]
+    toward = np.sign(np.cos(yaw))
+    put_rover(x + 1.3 * toward, y)
+    places = walk(60)
+    # 40 N do not move the rover, whose tyres hold 108 N, and its way was free for half a metre.
+    assert toward * (places[-1, 0, 0] - x) == pytest.approx(1.3 - 0.25 - 0.31, abs=0.06)
+    assert np.abs(places[-1] - places[-10])[0].max() < 0.02
+    # The other scene's walker goes its way.
+    assert np.hypot(*(places[-1] - places[0])[1]) == pytest.approx(59 * speed * STEP_S, rel=0.02)
+    put_rover(x, y + 5.0)
+    went_on = walk(20)
+    assert toward * (went_on[:, 0, 0] - places[-1, 0, 0])[-1] == pytest.approx(20 * speed * STEP_S, abs=0.03)
+    assert np.hypot(*np.diff(went_on[:, 0], axis=0).T).max() < 1.01 * speed * STEP_S
+    simulation.close()

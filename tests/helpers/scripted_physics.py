@@ -82,6 +82,9 @@ class ScriptedScene:
     def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         pass
 
+    def held_back_poses(self) -> None:
+        return None
+
     def step_passive(self, count: int) -> None:
         pass
 
