@@ -13,9 +13,7 @@ from dune_rl.learning.statistics import Estimate
 _FORMS = {"SR": (100, "{:.0f}", " %"), "TR": (100, "{:.0f}", " %"), "battery": (100, "{:.2f}", " %")}
 
 
-def results_table(
-    results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1
-) -> Table:
+def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1) -> Table:
     """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
 
     Measures that not all policies have are left out. The intervals take the

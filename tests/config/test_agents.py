@@ -251,5 +251,5 @@ def test_a_broken_option_of_the_user_is_named(tmp_path: Path) -> None:
     (tmp_path / "task").mkdir()
     (tmp_path / "task" / "mine.yaml").write_text("defaults:\n  - absent\n  - _self_\n")
     agents = {"rover": {"body": "rover_zero", "task": "mine"}}
-    with pytest.raises(ConfigError, match=r"cannot compose the settings: .*Could not find 'task/absent'"):
+    with pytest.raises(ConfigError, match=r"cannot compose the settings: In 'task/mine': .*'task/absent'"):
         compose_environment("flat", (), {"agents": agents}, config_dirs=[str(tmp_path)])
