@@ -25,7 +25,7 @@ _composed: dict[str, EnvConf] = {}
 
 def environment_conf(world: Any = "flat", **settings: Any) -> EnvConf:
     """Settings of an environment; `settings` are as for `dune_rl.make`, but without actors by default."""
-    asked = {"actors": "none"} | settings
+    asked = settings if "agents" in settings else {"actors": "none"} | settings
     key = repr((world, asked))
     if key not in _composed:
         # Hydra takes as long as all else that a short test does.
