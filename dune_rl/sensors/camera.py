@@ -13,6 +13,7 @@ from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
+from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 from dune_rl.sensors.sensor import Mount, mount_position
 
 Array = NDArray[np.float64]
@@ -67,16 +68,17 @@ class Camera:
         self.conf = conf
         self._air = air
         self._baked = baked
-        self._meshes = meshes
+        self._meshes = columns_by_mesh(meshes)
         lens = Lens(conf)
         pitch = conf.pitch_rad or 0.0
         cos, sin = np.cos(pitch), np.sin(pitch)
         self._tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
         self._directions = lens.directions.reshape(-1, 3)
         self._directions_b = np.ascontiguousarray(self._directions @ self._tilt.T, np.float32)
-        self._axial = (
-            self._directions[:, 0].astype(np.float32) if conf.projection == "pinhole" else np.float32(1.0)
-        )
+        self._directions32 = self._directions.astype(np.float32)
+        ahead = self._directions[:, 0] if conf.projection == "pinhole" else np.ones(len(self._directions))
+        self._cosines = ahead.astype(np.float32)
+        self._order = tile_order(conf.height, conf.width)
         # Whatever lies within this angle of the axis may be in the picture.
         self._half_angle = float(np.arccos(np.clip(self._directions[:, 0].min(), -1.0, 1.0)))
         self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
@@ -93,7 +95,6 @@ class Camera:
         self._corner = np.array([xmin, ymin])
         self._texels = np.array([columns / (xmax - xmin), rows / (ymax - ymin)], np.float32)
         self._last_texel = np.array([columns - 1, rows - 1], np.float32)
-        self._row_length = np.float32(columns)
         self._ground = _packed(baked.ground.reshape(-1, 3))
         self._faces = _packed(baked.faces)
         self._sky = _packed(baked.sky)
@@ -114,16 +115,26 @@ class Camera:
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
         `neighbours` (M, K, 4) the other moving bodies' x, y, z and yaw.
         """
-        scenes, pixels = len(position_w), len(self._directions_b)
+        scenes, pixels, outputs = len(position_w), len(self._directions_b), self.conf.outputs
         origin = self.origin(position_w, rotation)
         directions = self._directions_b @ rotation.transpose(0, 2, 1).astype(np.float32)
         directions32 = directions.reshape(-1, 3)
         ranges = np.full(scenes * pixels, self.conf.range_m, np.float32)
-        baked = self._baked
-        face, ranges, normal = baked.rays.hits(origin.astype(np.float32), directions32, ranges)
-        outputs = self.conf.outputs
-        colour = self._colours(origin, directions, ranges, face) if self._coloured else None
-        segments = baked.segments.take(face, mode="wrap") if "segmentation" in outputs else None
+        baked, origin32 = self._baked, origin.astype(np.float32)
+        face: NDArray[np.int32] | None = None
+        normal: Floats | None = None
+        if "normals" in outputs:
+            face, ranges, normal = baked.rays.hits(origin32, directions32, ranges, self._order)
+        elif self._coloured or "segmentation" in outputs:
+            face = baked.rays.hit_faces(origin32, directions32, ranges, self._order)
+        else:
+            baked.rays.shorten_ranges(origin32, directions32, ranges, self._order)
+        colour: NDArray[np.uint32] | None = None
+        segments: NDArray[np.uint8] | None = None
+        if face is not None and self._coloured:
+            colour = self._colours(origin, directions32, ranges, face)
+        if face is not None and "segmentation" in outputs:
+            segments = baked.segments.take(face, mode="wrap")
         looks = (colour, segments, normal)
         self._draw_meshes(origin, rotation, directions32, neighbours, ranges, looks)
         if not self._air.clear:
@@ -133,7 +144,9 @@ class Camera:
         for name in outputs:
             if name == "rgb":
                 assert colour is not None
-                found[name] = np.ascontiguousarray(colour.view(np.uint8).reshape(*size, 4)[..., :3])
+                picture = np.empty((len(colour), 3), np.uint8)
+                unpack_colours(colour, picture)
+                found[name] = picture.reshape(*size, 3)
             elif name == "grey":
                 assert colour is not None
                 found[name] = _grey(colour).reshape(*size, 1)
@@ -141,38 +154,37 @@ class Camera:
                 assert segments is not None
                 found[name] = segments.reshape(*size, 1)
             elif name == "depth":
-                axial = ranges.reshape(scenes, pixels) * self._axial
-                nothing = ranges.reshape(scenes, pixels) >= self.conf.range_m
-                found[name] = np.where(nothing, np.float32(self.conf.range_m), axial).reshape(*size, 1)
+                depth = np.empty((scenes, pixels), np.float32)
+                farthest = np.float32(self.conf.range_m)
+                depths_along_axis(ranges.reshape(scenes, pixels), self._cosines, farthest, depth)
+                found[name] = depth.reshape(*size, 1)
             else:
+                assert normal is not None
                 found[name] = self._seen_normals(normal, directions, rotation).reshape(*size, 3)
         return found
 
     def _colours(
         self, origin: Array, directions: Floats, ranges: Floats, face: NDArray[np.int32]
     ) -> NDArray[np.uint32]:
-        """Packed colours (M * P,) of what rays `directions` (M, P, 3) from `origin` (M, 3) have met."""
-        scenes = len(origin)
-        along = ranges.reshape(scenes, -1)
+        """Packed colours (M * P,) of what rays `directions` (M * P, 3) from `origin` (M, 3) have met."""
         start = ((origin[:, :2] - self._corner) * self._texels).astype(np.float32)
-        texel = []
-        for axis in (0, 1):
-            at = directions[..., axis] * along
-            at *= self._texels[axis]
-            at += start[:, axis, None]
-            texel.append(np.clip(at, 0.0, self._last_texel[axis], out=at).astype(np.int32))
-        index = texel[1] * np.int32(self._row_length)
-        index += texel[0]
-        on_ground = face.view(np.uint32) < self._baked.ground_faces
-        colour: NDArray[np.uint32] = np.where(
-            on_ground, self._ground.take(index.ravel()), self._faces.take(face, mode="wrap")
+        colour = np.empty(len(face), np.uint32)
+        look_up_colours(
+            directions,
+            ranges,
+            face,
+            start,
+            self._texels,
+            self._last_texel,
+            self._baked.ground.shape[1],
+            self._ground,
+            self._baked.ground_faces,
+            self._faces,
+            self._sky,
+            colour,
         )
         if self._baked.texture is not None:
             self._put_pictures(colour, origin, directions, ranges, face)
-        missed = face < 0
-        if missed.any():
-            up = (directions[..., 2].ravel()[missed] + 1.0) * (len(self._sky) / 2)
-            colour[missed] = self._sky.take(up.astype(np.int32), mode="clip")
         return colour
 
     def _put_pictures(
@@ -189,7 +201,7 @@ class Camera:
             return
         scene = ray // len(self._directions_b)
         along = ranges[ray]
-        points = origin[scene].astype(np.float32) + directions.reshape(-1, 3)[ray] * along[:, None]
+        points = origin[scene].astype(np.float32) + directions[ray] * along[:, None]
         own = face[ray] - self._baked.ground_faces
         colour[ray] = _packed(self._baked.textured_colours(own, points, along * self._pixel_rad))
 
@@ -200,11 +212,11 @@ class Camera:
         directions: Floats,
         poses: Array,
         ranges: Floats,
-        looks: tuple[NDArray[np.uint32] | None, NDArray[np.uint8] | None, Floats],
+        looks: tuple[NDArray[np.uint32] | None, NDArray[np.uint8] | None, Floats | None],
     ) -> None:
         """Put the actors at `poses` (M, K, 4) into the pictures, where they are nearer than what is there."""
         colour, segments, normal = looks
-        for mesh, columns in columns_by_mesh(self._meshes):
+        for mesh, columns in self._meshes:
             ray, actor = self._pixels_near(mesh, origin, rotation, poses[:, columns])
             if not len(ray):
                 continue
@@ -215,7 +227,9 @@ class Camera:
             order = np.flatnonzero(hit.face >= 0)
             order = order[np.argsort(-hit.range[order], kind="stable")]
             ray, face = ray[order], hit.face[order]
-            ranges[ray], normal[ray] = hit.range[order], hit.normal[order]
+            ranges[ray] = hit.range[order]
+            if normal is not None:
+                normal[ray] = hit.normal[order]
             if colour is not None:
                 lit = mesh.colours(self._baked.light, face, hit.normal[order])
                 colour[ray] = _packed(lit)
@@ -256,7 +270,9 @@ class Camera:
         aside = np.arccos(np.clip(towards[..., 0], -1.0, 1.0))
         inside = distance <= mesh.radius_m
         actor = np.flatnonzero((aside - apparent < self._half_angle) | inside)
-        cosine = self._directions.astype(np.float32) @ towards.reshape(-1, 3)[actor].T.astype(np.float32)
+        if not len(actor):
+            return actor, actor
+        cosine = self._directions32 @ towards.reshape(-1, 3)[actor].T.astype(np.float32)
         limit = np.where(inside, -2.0, np.cos(apparent)).ravel()[actor]
         pixel, which = np.nonzero(cosine >= limit.astype(np.float32))
         scene = actor[which] // poses.shape[1]
