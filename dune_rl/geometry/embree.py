@@ -145,6 +145,27 @@ class TriangleScene:
             normals,
         )
 
+    def intersect_posed(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        poses: NDArray[np.float64],
+        sphere: tuple[float, float],
+        farthest: float,
+        ranges: NDArray[np.float32],
+    ) -> None:
+        """Shorten `ranges` (N, P), at most `farthest`, to the first hits of copies of the scene at `poses`.
+
+        Rays have `origins` (N, 3) and unit `directions` (N, P, 3); those of row n meet the K copies at
+        `poses` (N, K, 4): x, y, z and yaw. A sphere round (0, 0, `sphere[0]`) of radius `sphere[1]` holds the
+        scene: only rays that pass it are traced.
+        """
+        poses = np.ascontiguousarray(poses)
+        cosines, sines = np.cos(poses[..., 3]), np.sin(poses[..., 3])
+        _intersect_posed(
+            self._handle, _ARGUMENTS, origins, directions, poses, cosines, sines, sphere, farthest, ranges
+        )
+
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether each ray hits any triangle, (N,)."""
         occluded = np.empty(len(directions), np.bool_)
@@ -254,6 +275,63 @@ def _intersect(
                 hit = words[_GEOMETRY, k] != _NONE
                 for axis in range(3):
                     normals[rays[k], axis] = numbers[_NORMAL + axis, k] if hit else np.float32(0.0)
+
+
+@compile_function
+def _intersect_posed(
+    scene: int,
+    arguments: int,
+    origins: Any,
+    directions: Any,
+    poses: Any,
+    cosines: Any,
+    sines: Any,
+    sphere: Any,
+    farthest: float,
+    ranges: Any,
+) -> None:
+    words, numbers = _packet()
+    mask, packet = words[_ROWS:].ctypes.data, words.ctypes.data
+    rays = np.empty(_WIDTH, np.int64)
+    middle, radius = sphere[0], sphere[1] * (1.0 + 1e-6) + 1e-6
+    count_rays = directions.shape[1]
+    for row in range(len(origins)):
+        for body in range(poses.shape[1]):
+            dx, dy = origins[row, 0] - poses[row, body, 0], origins[row, 1] - poses[row, body, 1]
+            dz = origins[row, 2] - poses[row, body, 2]
+            up = middle - dz
+            away = dx * dx + dy * dy + up * up
+            if away > (farthest + radius) ** 2:
+                continue
+            cos, sin = cosines[row, body], sines[row, body]
+            for k in range(_WIDTH):
+                numbers[0, k] = np.float32(cos * dx + sin * dy)
+                numbers[1, k] = np.float32(cos * dy - sin * dx)
+                numbers[2, k] = np.float32(dz)
+            # From outside, a ray that passes the sphere goes at least as far along as its tangent.
+            tangent = away - radius * radius
+            count = 0
+            for ray in range(count_rays + 1):
+                if ray < count_rays:
+                    x, y, z = directions[row, ray]
+                    along = up * z - dx * x - dy * y
+                    if tangent > 0.0 and (along <= 0.0 or along * along < tangent):
+                        continue
+                    numbers[4, count] = np.float32(cos * x + sin * y)
+                    numbers[5, count] = np.float32(cos * y - sin * x)
+                    numbers[6, count] = np.float32(z)
+                    rays[count] = ray
+                    count += 1
+                if count == _WIDTH or (ray == count_rays and count > 0):
+                    for k in range(_WIDTH):
+                        words[_ROWS, k] = _NONE if k < count else np.uint32(0)
+                    for k in range(count):
+                        numbers[_TFAR, k] = ranges[row, rays[k]]
+                        words[_GEOMETRY, k] = _NONE
+                    _intersect16(mask, scene, packet, arguments)
+                    for k in range(count):
+                        ranges[row, rays[k]] = numbers[_TFAR, k]
+                    count = 0
 
 
 @compile_function

@@ -58,6 +58,18 @@ class RayScene:
         self._triangles.intersect(origins, directions, ranges, faces, _NO_NORMALS, order)
         return faces
 
+    def shorten_posed(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        poses: NDArray[np.float64],
+        sphere: tuple[float, float],
+        farthest: float,
+        ranges: Floats,
+    ) -> None:
+        """As `TriangleScene.intersect_posed`: first hits of copies of the scene at `poses` (N, K, 4)."""
+        self._triangles.intersect_posed(origins, directions, poses, sphere, farthest, ranges)
+
     def hits(self, origins: Floats, directions: Floats, ranges: Floats, order: Order = None) -> Hits:
         """First hits of the rays; `ranges` (N,) are shortened in place as by `shorten_ranges`."""
         faces = np.empty(len(directions), np.int32)

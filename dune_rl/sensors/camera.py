@@ -13,6 +13,7 @@ from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
+from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 from dune_rl.sensors.sensor import Mount, mount_position
 
@@ -285,11 +286,6 @@ class Camera:
         unit = np.where(away[..., None], -unit, unit)
         seen: Floats = unit @ (rotation @ self._tilt).astype(np.float32)
         return seen
-
-
-def columns_by_mesh(meshes: Sequence[MovingMesh]) -> list[tuple[MovingMesh, NDArray[np.int64]]]:
-    """Each different mesh, with the columns of the actors that have it."""
-    return [(mesh, np.flatnonzero([mesh is other for other in meshes])) for mesh in dict.fromkeys(meshes)]
 
 
 class Cameras:

@@ -68,9 +68,8 @@ class DepthStrip:
         bearing = conf.fov_rad * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
         elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.rows)
         self._level = np.cos(elevation)[:, None].astype(np.float32)
-        shapes = [mesh.rays for mesh in meshes]
         directions_b = fan(bearing, elevation).reshape(-1, 3)
-        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, solid, shapes)
+        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, solid, meshes)
         self._reading: Floats = np.zeros((num_rows, conf.columns), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:

@@ -1,10 +1,13 @@
 """An inertial measurement unit: accelerometer with gravity, gyroscope, orientation."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.geometry.frames import clip, cross, to_body
+from dune_rl.compiled import compile_function
+from dune_rl.geometry.frames import cross
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Mount, Reading, mount_position
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -22,10 +25,10 @@ class ImuConf(Settings):
 
 
 class Imu:
-    """Readings of M units.
+    """Measurements of N inertial units.
 
-    The acceleration is the change of the mount's velocity over the last
-    control step, the mean of what the unit felt during it.
+    The acceleration is the change of the mount's velocity over the last control step: the mean of what the
+    unit felt during it.
     """
 
     def __init__(self, conf: ImuConf, num_rows: int) -> None:
@@ -49,10 +52,18 @@ class Imu:
         `rotation` (M, 3, 3); `velocity_w` and `angular_w` (M, 3) are the
         body's. Call it once per control step: it keeps the velocity.
         """
-        velocity = self._mount_velocity(rotation, velocity_w, angular_w)
-        acceleration_w = (velocity - self._previous_velocity) / step_s
+        velocity, self.acceleration_b = np.empty_like(self._previous_velocity), np.empty((len(rotation), 3))
+        _accelerate(
+            rotation,
+            velocity_w,
+            angular_w,
+            self._mount,
+            step_s,
+            self._previous_velocity,
+            velocity,
+            self.acceleration_b,
+        )
         self._previous_velocity = velocity
-        self.acceleration_b = to_body(rotation, acceleration_w)
         return self.acceleration_b
 
     def reading(self, rotation: Array, angular_b: Array, roll_pitch_yaw: Array) -> NDArray[np.float32]:
@@ -62,11 +73,50 @@ class Imu:
         """
         conf = self.conf
         out = np.empty((len(rotation), 9), np.float32)
-        force = self.acceleration_b + GRAVITY_MPS2 * rotation[:, 2, :]
-        out[:, 0:3] = clip(force, -conf.acceleration_range_mps2, conf.acceleration_range_mps2)
-        out[:, 3:6] = clip(angular_b, -conf.angular_range_radps, conf.angular_range_radps)
-        out[:, 6:9] = roll_pitch_yaw
+        limits = conf.acceleration_range_mps2, conf.angular_range_radps
+        _take_reading(self.acceleration_b, rotation, angular_b, roll_pitch_yaw, limits, out)
         return out
+
+
+@compile_function
+def _accelerate(
+    rotation: Any,
+    velocity_w: Any,
+    angular_w: Any,
+    mount: Any,
+    step_s: float,
+    before: Any,
+    velocity: Any,
+    acceleration: Any,
+) -> None:
+    # Of the mount: v + omega x (R mount), and the change of that in the body frame.
+    x, y, z = mount
+    for row in range(len(rotation)):
+        arm_x = rotation[row, 0, 0] * x + rotation[row, 0, 1] * y + rotation[row, 0, 2] * z
+        arm_y = rotation[row, 1, 0] * x + rotation[row, 1, 1] * y + rotation[row, 1, 2] * z
+        arm_z = rotation[row, 2, 0] * x + rotation[row, 2, 1] * y + rotation[row, 2, 2] * z
+        turn_x, turn_y, turn_z = angular_w[row, 0], angular_w[row, 1], angular_w[row, 2]
+        velocity[row, 0] = velocity_w[row, 0] + (turn_y * arm_z - turn_z * arm_y)
+        velocity[row, 1] = velocity_w[row, 1] + (turn_z * arm_x - turn_x * arm_z)
+        velocity[row, 2] = velocity_w[row, 2] + (turn_x * arm_y - turn_y * arm_x)
+        for axis in range(3):
+            felt = 0.0
+            for world in range(3):
+                felt += rotation[row, world, axis] * ((velocity[row, world] - before[row, world]) / step_s)
+            acceleration[row, axis] = felt
+
+
+@compile_function
+def _take_reading(
+    acceleration: Any, rotation: Any, angular_b: Any, angles: Any, limits: Any, found: Any
+) -> None:
+    most_acceleration, most_turn = limits
+    for row in range(len(found)):
+        for axis in range(3):
+            force = acceleration[row, axis] + GRAVITY_MPS2 * rotation[row, 2, axis]
+            found[row, axis] = min(max(force, -most_acceleration), most_acceleration)
+            found[row, 3 + axis] = min(max(angular_b[row, axis], -most_turn), most_turn)
+            found[row, 6 + axis] = angles[row, axis]
 
 
 class ImuSensor:

@@ -89,7 +89,7 @@ def _plain(sensor: Sensor, request: SensorRequest, context: SensorContext) -> Se
 
 def _lidar(request: SensorRequest, context: SensorContext) -> Sensor:
     conf: LidarConf = request.settings
-    lidar = Lidar(conf, context.solid, [mesh.rays for mesh in context.meshes])
+    lidar = Lidar(conf, context.solid, context.meshes)
     limits_m = (conf.min_range_m, conf.range_m)
     effects: list[RangeEffect] = [
         *effects_of(context.air, request.name, lidar.directions_b, conf.mount_b, limits_m)

@@ -1,5 +1,6 @@
 """A planar LiDAR: many beams, of which the agent sees the nearest return in each segment."""
 
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -7,11 +8,16 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.batched import AnyRays
-from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.sensors.beam_loops import nearest_in_segments, scale_directions
+from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
+
+# Farther than any LiDAR sees.
+_NOWHERE_M = 1e6
 
 
 class LidarConf(Settings):
@@ -71,11 +77,10 @@ def check_elevations(lowest_rad: float, highest_rad: float, name: str, count: in
 
 
 class Beams:
-    """Rays from a mount on M robots, cast at the static world and past the moving actors of each scene.
+    """Rays from a mount on N robots, cast at the static world and at the moving bodies of each scene.
 
-    `directions_b` (N, 3) are unit vectors and `mount_b` (3,) [m] is where they
-    start, both in the body frame. `mesh_rays` are ray scenes in the actors'
-    own frames, one per actor; equal objects are asked together.
+    `directions_b` (P, 3) are unit vectors and `mount_b` (3,) [m] is where they start, both in the body frame.
+    `meshes` are those of the other moving bodies, one for each column of `neighbours`.
     """
 
     def __init__(
@@ -84,79 +89,48 @@ class Beams:
         mount_b: Mount,
         range_m: float,
         static: AnyRays,
-        mesh_rays: list[RayScene],
+        meshes: Sequence[MovingMesh],
     ) -> None:
         self.directions_b = directions_b
         self._mount_b = mount_position(mount_b)
         self._range_m = range_m
         self._static = static
-        self._groups = [
-            (shape, np.flatnonzero([shape is other for other in mesh_rays]))
-            for shape in dict.fromkeys(mesh_rays)
-        ]
+        self._meshes = columns_by_mesh(meshes)
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the rays start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
         return position_w + rotation @ self._mount_b
 
     def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
-        """Range along every ray [m], (M, N): `range_m` where nothing returns.
+        """Range along every ray [m], (N, P): `range_m` where nothing returns.
 
-        `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `neighbours` (M, K, 4) the actors' x, y, z and yaw.
+        `position_w` (N, 3) and `rotation` (N, 3, 3) are the robots' poses, `neighbours` (N, K, 4) the other
+        moving bodies' x, y, z and yaw.
         """
-        scenes, count = len(position_w), len(self.directions_b)
+        rows, count = len(position_w), len(self.directions_b)
         origin = self.origin(position_w, rotation)
         directions = self.directions_b @ rotation.transpose(0, 2, 1)
-        ranges = np.full(scenes * count, self._range_m, np.float32)
+        ranges = np.full((rows, count), self._range_m, np.float32)
         directions32 = directions.reshape(-1, 3).astype(np.float32)
-        self._static.shorten_ranges(origin.astype(np.float32), directions32, ranges)
-        for shape, columns in self._groups:
-            ranges = self._past_actors(shape, neighbours[:, columns], origin, directions, ranges)
-        return ranges.reshape(scenes, count)
-
-    def _past_actors(
-        self,
-        shape: RayScene,
-        poses: Array,
-        origin: Array,
-        directions: Array,
-        ranges: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        """`ranges` (M * N,), shortened by the actors of one shape at `poses` (M, K, 4)."""
-        scenes, actors = poses.shape[:2]
-        count = len(self.directions_b)
-        # Rays are carried into each actor's frame, so that one small ray scene serves them all.
-        cos, sin = np.cos(poses[..., 3]), np.sin(poses[..., 3])
-        offset = origin[:, None, :] - poses[..., :3]
-        origins = np.empty((scenes, actors, 3), np.float32)
-        origins[..., 0] = cos * offset[..., 0] + sin * offset[..., 1]
-        origins[..., 1] = cos * offset[..., 1] - sin * offset[..., 0]
-        origins[..., 2] = offset[..., 2]
-        x, y = directions[:, None, :, 0], directions[:, None, :, 1]
-        cos, sin = cos[..., None], sin[..., None]
-        carried = np.empty((scenes, actors, count, 3), np.float32)
-        carried[..., 0] = cos * x + sin * y
-        carried[..., 1] = cos * y - sin * x
-        carried[..., 2] = directions[:, None, :, 2]
-        shortened = np.repeat(ranges.reshape(scenes, 1, count), actors, axis=1).ravel()
-        shape.shorten_ranges(origins.reshape(-1, 3), carried.reshape(-1, 3), shortened)
-        nearest: NDArray[np.float32] = shortened.reshape(scenes, actors, count).min(axis=1)
-        return nearest.ravel()
+        self._static.shorten_ranges(origin.astype(np.float32), directions32, ranges.reshape(-1))
+        for mesh, columns in self._meshes:
+            poses = neighbours if len(self._meshes) == 1 else neighbours[:, columns]
+            sphere = (float(mesh.centre[2]), mesh.radius_m)
+            mesh.rays.shorten_posed(origin, directions, poses, sphere, self._range_m, ranges)
+        return ranges
 
 
 class Lidar:
     """Ranges of N robots in M scenes, which differ in their moving bodies and, batched, in the static world.
 
-    `mesh_rays` are ray scenes in the actors' own frames, one per actor; equal
-    objects are asked together. Unit vectors along the beams in the body frame
-    are `directions_b` (n_beams, 3).
+    `meshes` are those of the other moving bodies, one for each column of `neighbours`. Unit vectors along
+    the beams in the body frame are `directions_b` (n_beams, 3).
     """
 
-    def __init__(self, conf: LidarConf, static: AnyRays, mesh_rays: list[RayScene]) -> None:
+    def __init__(self, conf: LidarConf, static: AnyRays, meshes: Sequence[MovingMesh]) -> None:
         self.conf = conf
         self.directions_b = fan(beam_angles(conf), np.zeros(1))[0]
-        self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, mesh_rays)
+        self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, meshes)
 
     def origin(self, position_w: Array, rotation: Array) -> Array:
         """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
@@ -164,8 +138,20 @@ class Lidar:
 
     def ends(self, origin: Array, rotation: Array, ranges: NDArray[np.float32]) -> Array:
         """Where beams of `ranges` (M, n_beams) end in the world [m], (M, n_beams, 3)."""
-        along = self.directions_b * ranges[..., None]
-        return origin[:, None] + along @ rotation.transpose(0, 2, 1)
+        return origin[:, None] + self._ends_b(ranges, np.inf, np.inf) @ rotation.transpose(0, 2, 1)
+
+    def store_ends(
+        self, origin: Array, rotation: Array, ranges: NDArray[np.float32], found: NDArray[np.float32]
+    ) -> None:
+        """As `ends`, into `found`; a beam that meets nothing ends far away, not as a wall at its range."""
+        ends_b = self._ends_b(ranges, self.conf.range_m, _NOWHERE_M)
+        np.add(origin[:, None], ends_b @ rotation.transpose(0, 2, 1), out=found, casting="same_kind")
+
+    def _ends_b(self, ranges: NDArray[np.float32], farthest: float, nowhere: float) -> Array:
+        ends_b = np.empty((*ranges.shape, 3))
+        limits = np.float32(farthest), np.float32(nowhere)
+        scale_directions(self.directions_b, ranges, *limits, ends_b)
+        return ends_b
 
     def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
@@ -174,9 +160,10 @@ class Lidar:
         `neighbours` (M, K, 4) the actors' x, y, z and yaw.
         """
         ranges = self._beams.ranges(position_w, rotation, neighbours)
-        return np.maximum(ranges, np.float32(self.conf.min_range_m))
+        return np.maximum(ranges, np.float32(self.conf.min_range_m), out=ranges)
 
     def segments(self, ranges: NDArray[np.float32]) -> NDArray[np.float32]:
         """Nearest return of each segment of neighbouring beams [m], (M, n_segments)."""
-        nearest: NDArray[np.float32] = ranges.reshape(len(ranges), self.conf.n_segments, -1).min(axis=2)
+        nearest = np.empty((len(ranges), self.conf.n_segments), np.float32)
+        nearest_in_segments(ranges, nearest)
         return nearest

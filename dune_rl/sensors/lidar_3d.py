@@ -12,9 +12,9 @@ from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, lum
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import columns_by_mesh
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
+from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading, mount_position
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State

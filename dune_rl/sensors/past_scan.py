@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.sensors.beam_loops import nearest_by_bearing
 from dune_rl.sensors.lidar import LidarConf
 
 Array = NDArray[np.float64]
@@ -10,10 +11,10 @@ Floats = NDArray[np.float32]
 
 
 class PastScan:
-    """Where the LiDAR beams of M scenes ended `delay_steps` control steps ago, seen from now.
+    """Where the LiDAR beams of N robots ended `delay_steps` control steps ago, seen from now.
 
-    The robot's own motion is taken out: each end point is carried into the
-    present sensor frame and counted in the segment in whose direction it now lies.
+    The robot's own motion is taken out: each end point is carried into the present sensor frame and counted
+    in the segment in whose direction it now lies.
     """
 
     def __init__(self, conf: LidarConf, num_rows: int, delay_steps: int) -> None:
@@ -23,32 +24,33 @@ class PastScan:
         # Half a beam before the first, so that each beam lies in the middle of its share.
         self._first_rad = np.float32(-conf.fov_rad / 2 - conf.fov_rad / conf.n_beams / 2)
         self._per_rad = np.float32(conf.n_segments / conf.fov_rad)
-        self._rows = np.arange(num_rows)[:, None] * conf.n_segments
-        self._is_full_circle = bool(np.isclose(conf.fov_rad, 2 * np.pi))
+        self._full_circle = bool(np.isclose(conf.fov_rad, 2 * np.pi))
+        self._limits = np.float32(conf.min_range_m), np.float32(conf.range_m)
 
-    def restart(self, mask: NDArray[np.bool_], ends_w: Array) -> None:
-        """Let the scenes in `mask` (M,) have seen nothing but the end points `ends_w` (M, n_beams, 3)."""
+    def restart(self, mask: NDArray[np.bool_], ends_w: Array | Floats) -> None:
+        """Let the rows in `mask` (N,) have seen nothing but the end points `ends_w` (N, n_beams, 3)."""
         self._ends_w[:, mask] = ends_w[mask]
 
-    def push(self, ends_w: Array) -> None:
-        """Add the end points (M, n_beams, 3) [m] of a control step."""
+    def advance(self) -> Floats:
+        """The place (N, n_beams, 3) for the end points [m] of another control step, to be filled."""
         self._newest = (self._newest + 1) % len(self._ends_w)
-        self._ends_w[self._newest] = ends_w
+        return self._ends_w[self._newest]
+
+    def push(self, ends_w: Array) -> None:
+        """Add the end points (N, n_beams, 3) [m] of a control step."""
+        self.advance()[:] = ends_w
 
     def seen_from(self, origin_w: Array, rotation: Array) -> Floats:
-        """Nearest past end point in each segment [m], (M, n_segments), `range_m` where there is none.
+        """Nearest past end point in each segment [m], (N, n_segments), `range_m` where there is none.
 
-        The sensors are at `origin_w` (M, 3), turned by `rotation` (M, 3, 3). An
-        episode younger than the delay shows its first scan.
+        The sensors are at `origin_w` (N, 3), turned by `rotation` (N, 3, 3). An episode younger than the
+        delay shows its first scan.
         """
-        conf = self._conf
         ends_w = self._ends_w[(self._newest + 1) % len(self._ends_w)]
         ends_b = (ends_w - origin_w[:, None].astype(np.float32)) @ rotation.astype(np.float32)
-        x, y = ends_b[..., 0], ends_b[..., 1]
-        segment = np.floor((np.arctan2(y, x) - self._first_rad) * self._per_rad).astype(np.int64)
-        if self._is_full_circle:
-            segment %= conf.n_segments
-        seen = (segment >= 0) & (segment < conf.n_segments)
-        nearest = np.full(self._rows.size * conf.n_segments, conf.range_m, np.float32)
-        np.minimum.at(nearest, (segment + self._rows)[seen], np.sqrt(x * x + y * y)[seen])
-        return np.maximum(nearest, np.float32(conf.min_range_m)).reshape(self._rows.size, conf.n_segments)
+        bearings = np.arctan2(ends_b[..., 1], ends_b[..., 0])
+        found = np.empty((len(ends_b), self._conf.n_segments), np.float32)
+        nearest_by_bearing(
+            ends_b, bearings, self._first_rad, self._per_rad, self._full_circle, self._limits, found
+        )
+        return found

@@ -11,9 +11,6 @@ from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.state import GroupState, State
 
-# Farther than any LiDAR sees.
-_NOWHERE_M = 1e6
-
 
 class Scanner:
     """The readings `name` and "<name>_past", (N, n_segments) [m]; those that `wanted` names.
@@ -67,12 +64,11 @@ class Scanner:
         if self._navigation is not None:
             position_w, rotation = self._navigation.position_w, self._navigation.rotation
         origin = self._lidar.origin(position_w, rotation)
-        # A beam that met nothing has no end: it must not come back as a wall at the end of its range.
-        ended = np.where(ranges < self._lidar.conf.range_m, ranges, np.float32(_NOWHERE_M))
-        ends_w = self._lidar.ends(origin, rotation, ended)
         if begun is None:
-            self._past.push(ends_w)
+            self._lidar.store_ends(origin, rotation, ranges, self._past.advance())
         else:
+            ends_w = np.empty((*ranges.shape, 3), np.float32)
+            self._lidar.store_ends(origin, rotation, ranges, ends_w)
             self._past.restart(begun, ends_w)
         self._past_scan = self._past.seen_from(origin, rotation)
 

@@ -9,6 +9,7 @@ from dune_rl.state import GroupState, State
 MAX_SENSED_SPEED_MPS = 10.0
 MAX_SENSED_TURN_RADPS = 34.9
 _HIGHEST = np.array([MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS], np.float32)
+_LOWEST = -_HIGHEST
 # A body may exceed its top speed by this share, by rounding.
 _SPEED_MARGIN = 1.01
 
@@ -30,9 +31,11 @@ class Velocity:
 
     def measure(self, now: GroupState, state: State) -> None:
         """Read the present motion."""
-        motion = now.motion
-        values = np.stack([motion.velocity_b[:, 0], motion.angular_b[:, 2]], axis=1).astype(np.float32)
-        self._reading = np.minimum(np.maximum(values, -_HIGHEST), _HIGHEST)
+        values = np.empty((len(self._reading), 2), np.float32)
+        values[:, 0] = now.motion.velocity_b[:, 0]
+        values[:, 1] = now.motion.angular_b[:, 2]
+        np.maximum(values, _LOWEST, out=values)
+        self._reading = np.minimum(values, _HIGHEST, out=values)
 
     def read(self) -> dict[str, Reading]:
         """The latest motion."""

@@ -32,7 +32,7 @@ def lidar_in(world: World, actors: tuple[PersonConf, ...] = (), conf: LidarConf 
     return Lidar(
         conf or lidar_conf(),
         RayScene(solid.vertices, solid.faces),
-        [each.rays for each in meshes_of(actors)],
+        meshes_of(actors),
     )
 
 

@@ -131,7 +131,7 @@ def test_a_kinematic_body_carries_a_lidar():
     world, other = flat_with((4.0, 0.0, 0.0, 0.2, 12.0)), meshes_of((PersonConf(radius_m=0.3),))
     solid = world.solid_mesh()
     conf = lidar_conf(mount_b=carrier.scanner_b, n_segments=4, n_beams=4)
-    lidar = Lidar(conf, RayScene(solid.vertices, solid.faces), [each.rays for each in other])
+    lidar = Lidar(conf, RayScene(solid.vertices, solid.faces), other)
     sensor = Scanner(lidar, ("lidar",), 1, 1)
     zero = np.zeros((1, 3))
     motion = Motion(zero, np.array([[0.0, 0.0, np.pi / 2]]), zero, zero, np.zeros(1, bool))

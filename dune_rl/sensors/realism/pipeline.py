@@ -13,6 +13,8 @@ from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
 
+_ALL: Rows = slice(None)
+
 
 class RealismConf(Settings):
     """Rate and latency of a sensor; classes derived from this add its own faults.
@@ -227,13 +229,16 @@ class Realism:
     def measure(self, now: GroupState, state: State) -> None:
         """Read where a reading is due, and let the others stand."""
         self._sensor.measure(now, state)
-        due = now.episode.steps % self._every == 0
-        rows: Rows = slice(None) if due.all() else np.flatnonzero(due)
-        readings = self._sensor.read() if due.any() else {}
+        rows, is_due, partly = _ALL, True, False
+        if self._every > 1:
+            due = now.episode.steps % self._every == 0
+            is_due, partly = bool(due.any()), not due.all()
+            rows = np.flatnonzero(due) if partly else _ALL
+        readings = self._sensor.read() if is_due else {}
         before = self._newest
         self._newest = (before + 1) % self._slots
         for name, ring in self._ring.items():
-            if not due.all():
+            if partly:
                 ring[self._newest] = ring[before]
             if name not in readings:
                 continue

@@ -1,0 +1,95 @@
+"""The compiled loops of cameras and scans, against the same in arrays of numpy."""
+
+import numpy as np
+import pytest
+
+from dune_rl.sensors.beam_loops import nearest_by_bearing, nearest_in_segments, scale_directions
+from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 64), (8, 12), (7, 5), (1, 1), (3, 16)])
+def test_tiles_have_each_pixel_once(height, width):
+    order = tile_order(height, width)
+    np.testing.assert_array_equal(np.sort(order), np.arange(height * width))
+    row, column = np.divmod(order[:16], width)
+    assert row.max() < max(4, 16 // min(width, 4)) and column.max() < width
+
+
+def test_a_tile_is_four_by_four():
+    order = tile_order(8, 8)
+    assert order[:16].tolist() == [0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27]
+    assert order[16] == 4 and order[32] == 32
+
+
+def test_colours_are_those_of_ground_faces_and_sky():
+    pictures, pixels, ground_faces, columns, rows = 3, 40, 100, 9, 5
+    count = pictures * pixels
+    directions = RNG.normal(size=(count, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ranges = RNG.uniform(0.1, 9.0, count).astype(np.float32)
+    faces = RNG.integers(-1, 150, count).astype(np.int32)
+    faces[RNG.random(count) < 0.3] = -1
+    start, texels = RNG.uniform(0, 5, (pictures, 2)).astype(np.float32), np.float32([1.5, 0.7])
+    last = np.float32([columns - 1, rows - 1])
+    ground, colours, sky = (RNG.integers(0, 2**24, n).astype(np.uint32) for n in (columns * rows, 150, 7))
+    found = np.empty(count, np.uint32)
+    look_up_colours(
+        directions, ranges, faces, start, texels, last, columns, ground, ground_faces, colours, sky, found
+    )
+    at = directions[:, :2] * ranges[:, None] * texels + np.repeat(start, pixels, axis=0)
+    column, row = np.clip(at, 0.0, last).astype(int).T
+    level = np.clip(((directions[:, 2] + 1.0) * 3.5).astype(int), 0, 6)
+    expected = np.where(faces < ground_faces, ground[row * columns + column], colours[faces])
+    np.testing.assert_array_equal(found, np.where(faces < 0, sky[level], expected))
+    assert min((faces < 0).sum(), (faces >= ground_faces).sum(), ((faces >= 0) & (faces < 100)).sum()) > 10
+    bytes_of = np.empty((count, 3), np.uint8)
+    unpack_colours(found, bytes_of)
+    np.testing.assert_array_equal(bytes_of, found.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :3])
+
+
+def test_depths_end_where_nothing_is_met():
+    ranges = RNG.uniform(0.0, 12.0, (4, 9)).astype(np.float32)
+    ranges[:, ::3] = 10.0
+    cosines = RNG.uniform(0.5, 1.0, 9).astype(np.float32)
+    found = np.empty_like(ranges)
+    depths_along_axis(ranges, cosines, np.float32(10.0), found)
+    np.testing.assert_array_equal(found, np.where(ranges >= 10.0, np.float32(10.0), ranges * cosines))
+
+
+def test_segments_have_their_nearest_beam():
+    ranges = RNG.uniform(0.1, 12.0, (5, 24)).astype(np.float32)
+    for segments in (1, 8, 24):
+        found = np.empty((5, segments), np.float32)
+        nearest_in_segments(ranges, found)
+        np.testing.assert_array_equal(found, ranges.reshape(5, segments, -1).min(axis=2))
+
+
+def test_beams_that_meet_nothing_end_nowhere():
+    directions, ranges = RNG.normal(size=(6, 3)), RNG.uniform(0.1, 5.0, (4, 6)).astype(np.float32)
+    ranges[1, 2:4] = 5.0
+    found = np.empty((4, 6, 3))
+    scale_directions(directions, ranges, np.float32(5.0), np.float32(1e6), found)
+    ended = np.where(ranges < 5.0, ranges, np.float32(1e6))
+    np.testing.assert_array_equal(found, directions * ended[..., None])
+
+
+@pytest.mark.parametrize("full_circle", [True, False])
+def test_ends_count_where_they_lie(full_circle):
+    segments, limits = 8, (np.float32(0.5), np.float32(9.0))
+    span = 2 * np.pi if full_circle else np.pi
+    first, per_rad = np.float32(-span / 2 - 0.05), np.float32(segments / span)
+    ends = RNG.uniform(-7.0, 7.0, (6, 50, 3)).astype(np.float32)
+    ends[0] *= 100.0
+    bearings = np.arctan2(ends[..., 1], ends[..., 0])
+    found = np.empty((6, segments), np.float32)
+    nearest_by_bearing(ends, bearings, first, per_rad, full_circle, limits, found)
+    place = np.floor((bearings - first) * per_rad).astype(int)
+    place = place % segments if full_circle else place
+    for row in range(6):
+        for segment in range(segments):
+            there = np.hypot(*ends[row, place[row] == segment, :2].T.astype(float))
+            expected = np.clip(min(there, default=9.0), 0.5, 9.0)
+            np.testing.assert_allclose(found[row, segment], expected, rtol=1e-6)
+    assert (found[0] == 9.0).all() and (found[1:] < 9.0).any()
