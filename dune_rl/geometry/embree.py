@@ -8,7 +8,7 @@ Memory layouts follow embree4/rtcore_ray.h and rtcore_common.h (Embree 4).
 import ctypes
 import weakref
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import embreex.rtcore_scene
 import llvmlite.binding
@@ -75,6 +75,23 @@ class _Arguments(ctypes.Structure):
 _arguments = _Arguments(_COHERENT, _ALL_FEATURES)
 _ARGUMENTS = ctypes.addressof(_arguments)
 _NO_ORDER = np.zeros(0, np.int64)
+
+
+class PosedHits(NamedTuple):
+    """What H rays have hit of copies of a scene: rays, faces and copies (H,), numbered through all rows.
+
+    Normals (H, 3) are not normalised, and in the scene's frame.
+    """
+
+    ray: NDArray[np.int64]
+    face: NDArray[np.int32]
+    copy: NDArray[np.int64]
+    normal: NDArray[np.float32]
+
+
+_NO_HITS = PosedHits(
+    np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
+)
 _device: int | None = None
 
 
@@ -148,7 +165,7 @@ class TriangleScene:
     def intersect_posed(
         self,
         origins: NDArray[np.float64],
-        directions: NDArray[np.float64],
+        directions: NDArray[np.floating],
         poses: NDArray[np.float64],
         sphere: tuple[float, float],
         farthest: float,
@@ -160,11 +177,61 @@ class TriangleScene:
         `poses` (N, K, 4): x, y, z and yaw. A sphere round (0, 0, `sphere[0]`) of radius `sphere[1]` holds the
         scene: only rays that pass it are traced.
         """
-        poses = np.ascontiguousarray(poses)
-        cosines, sines = np.cos(poses[..., 3]), np.sin(poses[..., 3])
-        _intersect_posed(
-            self._handle, _ARGUMENTS, origins, directions, poses, cosines, sines, sphere, farthest, ranges
+        order, whole = _counted(directions.shape[1]), (np.zeros((len(origins), 3)), np.inf)
+        self._posed(origins, directions, order, poses, sphere, farthest, whole, ranges, _NO_HITS)
+
+    def hit_posed(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.floating],
+        order: NDArray[np.int64],
+        poses: NDArray[np.float64],
+        sphere: tuple[float, float],
+        farthest: float,
+        view: tuple[NDArray[np.float64], float],
+        ranges: NDArray[np.float32],
+    ) -> PosedHits:
+        """As `intersect_posed`, and what the rays that a copy shortens have hit, in rising order of rays.
+
+        The rays of a row lie within an angle [rad] of its axis: `view` has axes (N, 3) and the angle. They
+        are traced in the `order` (P,) of their numbers.
+        """
+        rays = ranges.size
+        found = PosedHits(
+            np.empty(rays, np.int64),
+            np.empty(rays, np.int32),
+            np.empty(rays, np.int64),
+            np.empty((rays, 3), np.float32),
         )
+        count = self._posed(origins, directions, order, poses, sphere, farthest, view, ranges, found)
+        return PosedHits(found.ray[:count], found.face[:count], found.copy[:count], found.normal[:count])
+
+    def _posed(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.floating],
+        order: NDArray[np.int64],
+        poses: NDArray[np.float64],
+        sphere: tuple[float, float],
+        farthest: float,
+        view: tuple[NDArray[np.float64], float],
+        ranges: NDArray[np.float32],
+        found: PosedHits,
+    ) -> int:
+        poses = np.ascontiguousarray(poses)
+        turns = np.cos(poses[..., 3]), np.sin(poses[..., 3])
+        bounds = (*sphere, farthest)
+        count: int = _intersect_posed(
+            self._handle,
+            _ARGUMENTS,
+            (origins, directions, order),
+            (poses, *turns),
+            bounds,
+            view,
+            ranges,
+            tuple(found),
+        )
+        return count
 
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether each ray hits any triangle, (N,)."""
@@ -279,59 +346,88 @@ def _intersect(
 
 @compile_function
 def _intersect_posed(
-    scene: int,
-    arguments: int,
-    origins: Any,
-    directions: Any,
-    poses: Any,
-    cosines: Any,
-    sines: Any,
-    sphere: Any,
-    farthest: float,
-    ranges: Any,
-) -> None:
+    scene: int, arguments: int, rays: Any, copies: Any, bounds: Any, view: Any, ranges: Any, found: Any
+) -> int:
+    origins, directions, order = rays
+    poses, cosines, sines = copies
+    middle, radius, farthest = bounds
+    axes, half_angle = view
+    hit_rays, hit_faces, hit_copies, hit_normals = found
     words, numbers = _packet()
     mask, packet = words[_ROWS:].ctypes.data, words.ctypes.data
-    rays = np.empty(_WIDTH, np.int64)
-    middle, radius = sphere[0], sphere[1] * (1.0 + 1e-6) + 1e-6
-    count_rays = directions.shape[1]
+    loaded = np.empty(_WIDTH, np.int64)
+    radius = radius * (1.0 + 1e-6) + 1e-6
+    count_rays, hits = directions.shape[1], 0
+    records = len(hit_rays) > 0
+    # What the rays of a row have hit: face (-1 for none), copy and normal.
+    faces = np.empty(count_rays if records else 0, np.int32)
+    which = np.empty(len(faces), np.int64)
+    normals = np.empty((len(faces), 3), np.float32)
     for row in range(len(origins)):
-        for body in range(poses.shape[1]):
-            dx, dy = origins[row, 0] - poses[row, body, 0], origins[row, 1] - poses[row, body, 1]
-            dz = origins[row, 2] - poses[row, body, 2]
+        is_near = False
+        for copy in range(poses.shape[1]):
+            dx, dy = origins[row, 0] - poses[row, copy, 0], origins[row, 1] - poses[row, copy, 1]
+            dz = origins[row, 2] - poses[row, copy, 2]
             up = middle - dz
             away = dx * dx + dy * dy + up * up
             if away > (farthest + radius) ** 2:
                 continue
-            cos, sin = cosines[row, body], sines[row, body]
+            if away > radius * radius and half_angle < np.pi:
+                distance = np.sqrt(away)
+                ahead = (up * axes[row, 2] - dx * axes[row, 0] - dy * axes[row, 1]) / distance
+                aside = np.arccos(min(max(ahead, -1.0), 1.0))
+                if aside - np.arcsin(radius / distance) >= half_angle + 1e-6:
+                    continue
+            if records and not is_near:
+                is_near = True
+                for ray in range(count_rays):
+                    faces[ray] = -1
+            cos, sin = cosines[row, copy], sines[row, copy]
             for k in range(_WIDTH):
                 numbers[0, k] = np.float32(cos * dx + sin * dy)
                 numbers[1, k] = np.float32(cos * dy - sin * dx)
                 numbers[2, k] = np.float32(dz)
             # From outside, a ray that passes the sphere goes at least as far along as its tangent.
-            tangent = away - radius * radius
+            tangent = (away - radius * radius) * (1.0 - 1e-6)
             count = 0
-            for ray in range(count_rays + 1):
-                if ray < count_rays:
-                    x, y, z = directions[row, ray]
+            for place in range(count_rays + 1):
+                if place < count_rays:
+                    ray = order[place]
+                    x, y, z = directions[row, ray, 0], directions[row, ray, 1], directions[row, ray, 2]
                     along = up * z - dx * x - dy * y
                     if tangent > 0.0 and (along <= 0.0 or along * along < tangent):
                         continue
                     numbers[4, count] = np.float32(cos * x + sin * y)
                     numbers[5, count] = np.float32(cos * y - sin * x)
                     numbers[6, count] = np.float32(z)
-                    rays[count] = ray
+                    loaded[count] = ray
                     count += 1
-                if count == _WIDTH or (ray == count_rays and count > 0):
+                if count == _WIDTH or (place == count_rays and count > 0):
                     for k in range(_WIDTH):
                         words[_ROWS, k] = _NONE if k < count else np.uint32(0)
                     for k in range(count):
-                        numbers[_TFAR, k] = ranges[row, rays[k]]
+                        numbers[_TFAR, k] = ranges[row, loaded[k]]
                         words[_GEOMETRY, k] = _NONE
                     _intersect16(mask, scene, packet, arguments)
                     for k in range(count):
-                        ranges[row, rays[k]] = numbers[_TFAR, k]
+                        ray = loaded[k]
+                        ranges[row, ray] = numbers[_TFAR, k]
+                        if records and words[_GEOMETRY, k] != _NONE:
+                            faces[ray] = np.int32(words[_FACE, k])
+                            which[ray] = row * poses.shape[1] + copy
+                            for axis in range(3):
+                                normals[ray, axis] = numbers[_NORMAL + axis, k]
                     count = 0
+        if is_near:
+            for ray in range(count_rays):
+                if faces[ray] >= 0:
+                    hit_rays[hits] = row * count_rays + ray
+                    hit_faces[hits] = faces[ray]
+                    hit_copies[hits] = which[ray]
+                    for axis in range(3):
+                        hit_normals[hits, axis] = normals[ray, axis]
+                    hits += 1
+    return hits
 
 
 @compile_function

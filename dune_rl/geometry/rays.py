@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.embree import TriangleScene
+from dune_rl.geometry.embree import PosedHits, TriangleScene
 
 Floats = NDArray[np.float32]
 
@@ -61,7 +61,7 @@ class RayScene:
     def shorten_posed(
         self,
         origins: NDArray[np.float64],
-        directions: NDArray[np.float64],
+        directions: NDArray[np.floating],
         poses: NDArray[np.float64],
         sphere: tuple[float, float],
         farthest: float,
@@ -69,6 +69,20 @@ class RayScene:
     ) -> None:
         """As `TriangleScene.intersect_posed`: first hits of copies of the scene at `poses` (N, K, 4)."""
         self._triangles.intersect_posed(origins, directions, poses, sphere, farthest, ranges)
+
+    def hit_posed(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.floating],
+        order: NDArray[np.int64],
+        poses: NDArray[np.float64],
+        sphere: tuple[float, float],
+        farthest: float,
+        view: tuple[NDArray[np.float64], float],
+        ranges: Floats,
+    ) -> PosedHits:
+        """As `TriangleScene.hit_posed`: what rays hit of copies of the scene at `poses` (N, K, 4)."""
+        return self._triangles.hit_posed(origins, directions, order, poses, sphere, farthest, view, ranges)
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats, order: Order = None) -> Hits:
         """First hits of the rays; `ranges` (N,) are shortened in place as by `shorten_ranges`."""

@@ -76,7 +76,6 @@ class Camera:
         self._tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
         self._directions = lens.directions.reshape(-1, 3)
         self._directions_b = np.ascontiguousarray(self._directions @ self._tilt.T, np.float32)
-        self._directions32 = self._directions.astype(np.float32)
         ahead = self._directions[:, 0] if conf.projection == "pinhole" else np.ones(len(self._directions))
         self._cosines = ahead.astype(np.float32)
         self._order = tile_order(conf.height, conf.width)
@@ -215,27 +214,22 @@ class Camera:
         ranges: Floats,
         looks: tuple[NDArray[np.uint32] | None, NDArray[np.uint8] | None, Floats | None],
     ) -> None:
-        """Put the actors at `poses` (M, K, 4) into the pictures, where they are nearer than what is there."""
+        """Put the bodies at `poses` (M, K, 4) into the pictures, where they are nearer than what is there."""
         colour, segments, normal = looks
+        scenes, farthest = len(origin), self.conf.range_m
+        view = (rotation @ self._tilt[:, 0], self._half_angle)
+        rays = directions.reshape(scenes, -1, 3), self._order
         for mesh, columns in self._meshes:
-            ray, actor = self._pixels_near(mesh, origin, rotation, poses[:, columns])
-            if not len(ray):
+            own = poses if len(self._meshes) == 1 else poses[:, columns]
+            hit = mesh.first_hits(origin, *rays, own, farthest, view, ranges.reshape(scenes, -1))
+            if not len(hit.ray):
                 continue
-            near = poses[:, columns].reshape(-1, 4)[actor]
-            scene = ray // len(self._directions_b)
-            hit = mesh.hits(origin[scene], directions[ray], near, ranges[ray])
-            # Rays of different actors of one group can meet: the nearest counts, so go from far to near.
-            order = np.flatnonzero(hit.face >= 0)
-            order = order[np.argsort(-hit.range[order], kind="stable")]
-            ray, face = ray[order], hit.face[order]
-            ranges[ray] = hit.range[order]
             if normal is not None:
-                normal[ray] = hit.normal[order]
+                normal[hit.ray] = hit.normal
             if colour is not None:
-                lit = mesh.colours(self._baked.light, face, hit.normal[order])
-                colour[ray] = _packed(lit)
+                colour[hit.ray] = _packed(mesh.colours(self._baked.light, hit.face, hit.normal))
             if segments is not None:
-                segments[ray] = mesh.segment
+                segments[hit.ray] = mesh.segment
 
     def _look_through_air(
         self,
@@ -259,25 +253,6 @@ class Camera:
             ranges[hidden] = veil.range[hidden]
             if segments is not None:
                 segments[hidden] = Segment.VEGETATION
-
-    def _pixels_near(
-        self, mesh: MovingMesh, origin: Array, rotation: Array, poses: Array
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
-        offset = poses[..., :3] + mesh.centre - origin[:, None]
-        distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
-        towards = np.einsum("mkj,mji->mki", offset / distance[..., None], rotation @ self._tilt)
-        apparent = np.arcsin(np.minimum(mesh.radius_m / distance, 1.0))
-        aside = np.arccos(np.clip(towards[..., 0], -1.0, 1.0))
-        inside = distance <= mesh.radius_m
-        actor = np.flatnonzero((aside - apparent < self._half_angle) | inside)
-        if not len(actor):
-            return actor, actor
-        cosine = self._directions32 @ towards.reshape(-1, 3)[actor].T.astype(np.float32)
-        limit = np.where(inside, -2.0, np.cos(apparent)).ravel()[actor]
-        pixel, which = np.nonzero(cosine >= limit.astype(np.float32))
-        scene = actor[which] // poses.shape[1]
-        return scene * len(self._directions) + pixel, actor[which]
 
     def _seen_normals(self, normal: Floats, directions: Floats, rotation: Array) -> Floats:
         unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

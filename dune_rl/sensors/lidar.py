@@ -115,8 +115,7 @@ class Beams:
         self._static.shorten_ranges(origin.astype(np.float32), directions32, ranges.reshape(-1))
         for mesh, columns in self._meshes:
             poses = neighbours if len(self._meshes) == 1 else neighbours[:, columns]
-            sphere = (float(mesh.centre[2]), mesh.radius_m)
-            mesh.rays.shorten_posed(origin, directions, poses, sphere, self._range_m, ranges)
+            mesh.rays.shorten_posed(origin, directions, poses, mesh.sphere, self._range_m, ranges)
         return ranges
 
 

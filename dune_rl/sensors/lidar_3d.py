@@ -101,7 +101,7 @@ class Lidar3d:
         elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.n_rings)
         directions = fan(bearings(conf.fov_rad, conf.n_beams), elevation).reshape(-1, 3)
         self._directions_b = directions.astype(np.float32)
-        self._components_b = np.ascontiguousarray(self._directions_b.T)
+        self._order = np.arange(len(self._directions_b))
         limits_m = (conf.min_range_m, conf.range_m)
         draws_name = name.replace("_", " ")
         self._effects = effects_of(air, draws_name, self._directions_b, conf.mount_b, limits_m)
@@ -199,18 +199,17 @@ class Lidar3d:
             face, ranges, normal = solid.hits(origins32, directions, ranges)
             segments, albedo = surface.look_up(face)
             brightness = albedo * _incidence(normal, directions)
+        # All round: no body is out of view.
+        view = (np.zeros((scenes, 3)), np.inf)
         for (mesh, columns), albedo in zip(self._groups, self._brightness, strict=True):
             poses = neighbours[:, columns]
-            ray, actor = self._rays_near(mesh, origin, rotation, poses)
-            hit = mesh.hits(origin[ray // count], directions[ray], poses.reshape(-1, 4)[actor], ranges[ray])
-            # Rays of different actors of one group can meet: the nearest counts, so go from far to near.
-            order = np.flatnonzero(hit.face >= 0)
-            order = order[np.argsort(-hit.range[order], kind="stable")]
-            ray = ray[order]
-            ranges[ray] = hit.range[order]
-            if not self._range_only:
-                segments[ray] = mesh.segment
-                brightness[ray] = albedo[hit.face[order]] * _incidence(hit.normal[order], directions[ray])
+            own = directions.reshape(scenes, -1, 3), ranges.reshape(scenes, -1)
+            if self._range_only:
+                mesh.rays.shorten_posed(origin, own[0], poses, mesh.sphere, conf.range_m, own[1])
+                continue
+            hit = mesh.first_hits(origin, own[0], self._order, poses, conf.range_m, view, own[1])
+            segments[hit.ray] = mesh.segment
+            brightness[hit.ray] = albedo[hit.face] * _incidence(hit.normal, directions[hit.ray])
         rest = (scenes, 0 if self._range_only else count)
         return ranges.reshape(scenes, count), brightness.reshape(rest), segments.reshape(rest)
 
@@ -226,23 +225,6 @@ class Lidar3d:
                 values = segments
             found[f"{self._name}_{name}"] = values.reshape(len(ranges), conf.n_rings, conf.n_beams, 1)
         return found
-
-    def _rays_near(
-        self, mesh: MovingMesh, origin: Array, rotation: Array, poses: Array
-    ) -> tuple[Indices, Indices]:
-        """Rays (R,) that may meet actors at `poses` (M, K, 4), and which of the M * K each may meet."""
-        offset = poses[..., :3] + mesh.centre - origin[:, None]
-        distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
-        limit = np.sqrt(1.0 - np.minimum(mesh.radius_m / distance, 1.0) ** 2)
-        limit = np.where(distance <= mesh.radius_m, -2.0, limit).ravel()
-        actor = np.flatnonzero(distance < self.conf.range_m + mesh.radius_m)
-        towards = ((offset / distance[..., None]) @ rotation).reshape(-1, 3)[actor]
-        # Not by `@`, whose threads would wait for each other wherever a core is busy.
-        cosine = np.einsum("ai,in->an", towards.astype(np.float32), self._components_b)
-        count = len(self._directions_b)
-        near = np.flatnonzero(cosine >= limit[actor, None].astype(np.float32))
-        actor = actor[near // count]
-        return actor // poses.shape[1] * count + near % count, actor
 
 
 def _incidence(normal: Floats, directions: Floats) -> Floats:

@@ -86,7 +86,7 @@ def test_an_order_of_rays_changes_no_hit(count):
     rays, _ = scene(1)
     rng = np.random.default_rng(count)
     origins = np.add(2.0 * unit(rng, 7), [0, 0, 0.7])
-    targets = rng.uniform(-0.6, 0.6, (7 * count, 3)) + [0, 0, 0.7]
+    targets = np.add(rng.uniform(-0.6, 0.6, (7 * count, 3)), [0, 0, 0.7])
     directions = (targets - np.repeat(origins, count, axis=0)).astype(np.float32)
     origins = origins.astype(np.float32)
     expected = rays.hits(origins, directions, np.full(len(directions), FARTHEST))
@@ -107,3 +107,41 @@ def test_an_order_of_another_number_of_rays_is_refused():
     directions = unit(np.random.default_rng(0), 64).astype(np.float32)
     with pytest.raises(ValueError, match="an order of 16 is not that of 32 rays of each origin"):
         rays.shorten_ranges(np.zeros((2, 3), np.float32), directions, np.full(64, FARTHEST), np.arange(16))
+
+
+@pytest.mark.parametrize("half_angle", [np.pi, 0.6])
+def test_hits_of_copies_have_the_faces_of_the_nearest(half_angle):
+    rays, sphere = scene(2)
+    rng = np.random.default_rng(5)
+    rows, bodies, count = 20, 3, 64
+    origins = np.add(rng.uniform(-1.0, 1.0, (rows, 3)) * [1.0, 1.0, 0.3], [0, 0, 0.7])
+    axes = unit(rng, rows)
+    # Rays within the angle of the axis; bodies before, behind and beside the origins.
+    directions = axes[:, None] + np.tan(min(half_angle, 1.4)) / np.sqrt(3) * rng.uniform(
+        -1, 1, (rows, count, 3)
+    )
+    directions = (directions / np.linalg.norm(directions, axis=2, keepdims=True)).astype(np.float32)
+    poses = rng.uniform(-4.0, 4.0, (rows, bodies, 4)) * [1.0, 1.0, 0.05, 1.0]
+    before = np.full((rows, count), FARTHEST)
+    found = before.copy()
+    view = (axes, half_angle)
+    hit = rays.hit_posed(origins, directions, rng.permutation(count), poses, sphere, 12.0, view, found)
+    np.testing.assert_array_equal(found, expected_ranges(rays, origins, directions, poses, before))
+    np.testing.assert_array_equal(hit.ray, np.flatnonzero(found.ravel() < FARTHEST))
+    assert len(hit.ray) > 40
+    # Each face is met where its ray ends: in the frame of its copy, on the plane of the triangle.
+    row, along = hit.ray // count, found.ravel()[hit.ray].astype(float)
+    points = origins[row] + directions.reshape(-1, 3)[hit.ray] * along[:, None]
+    pose = poses.reshape(-1, 4)[hit.copy]
+    np.testing.assert_array_equal(hit.copy // bodies, row)
+    cos, sin = np.cos(pose[:, 3]), np.sin(pose[:, 3])
+    offset = points - pose[:, :3]
+    local = np.stack(
+        [cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0], offset[:, 2]],
+        axis=1,
+    )
+    normal = hit.normal / np.linalg.norm(hit.normal, axis=1, keepdims=True)
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.6)
+    vertices = mesh.vertices * np.random.default_rng(2).uniform(0.8, 1.2, (len(mesh.vertices), 1))
+    corner = np.add(vertices, [0.05, -0.1, 0.7])[mesh.faces[hit.face, 0]]
+    np.testing.assert_allclose(np.einsum("ij,ij->i", local - corner, normal), 0.0, atol=1e-4)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from people import meshes_of
 
 from dune_rl.bodies.person import PersonConf
-from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.geometry.frames import rotation_from_yaw, rotation_matrices
 from dune_rl.sensors.lens import Lens
 
 EYE = np.array([0.2, 0.0, 0.3])
@@ -115,12 +115,12 @@ def test_no_pixel_of_an_actor_is_left_out(lens, x, y, z, quaternion):
     found = look(camera, STANDING, rotation, [(x, y, z, 1.0)])
     nobody = look(camera_in(PLAIN, **conf), STANDING, rotation)
     # Every pixel's ray cast at the actor, instead of those near it.
-    figure = meshes_of((PERSON,))[0]
+    mesh = meshes_of((PERSON,))[0]
     rays = Lens(camera.conf).directions.reshape(-1, 3) @ rotation.T
-    origin = np.tile(camera.origin(STANDING[None], rotation[None]), (len(rays), 1))
+    turned = rotation_from_yaw(np.array(1.0))
+    local = (camera.origin(STANDING[None], rotation[None]) - [x, y, z]) @ turned
     ranges = np.full(len(rays), 100.0, np.float32)
-    poses = np.tile([x, y, z, 1.0], (len(rays), 1))
-    hit = figure.hits(origin, rays.astype(np.float32), poses, ranges)
+    hit = mesh.rays.hits(local.astype(np.float32), (rays @ turned).astype(np.float32), ranges)
     axial = 1.0 if lens[0] == "fisheye" else (rays @ (rotation @ [1.0, 0.0, 0.0]))
     depth = np.where(hit.face >= 0, hit.range * axial, np.inf).reshape(18, 24)
     bare = nobody["depth"][..., 0]
