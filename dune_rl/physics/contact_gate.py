@@ -135,6 +135,8 @@ class ContactGate:
         self._statics = statics
         self._rooms_m = [body.radius_m + _CONTACT_MARGIN_M for body in kinematics]
         self._grids: dict[float, ObstacleGrid] = {}
+        # Bound of each robot's motion in the next control step, as of `find_contacts`.
+        self.motions_m: list[float] = []
 
     def find_contacts(
         self,
@@ -165,6 +167,7 @@ class ContactGate:
             (x, y, _), (other_x, other_y, _) = places[one], places[other]
             if not (abs(x - other_x) > reach or abs(y - other_y) > reach):
                 exposed[one] = exposed[other] = True
+        self.motions_m = motions
         near = []
         for body, (old, new, room) in enumerate(zip(old_poses, new_poses, self._rooms_m, strict=True)):
             (x, y, *_), step = new, abs(new[0] - old[0]) + abs(new[1] - old[1])

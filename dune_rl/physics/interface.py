@@ -110,6 +110,23 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class Tyre:
+    """Cylinder by which a wheel collides with everything but the ground: the tyre in its true width.
+
+    An engine may round its edges by up to half of `width_m`. It is fixed to the wheel's `link`, with its
+    `centre` (3) [m] and its unit `axis` (3) in that link's frame; `position_b` (3) [m] is its centre in the
+    base link's frame with all joints at zero.
+    """
+
+    link: str
+    radius_m: float
+    width_m: float
+    position_b: tuple[float, float, float]
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
 class RobotBody:
     """URDF of a robot, and the roles of its joints and links.
 
@@ -118,8 +135,10 @@ class RobotBody:
 
     `ground_links` are wheels or feet. They collide with the ground, with
     `ground_friction` (along a wheel's axle with `sideways_friction_share` of
-    it), and with nothing else, unless `ground_links_meet_obstacles`. All other
-    links collide with everything, with `hull_friction`.
+    it), and with nothing else, unless `ground_links_meet_obstacles`. Wheels
+    whose collision shapes are wider than they are, such as spheres, have
+    `tyres` instead: these collide, with the same friction, with everything but
+    the ground. All other links collide with everything, with `hull_friction`.
 
     `look` is a URDF with the same links and joints that is drawn in place of `urdf`.
     """
@@ -131,6 +150,7 @@ class RobotBody:
     hull_friction: float = 0.3
     sideways_friction_share: float = 1.0
     ground_links_meet_obstacles: bool = False
+    tyres: tuple[Tyre, ...] = ()
     look: Path | None = None
     passive: tuple[PassiveJoint, ...] = ()
     couplings: tuple[Coupling, ...] = ()
@@ -152,7 +172,8 @@ class RobotBody:
         used_joints = [*self.drive_joints, *(joint.joint for joint in self.passive)]
         for coupling in self.couplings:
             used_joints += [coupling.leader, coupling.follower]
-        for kind, used, known in (("joint", used_joints, joints), ("link", self.ground_links, links)):
+        used_links = [*self.ground_links, *(tyre.link for tyre in self.tyres)]
+        for kind, used, known in (("joint", used_joints, joints), ("link", used_links, links)):
             missing = [name for name in dict.fromkeys(used) if name not in known]
             if missing:
                 return f"{self.urdf.name} has no {kind} {', '.join(missing)}; it has {', '.join(known)}"

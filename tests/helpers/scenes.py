@@ -61,6 +61,11 @@ def rover_body(conf: RoverZeroConf | None = None) -> RobotBody:
     return RoverZero(conf or RoverZeroConf(), 1).body
 
 
+def rover_without_tyres(**changes: object) -> RobotBody:
+    """A rover whose wheels are balls and no more, which collide with the ground alone or with everything."""
+    return replace(rover_body(), tyres=(), **changes)
+
+
 def plane(slope_rad: float = 0.0, friction: float = 1.0, toward_rad: float = 0.0) -> StaticBody:
     """Ground through the origin that rises by `slope_rad` toward the bearing `toward_rad`."""
     return ground(plane_field(slope_rad, toward_rad), friction)

@@ -12,7 +12,7 @@ from scenes import (
     every_backend,
     ground,
     plane,
-    rover_body,
+    rover_without_tyres,
     walker,
 )
 from simple_robots import block, body, link
@@ -78,7 +78,7 @@ def tumble(backend: Backend, folder, seed: int) -> tuple[list[list[set[int]]], l
     centres = rng.uniform(-5.0, 5.0, (5, 2))
     boxes = [box(tuple(xy), *rng.uniform(0.05, 1.0, 2), 1.0, name=f"{xy}") for xy in centres.tolist()]
     terrain = ground(HeightField(np.zeros((3, 3)), 30.0, (-30.0, -30.0)))
-    company = Company(backend, [rover_body(), block(folder)], [terrain, *boxes], [walker()])
+    company = Company(backend, [rover_without_tyres(), block(folder)], [terrain, *boxes], [walker()])
     contacts, states = [], []
     for _ in range(4):
         places = rng.uniform(-5.0, 5.0, (2, 2))

@@ -189,7 +189,7 @@ def test_normals_point_to_where_the_corners_run_counter_clockwise():
         directions = np.float32([[0.0, 0.0, z]])
         side = origins[:1] if z < 0.0 else origins[1:]
         normal = scene.first_hit(side, directions, FAR_M)[1][0]
-        np.testing.assert_allclose(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0])
+        np.testing.assert_allclose(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0], atol=1e-6)
 
 
 # -- no leaks -----------------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """Robots of one scene against formulae, on every backend: how they meet, and what is each one's own."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scenes import (
@@ -22,6 +20,7 @@ from scenes import (
     plane,
     quaternion_of,
     rover_body,
+    rover_without_tyres,
     walker,
 )
 from simple_robots import block, body, link
@@ -30,8 +29,8 @@ from dune_rl.physics.varied_body import BodyVariation
 
 pytestmark = every_backend
 
-# Between the wheels' middles.
-TRACK_M = 0.36
+# Between the wheels' middles, and of a tyre.
+TRACK_M, TYRE_WIDTH_M = 0.36, 0.083
 
 
 # -- collisions ------------------------------------------------------------------------------------
@@ -73,7 +72,7 @@ FRICTIONS = (0.3, 0.5, 0.9)
 
 @pytest.mark.parametrize(("below", "above"), [(0, 1), (1, 0), (0, 2), (1, 2), (2, 0)])
 def test_hulls_slide_on_hulls_by_the_product_of_their_frictions(backend, below, above):
-    company = Company(backend, [replace(rover_body(), hull_friction=share) for share in FRICTIONS])
+    company = Company(backend, [rover_without_tyres(hull_friction=share) for share in FRICTIONS])
     places = [[5.0 * number + 5.0, 5.0, WHEEL_RADIUS_M] for number in range(3)]
     places[below] = [0.0, 0.0, WHEEL_RADIUS_M]
     places[above] = [0.0, 0.0, WHEEL_RADIUS_M + HULL_TOP_M - HULL_BOTTOM_M + 0.001]
@@ -98,22 +97,28 @@ def test_hulls_slide_on_hulls_by_the_product_of_their_frictions(backend, below, 
     ]
 
 
-@pytest.mark.parametrize("meet", [False, True])
-def test_wheels_meet_other_robots_if_they_meet_obstacles(backend, meet):
-    robot = replace(rover_body(), ground_links_meet_obstacles=meet)
+@pytest.mark.parametrize(
+    ("robot", "between"),
+    [
+        (rover_body(), TRACK_M + TYRE_WIDTH_M),
+        (rover_without_tyres(), 2 * HULL_HALF_WIDTH_M),
+        (rover_without_tyres(ground_links_meet_obstacles=True), TRACK_M + 2 * WHEEL_RADIUS_M),
+    ],
+    ids=["tyres", "wheels that meet nothing", "wheels that meet obstacles"],
+)
+def test_tyres_and_wheels_that_meet_obstacles_meet_other_robots(backend, robot, between):
     company = Company(backend, [robot, robot], [], gravity_mps2=0.0)
     company.place([0.0, -0.4, 1.0], [0.0, 0.4, 1.0])
     for _ in range(20):
         company.robots[0].apply_force([0.0, 5.0, 0.0])
         company.robots[1].apply_force([0.0, -5.0, 0.0])
         company.step()
-    between = TRACK_M + 2 * WHEEL_RADIUS_M if meet else 2 * HULL_HALF_WIDTH_M
     assert np.ptp(company.positions[:, 1]) == pytest.approx(between, abs=0.01)
     assert company.contacts() == [{1}, {0}]
 
 
 def test_a_wheel_that_meets_obstacles_meets_hulls_and_no_wheels_that_do_not(backend):
-    robots = [replace(rover_body(), ground_links_meet_obstacles=meet) for meet in (False, True)]
+    robots = [rover_without_tyres(ground_links_meet_obstacles=meet) for meet in (False, True)]
     company = Company(backend, robots, [], gravity_mps2=0.0)
     company.place([0.0, -0.4, 1.0], [0.0, 0.4, 1.0])
     for _ in range(20):
@@ -187,7 +192,7 @@ def test_each_has_its_own_weight_and_push(backend, heavy, tmp_path):
 
 
 def test_no_trace_is_left_by_a_collision(backend):
-    robots = [rover_body(), replace(rover_body(), ground_links_meet_obstacles=True, hull_friction=0.6)]
+    robots = [rover_body(), rover_without_tyres(ground_links_meet_obstacles=True, hull_friction=0.6)]
 
     def rollout(company: Company) -> bytes:
         seen, met = [], [set(), set()]

@@ -119,10 +119,10 @@ def test_joint_angles_turn_the_wheels_and_nothing_else():
     moved = [not np.allclose(a.rotation, b.rotation) for a, b in zip(still, turned_by, strict=True)]
     assert sum(moved) == 1
     wheel = turned_by[moved.index(True)]
-    np.testing.assert_allclose(wheel.position, [0.1415, 0.18, 0.0])
+    np.testing.assert_allclose(wheel.position, [0.1415, 0.18, 0.0], atol=1e-12)
     np.testing.assert_allclose(wheel.rotation, rotation_matrices(about([0, 1, 0], 0.7)), atol=1e-9)
     for one, other in zip(still, turned_by, strict=True):
-        np.testing.assert_allclose(one.position, other.position)
+        np.testing.assert_allclose(one.position, other.position, atol=1e-12)
 
 
 def test_shapes_that_cannot_be_drawn_are_refused_in_words(tmp_path: Path):

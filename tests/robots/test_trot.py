@@ -26,8 +26,9 @@ def in_the_air(trot: Trot, feet: np.ndarray) -> np.ndarray:
 
 def test_it_stands_under_its_hips():
     trot, feet = gait([0.0, 0.0])
-    np.testing.assert_array_equal(feet, np.broadcast_to(trot.rest_b, feet.shape))
-    np.testing.assert_allclose(trot.rest_b - HIPS_B, [[0, y, -0.22] for y in (0.1, -0.1, 0.1, -0.1)])
+    np.testing.assert_allclose(feet, np.broadcast_to(trot.rest_b, feet.shape), atol=1e-12)
+    out = [[0, y, -0.22] for y in (0.1, -0.1, 0.1, -0.1)]
+    np.testing.assert_allclose(trot.rest_b - HIPS_B, out, atol=1e-12)
 
 
 @pytest.mark.parametrize("twist", [[0.3, 0.0], [-0.3, 0.0], [0.0, 0.8]])

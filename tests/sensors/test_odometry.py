@@ -164,6 +164,8 @@ def test_wheels_that_turn_alike_go_ahead():
     np.testing.assert_allclose(
         roll(odometry(), (0.4, 0.4), (0.2, 0.2)),
         [0.6 * WHEEL_RADIUS_M, 0, 0, 0.2 * WHEEL_RADIUS_M / STEP_S, 0],
+        rtol=1e-6,
+        atol=1e-12,
     )
 
 

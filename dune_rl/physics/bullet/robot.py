@@ -8,6 +8,7 @@ from typing import Any
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame, Quadruple, Triple
+from dune_rl.physics.bullet.tyres import TYRE_AXIS, add_tyre_links, tyre_link_name
 from dune_rl.physics.bullet.urdf import add_visual_stubs
 from dune_rl.physics.interface import Coupling, RobotBody
 from dune_rl.physics.motors import Servos, motor_power_w
@@ -17,9 +18,10 @@ from dune_rl.physics.varied_body import BodyVariation, collision_urdf, scale_mot
 with suppress_stderr():
     import pybullet
 
-# Collision groups. WHEEL is for spheres in place of wheels: they are wider than
-# the tyres, so they roll on the ground, and only the hull hits obstacles.
-GROUND, WHEEL, HULL, OBSTACLE = 1, 2, 4, 8
+# Collision groups. WHEEL is for wheels that collide with the ground only: spheres, which are wider than their
+# tyres. TYRE is for these, which collide with everything else. PyBullet lets two links collide if the group
+# of one is in the mask of the other, either way.
+GROUND, WHEEL, HULL, OBSTACLE, TYRE = 1, 2, 4, 8, 16
 
 # Contact points closer than this count as contacts.
 _CONTACT_DISTANCE_M = 1e-3
@@ -64,7 +66,10 @@ class BulletRobot:
         self._torques = [motor.max_torque_nm for motor in self._motors]
         self._commands: Sequence[float] = spec.rest_commands()
         self._servos = Servos(self._motors, timestep_s)
-        self._urdf: str | None = None
+        self._next_variation: BodyVariation | None = None
+        self._variation: BodyVariation | None = None
+        # URDFs of `_variation`, by the tyres in them.
+        self._urdfs: dict[frozenset[int], str] = {}
         self._frame: InertialFrame | None = None
         self.measures_work = measures_work and bool(self._motors)
         self._work = 0.0
@@ -78,10 +83,7 @@ class BulletRobot:
         self._motors = scale_motors(self._spec.motors, variation.motor_strength)
         self._servos = Servos(self._motors, self._timestep_s)
         self._torques = [motor.max_torque_nm for motor in self._motors]
-        if variation.keeps_masses:
-            self._urdf = None
-        else:
-            self._urdf = add_visual_stubs(varied_urdf(self._spec.urdf, variation))
+        self._next_variation = None if variation.keeps_masses else variation
         # The centre of mass, which the reach is about, may move.
         self._reach_m = None
 
@@ -95,8 +97,11 @@ class BulletRobot:
         self._robot = None
 
     def load(self) -> int:
-        """Load the robot at its start pose and return PyBullet's handle."""
-        self._robot = self._load_robot()
+        """Load the robot at its start pose, without tyres, and return PyBullet's handle."""
+        if self._next_variation is not self._variation:
+            self._variation = self._next_variation
+            self._urdfs.clear()
+        self._robot = self._load_robot(frozenset())
         self._commands = self._spec.rest_commands()
         self._servos.reset()
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
@@ -108,32 +113,63 @@ class BulletRobot:
             self._reach_m = self._measure_reach_m(self._robot)
         return self._robot
 
+    def reload(self, tyres: frozenset[int]) -> int:
+        """Replace the robot by one with other tyres, in the same state, and return its handle.
+
+        PyBullet can neither add links to a loaded body nor remove them.
+        """
+        client, old = self._client, self._robot
+        position, quaternion = pybullet.getBasePositionAndOrientation(old, physicsClientId=client)
+        linear, angular = pybullet.getBaseVelocity(old, physicsClientId=client)
+        joints = pybullet.getJointStates(old, self._movable, physicsClientId=client)
+        self.remove()
+        self._robot = robot = self._load_robot(tyres)
+        pybullet.resetBasePositionAndOrientation(robot, position, quaternion, physicsClientId=client)
+        pybullet.resetBaseVelocity(robot, linear, angular, physicsClientId=client)
+        for joint, (angle, speed, _, _) in zip(self._movable, joints, strict=True):
+            pybullet.resetJointState(robot, joint, angle, speed, physicsClientId=client)
+        for wheel, row in enumerate(self._wheel_contacts):
+            self._apply_wheel_contact(wheel, row)
+        return robot
+
     def release(self) -> None:
         """Drop the handle after the client was disconnected."""
         self._robot = None
 
-    def _load_robot(self) -> int:
-        if self._urdf is None:
-            self._urdf = add_visual_stubs(collision_urdf(self._spec.urdf))
-        # PyBullet cannot change the masses of a loaded body, and loads a URDF only from a file.
+    def _load_robot(self, tyres: frozenset[int]) -> int:
+        # PyBullet cannot change masses or links of a loaded body, and loads a URDF only from a file.
         handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
         try:
             with open(handle, "w", encoding="utf-8") as file:
-                file.write(self._urdf)
-            robot = self._load_file(name)
+                file.write(self._urdf(tyres))
+            robot = self._load_file(name, has_tyres=bool(tyres))
         finally:
             Path(name).unlink()
         self._set_up(robot)
         return robot
 
-    def _load_file(self, name: str) -> int:
+    def _urdf(self, tyres: frozenset[int]) -> str:
+        text = self._urdfs.get(tyres)
+        if text is None:
+            urdf, variation = self._spec.urdf, self._variation
+            text = collision_urdf(urdf) if variation is None else varied_urdf(urdf, variation)
+            if tyres:
+                text = add_tyre_links(text, [self._spec.tyres[index] for index in sorted(tyres)])
+            self._urdfs[tyres] = text = add_visual_stubs(text)
+        return text
+
+    def _load_file(self, name: str, *, has_tyres: bool) -> int:
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        if has_tyres:
+            # Round, not prisms with 32 sides.
+            flags |= pybullet.URDF_USE_IMPLICIT_CYLINDER
         position_w, quaternion = self._pose
         try:
             robot: int = pybullet.loadURDF(
                 name,
                 basePosition=list(position_w),
                 baseOrientation=list(quaternion),
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                flags=flags,
                 physicsClientId=self._client,
             )
         except pybullet.error as error:
@@ -177,13 +213,20 @@ class BulletRobot:
             raise PhysicsError(error)
         self._drive_joints = [self._joints[name] for name in spec.drive_joints]
         self._ground_links = [self._links[name] for name in spec.ground_links]
+        tyre_names = [tyre_link_name(tyre) for tyre in spec.tyres]
+        self._tyre_links = [self._links[name] for name in tyre_names if name in self._links]
 
     def _set_up_link(self, robot: int, link: int) -> None:
         spec = self._spec
-        if link in self._ground_links:
+        axle: Sequence[float] | None = None
+        if link in self._tyre_links:
+            # Other robots have tyres, too.
+            mask = self._hull_mask & ~GROUND | (TYRE if self._hull_mask & HULL else 0)
+            group, friction, axle = TYRE, spec.ground_friction, TYRE_AXIS
+        elif link in self._ground_links:
             collides = spec.ground_links_meet_obstacles
             group, mask = (HULL, self._hull_mask) if collides else (WHEEL, GROUND)
-            friction = spec.ground_friction
+            friction, axle = spec.ground_friction, self._axes.get(link)
         else:
             group, mask, friction = HULL, self._hull_mask, spec.hull_friction
         pybullet.setCollisionFilterGroupMask(robot, link, group, mask, physicsClientId=self._client)
@@ -195,12 +238,12 @@ class BulletRobot:
             jointDamping=0.0,
             physicsClientId=self._client,
         )
-        if link in self._ground_links and spec.sideways_friction_share != 1.0:
+        if axle is not None and spec.sideways_friction_share != 1.0:
             less = 1.0 - spec.sideways_friction_share
             pybullet.changeDynamics(
                 robot,
                 link,
-                anisotropicFriction=[1.0 - less * abs(part) for part in self._axes[link]],
+                anisotropicFriction=[1.0 - less * abs(part) for part in axle],
                 physicsClientId=self._client,
             )
 
@@ -325,9 +368,13 @@ class BulletRobot:
         unchanged = [-1.0] * len(self._ground_links)
         rows = zip(friction, restitution, stiffness or unchanged, damping or unchanged, strict=True)
         for wheel, row in enumerate(rows):
-            if row == self._wheel_contacts[wheel]:
-                continue
-            self._wheel_contacts[wheel] = row
+            if row != self._wheel_contacts[wheel]:
+                self._wheel_contacts[wheel] = row
+                self._apply_wheel_contact(wheel, row)
+
+    def _apply_wheel_contact(self, wheel: int, row: Sequence[float]) -> None:
+        """Set friction, restitution, stiffness and damping of a ground link, if `row` is not empty."""
+        if row:
             pybullet.changeDynamics(
                 self._robot,
                 self._ground_links[wheel],

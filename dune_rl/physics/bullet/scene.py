@@ -14,6 +14,7 @@ from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.stderr import suppress_stderr
+from dune_rl.physics.tyre_activation import TyreActivation
 
 with suppress_stderr():
     import pybullet
@@ -66,6 +67,7 @@ class BulletScene:
         for index, handle in enumerate(self._kinematics.handles):
             self._body_numbers[handle] = spec.kinematic_number(index)
         self._gate = ContactGate(spec.statics, spec.kinematics)
+        self._tyres = TyreActivation(spec)
         # The mask of a lone robot has no HULL: it is part of what makes runs bit-identical over versions.
         hull_mask = GROUND | OBSTACLE | (HULL if len(spec.robots) > 1 else 0)
         self.robots = [
@@ -112,6 +114,7 @@ class BulletScene:
         for handle, robot in zip(self._loaded, self.robots, strict=False):
             robot.remove()
             self._body_numbers.pop(handle, None)
+        self._tyres.reset()
         self._loaded = [robot.load() for robot in self.robots]
         for index, handle in enumerate(self._loaded):
             self._body_numbers[handle] = self._spec.robot_number(index)
@@ -124,11 +127,13 @@ class BulletScene:
             force = robot.take_force()
             if force is not None:
                 forces[index] = force
-            robot.begin_step(count)
         poses = kinematic_poses.tolist()
-        near, exposed = self._gate.find_contacts(
-            robots, count * self._spec.timestep_s, forces, self._kinematics.poses, poses
-        )
+        duration_s = count * self._spec.timestep_s
+        near, exposed = self._gate.find_contacts(robots, duration_s, forces, self._kinematics.poses, poses)
+        for index in self._tyres.update(robots, exposed, self._gate.motions_m, duration_s, near, poses):
+            self._reload(index)
+        for robot in robots:
+            robot.begin_step(count)
         self._kinematics.begin_step(poses, near)
         watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
         if not watched and not forces:
@@ -152,6 +157,12 @@ class BulletScene:
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics
         return np.array(kinematics.poses) if kinematics.any_held_back else None
+
+    def _reload(self, index: int) -> None:
+        """Give a robot the tyres that are active."""
+        del self._body_numbers[self._loaded[index]]
+        self._loaded[index] = handle = self.robots[index].reload(self._tyres.active[index])
+        self._body_numbers[handle] = self._spec.robot_number(index)
 
     def step_passive(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation

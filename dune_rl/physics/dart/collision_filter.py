@@ -5,15 +5,10 @@ from functools import cached_property
 from itertools import combinations
 from typing import Any
 
-import numpy as np
-
 from dune_rl.physics.dart.kinematics import KinematicCapsules
-from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry
-
-# DART refuses bodies without mass; a contact proxy has as good as none.
-_PROXY_MASS_KG, _PROXY_MOMENT_KGM2 = 1e-9, 1e-12
 
 Links = dict[LinkMaterial, list[Any]]
 
@@ -38,25 +33,40 @@ class CollisionFilter:
     ) -> None:
         self._robots, self._first_number = robots, first_number
         self._static_geometry, self._kinematics = static_geometry, kinematics
+        self._engine_filter = engine_filter
         self._disable_pair = engine_filter.addBodyNodePairToBlackList
+        self._proxies: list[Any] = []
+        self.rebuild()
+
+    def rebuild(self) -> None:
+        """Compute pairs and proxies anew, after bodies were added or removed.
+
+        The pairs of a body that is removed must be forgotten: another one may get its address.
+        """
+        self.refresh_shapes()
+        for proxy in self._proxies:
+            proxy.remove()
+        self._engine_filter.removeAllBodyNodePairsFromBlackList()
+        robots, static_geometry, kinematics = self._robots, self._static_geometry, self._kinematics
         statics, moving = static_geometry.skeleton.getBodyNodes(), kinematics.skeleton.getBodyNodes()
         self._disable_pairs(moving, statics)
         links = [_links_by_material(robot) for robot in robots]
         for index, (robot, own) in enumerate(zip(robots, links, strict=True)):
             for material, bodies in own.items():
-                ground = (
-                    static_geometry.foot_ground if material.is_ground_link else static_geometry.hull_ground
-                )
-                enabled = [ground[index]]
+                enabled = []
+                if material.role == "ground_link":
+                    enabled.append(static_geometry.foot_ground[index])
+                elif material.role == "hull":
+                    enabled.append(static_geometry.hull_ground[index])
                 if _collides_with_obstacles(material, robot):
                     enabled += [static_geometry.obstacles[material], *kinematics.bodies[material]]
                 self._disable_pairs(bodies, [body for body in (*statics, *moving) if body not in enabled])
-        proxies = self._add_contact_proxies(robots, links)
-        self._disable_pairs(proxies, [*statics, *moving])
-        self._reported = [*static_geometry.obstacles.values(), *moving, *proxies]
+        self._proxies = self._add_contact_proxies(robots, links)
+        self._disable_pairs(self._proxies, [*statics, *moving])
+        self._reported = [*static_geometry.obstacles.values(), *moving, *self._proxies]
 
     def refresh_shapes(self) -> None:
-        """Include shapes that were added to bodies since the filter was created."""
+        """Include shapes that were added to bodies since the last contacts, and drop references to shapes."""
         self.__dict__.pop("_numbers", None)
 
     @cached_property
@@ -123,16 +133,17 @@ class CollisionFilter:
 def _links_by_material(robot: DartRobot) -> Links:
     """The links that have a shape."""
     spec, links = robot.spec, dict[LinkMaterial, list[Any]]()
+    materials = dict.fromkeys(spec.ground_links, LinkMaterial("ground_link", spec.ground_friction))
+    materials |= dict.fromkeys(robot.tyre_names, LinkMaterial("tyre", spec.ground_friction))
+    hull = LinkMaterial("hull", spec.hull_friction)
     for body in robot.skeleton.getBodyNodes():
         if body.getNumShapeNodes():
-            is_ground_link = body.getName() in spec.ground_links
-            friction = spec.ground_friction if is_ground_link else spec.hull_friction
-            links.setdefault(LinkMaterial(is_ground_link, friction), []).append(body)
+            links.setdefault(materials.get(body.getName(), hull), []).append(body)
     return links
 
 
 def _collides_with_obstacles(material: LinkMaterial, robot: DartRobot) -> bool:
-    return not material.is_ground_link or robot.spec.ground_links_meet_obstacles
+    return material.role != "ground_link" or robot.spec.ground_links_meet_obstacles
 
 
 def _has_collision_shape(link: Any) -> bool:
@@ -145,8 +156,7 @@ def _flatten(links: Links) -> list[Any]:
 
 def _add_contact_proxy(link: Any, friction: float) -> Any:
     """Weld a body with the link's collision shapes, and another friction coefficient, to the link."""
-    _, proxy = link.createWeldJointAndBodyNodePair()
-    proxy.setInertia(dartpy.dynamics.Inertia(_PROXY_MASS_KG, np.zeros(3), _PROXY_MOMENT_KGM2 * np.eye(3)))
+    proxy = weld_massless_body(link)
     for node in link.getShapeNodes():
         if node.hasCollisionAspect():
             copy = proxy.createShapeNode(node.getShape())

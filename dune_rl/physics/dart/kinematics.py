@@ -1,14 +1,15 @@
 """Kinematic bodies of a DART scene."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.dart.statics import LinkMaterial, add_shape, obstacle_materials
+from dune_rl.physics.dart.statics import LinkMaterial, add_shape, obstacle_materials, tyre_materials
 from dune_rl.physics.interface import KINEMATIC_FRICTION, SceneSpec
 
 Array = NDArray[np.float64]
@@ -24,9 +25,9 @@ _TOLERANCE_M = 1e-6
 class KinematicCapsules:
     """The kinematic capsules, in one skeleton: they move at commanded speeds and do not turn.
 
-    Each is present once for each `LinkMaterial` that collides with it. While a
-    robot can touch a capsule, servos move it, whose force is limited to what
-    it may push with.
+    Each is present once for each `LinkMaterial` that collides with it; for
+    tyres, after `add_for_tyres`. While a robot can touch a capsule, servos move
+    it, whose force is limited to what it may push with.
 
     `poses` (K, 4: x, y, z, yaw) are those at the end of the last control step,
     and `any_held_back` whether robots held any of the capsules back in it.
@@ -34,8 +35,16 @@ class KinematicCapsules:
 
     def __init__(self, spec: SceneSpec, robots: Sequence[DartRobot]) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("kinematics")
-        self.bodies: dict[LinkMaterial, list[Any]] = {material: [] for material in obstacle_materials(robots)}
-        self.numbers: dict[Any, int] = {}
+        materials = obstacle_materials(robots)
+        self._tyre_materials = tyre_materials(robots)
+        self.bodies: dict[LinkMaterial, list[Any]] = {
+            material: [] for material in (*materials, *self._tyre_materials)
+        }
+        self._shape_numbers: dict[Any, int] = {}
+        self._tyre_shape_numbers: dict[Any, int] = {}
+        self._body_numbers = [spec.kinematic_number(index) for index in range(len(spec.kinematics))]
+        self._bases, self._shapes = [], []
+        self._for_tyres: set[int] = set()
         self._joints = []
         for index, capsule in enumerate(spec.kinematics):
             joint, base = self.skeleton.createTranslationalJointAndBodyNodePair()
@@ -45,16 +54,45 @@ class KinematicCapsules:
                 joint.setForceLowerLimit(axis, -limit)
             self._joints.append(joint)
             shape = dartpy.dynamics.CapsuleShape(capsule.radius_m, capsule.height_m - 2 * capsule.radius_m)
-            for count, (material, bodies) in enumerate(self.bodies.items()):
+            self._bases.append(base)
+            self._shapes.append(shape)
+            for count, material in enumerate(materials):
                 body = self.skeleton.createWeldJointAndBodyNodePair(base)[1] if count else base
-                node = add_shape(body, shape, KINEMATIC_FRICTION * material.friction)
-                self.numbers[node] = spec.kinematic_number(index)
-                body.setGravityMode(False)
-                body.setMass(_MASS_KG / len(self.bodies))
-                bodies.append(body)
+                self._shape_numbers[self._add_capsule(index, body, material)] = self._body_numbers[index]
+                body.setMass(_MASS_KG / len(materials))
         self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
         self._near: Sequence[int] = ()
         self._held_back = np.zeros(len(spec.kinematics), bool)
+
+    @property
+    def numbers(self) -> dict[Any, int]:
+        """Body numbers by shape."""
+        return self._shape_numbers | self._tyre_shape_numbers
+
+    def _add_capsule(self, index: int, body: Any, material: LinkMaterial) -> Any:
+        body.setGravityMode(False)
+        self.bodies[material].append(body)
+        return add_shape(body, self._shapes[index], KINEMATIC_FRICTION * material.friction)
+
+    def add_for_tyres(self, indices: Iterable[int]) -> bool:
+        """Make these capsules collide with tyres, too; whether any did not before."""
+        new = [index for index in indices if index not in self._for_tyres]
+        for index in new:
+            for material in self._tyre_materials:
+                body = weld_massless_body(self._bases[index])
+                number = self._body_numbers[index]
+                self._tyre_shape_numbers[self._add_capsule(index, body, material)] = number
+        self._for_tyres.update(new)
+        return bool(new)
+
+    def remove_for_tyres(self) -> None:
+        """Undo `add_for_tyres`. Python must not refer to the shapes any more."""
+        self._tyre_shape_numbers.clear()
+        for material in self._tyre_materials:
+            for body in self.bodies[material]:
+                body.remove()
+            self.bodies[material].clear()
+        self._for_tyres.clear()
 
     def place(self, poses: Array) -> None:
         """Put the capsules at `poses` (K, 4), at rest."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.differential import Differential, configure_differential, is_chained
@@ -15,8 +16,9 @@ from dune_rl.physics.dart.gears import Gears, has_driven_coupling
 from dune_rl.physics.dart.grip import LateralSlip
 from dune_rl.physics.dart.joints import SLIP, TYRE
 from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.tyres import CompliantGround
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.interface import RobotBody, Tyre
 from dune_rl.physics.motors import Servos, motor_power_w
 from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 
@@ -34,6 +36,11 @@ dartpy.constraint.JointConstraint.setConstraintForceMixing(_SOFTNESS)
 
 # More than any joint that stands for compliance or slip of a tyre moves in a physics step.
 _MAX_DEFLECTION_M = 0.05
+
+# The compliance of a wheel's contact has the ending TYRE, on its joint.
+_TYRE_ENDING = "/tyre shape"
+# With so many, the radius of a rover's tyre varies by 0.4 mm.
+_TYRE_SPHERES = 32
 
 # No robot drives down a slope faster than this.
 _FALL_MPS = 0.5
@@ -98,10 +105,11 @@ class DartRobot:
         self._pose = (position_w, quaternion)
 
     def load(self) -> Any:
-        """Create the skeleton at the start pose, at rest, and return it."""
+        """Create the skeleton at the start pose, at rest and without tyres, and return it."""
         self.skeleton = robot = self._template.clone()
         self._base, self._base_joint = robot.getBodyNode(0), robot.getJoint(0)
         self._base_state = None
+        self._tyres: frozenset[int] = frozenset()
         position, (x, y, z, w) = self._pose
         self._base_joint.setTransform(
             dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position))
@@ -126,6 +134,32 @@ class DartRobot:
         self._force = None
         self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
         return robot
+
+    @property
+    def tyre_names(self) -> list[str]:
+        """Names of the bodies of all tyres, whether they are there or not."""
+        return [f"{tyre.link}{_TYRE_ENDING}" for tyre in self.spec.tyres]
+
+    def set_tyres(self, active: frozenset[int]) -> None:
+        """Have the tyres with these indices, and no others, as bodies that are welded to the wheels.
+
+        Python must not refer to the shapes of those that are removed.
+        """
+        names = self.tyre_names
+        for index in sorted(self._tyres - active):
+            self.skeleton.getBodyNode(names[index]).remove()
+        for index in sorted(active - self._tyres):
+            self._add_tyre(self.spec.tyres[index], names[index])
+        self._tyres = active
+
+    def _add_tyre(self, tyre: Tyre, name: str) -> None:
+        body = weld_massless_body(self.skeleton.getBodyNode(tyre.link))
+        body.setName(name)
+        node = body.createShapeNode(_tyre_shape(tyre))
+        turn, _ = Rotation.align_vectors([tyre.axis], [[0.0, 0.0, 1.0]])
+        node.setRelativeTransform(dartpy.math.Isometry3(turn.as_matrix(), tyre.centre))
+        node.createCollisionAspect()
+        node.createDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
 
     def _make_gears(self) -> Gears | None:
         couplings = [each for each in self.spec.couplings if not is_chained(self.skeleton, each)]
@@ -353,6 +387,19 @@ class DartRobot:
         for differential in self._differentials:
             positions[differential.between] += positions[differential.body]
         return tuple(positions[self._dof_index(joint)] for joint in joints)
+
+
+def _tyre_shape(tyre: Tyre) -> Any:
+    """Collision shape of a tyre about z: the convex hull of a ring of spheres.
+
+    A cylinder has a line of possible contacts with a plane; the detector returns another point of it in each
+    step, so that the wheel sinks by a centimetre and loses a tenth of its speed.
+    """
+    edge = min(tyre.width_m / 2, tyre.radius_m)
+    angles = np.arange(_TYRE_SPHERES) * 2 * np.pi / _TYRE_SPHERES
+    circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])
+    centres = (tyre.radius_m - edge) * circle
+    return dartpy.dynamics.MultiSphereConvexHullShape([(edge, centre) for centre in centres])
 
 
 def _load_template(spec: RobotBody, text: str | None = None) -> Any:

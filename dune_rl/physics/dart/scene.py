@@ -14,6 +14,10 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import StaticGeometry, load_shared_meshes, terrain_friction
 from dune_rl.physics.interface import SceneSpec
+from dune_rl.physics.tyre_activation import TyreActivation
+
+# Obstacles farther than this from a robot's reach have no collision shapes for its tyres.
+_TYRE_MARGIN_M = 0.5
 
 # A smaller tolerance needs more sweeps and changes no yaw rate by 1 %.
 _CONE_TOLERANCE = 1e-3
@@ -28,8 +32,10 @@ class DartScene:
         self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
         self._gate = ContactGate(spec.statics, spec.kinematics)
+        self._tyres = TyreActivation(spec)
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
+        self._collision_filter: Any = None
 
     def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
         # Everything with state is created anew: the robots, the kinematic bodies, and the world with the
@@ -38,6 +44,10 @@ class DartScene:
         spec = self._spec
         skeletons = [robot.load() for robot in self.robots]
         self._static_geometry.restore_friction()
+        if self._collision_filter is not None:
+            self._collision_filter.refresh_shapes()
+        self._static_geometry.set_tyre_obstacles(frozenset())
+        self._tyres.reset()
         self._kinematics = KinematicCapsules(spec, self.robots)
         self._kinematics.place(kinematic_poses)
         self._world = world = dartpy.simulation.World()
@@ -72,11 +82,16 @@ class DartScene:
             force = robot.take_force()
             if force is not None:
                 forces[index] = force
-            robot.begin_step(count)
         duration_s, kinematics = count * self._spec.timestep_s, self._kinematics
         near, exposed = self._gate.find_contacts(
-            self.robots, duration_s, forces, kinematics.poses, kinematic_poses.tolist()
+            self.robots, duration_s, forces, kinematics.poses, poses := kinematic_poses.tolist()
         )
+        motions = self._gate.motions_m
+        changed = self._tyres.update(self.robots, exposed, motions, duration_s, near, poses)
+        if changed or any(self._tyres.active):
+            self._update_tyres(changed, near)
+        for robot in self.robots:
+            robot.begin_step(count)
         kinematics.begin_step(kinematic_poses, near, duration_s)
         self._advance(count, forces, exposed)
         kinematics.end_step()
@@ -84,6 +99,28 @@ class DartScene:
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics
         return np.array(kinematics.poses) if kinematics.any_held_back else None
+
+    def _update_tyres(self, changed: Sequence[int], near_kinematics: Sequence[int]) -> None:
+        """Give robots the tyres that are active, and these the bodies that they may touch.
+
+        `changed` are the robots with other tyres than before.
+        """
+        active = self._tyres.active
+        obstacles: frozenset[int] = frozenset()
+        for robot, tyres in zip(self.robots, active, strict=True):
+            if tyres:
+                x, y, _ = robot.planar_motion()
+                obstacles |= self._static_geometry.obstacles_near(x, y, robot.reach_m + _TYRE_MARGIN_M)
+        if changed or obstacles != self._static_geometry.tyre_obstacles:
+            # The filter refers to shapes, which must not be when they are removed.
+            self._collision_filter.refresh_shapes()
+        self._static_geometry.set_tyre_obstacles(obstacles)
+        for index in changed:
+            self.robots[index].set_tyres(active[index])
+        if not any(active):
+            self._kinematics.remove_for_tyres()
+        if (any(active) and self._kinematics.add_for_tyres(near_kinematics)) or changed:
+            self._collision_filter.rebuild()
 
     def _clear_contact_cache(self) -> None:
         """Make the collision detector recompute all contacts in the next physics step.

@@ -3,8 +3,11 @@
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.files import is_open_surface, write_meshes
@@ -19,19 +22,25 @@ _TRIANGLE_MARGIN_M = 0.01
 class LinkMaterial(NamedTuple):
     """Role and friction coefficient of a robot's link; links of equal material share collision bodies."""
 
-    is_ground_link: bool
+    role: Literal["hull", "ground_link", "tyre"]
     friction: float
 
 
 def obstacle_materials(robots: Sequence[DartRobot]) -> list[LinkMaterial]:
-    """Materials of the links that collide with obstacles, hulls first, without duplicates."""
-    hulls = [LinkMaterial(False, robot.spec.hull_friction) for robot in robots]
+    """Materials of the links, without tyres, that collide with obstacles, hulls first, without duplicates."""
+    hulls = [LinkMaterial("hull", robot.spec.hull_friction) for robot in robots]
     feet = [
-        LinkMaterial(True, robot.spec.ground_friction)
+        LinkMaterial("ground_link", robot.spec.ground_friction)
         for robot in robots
         if robot.spec.ground_links_meet_obstacles
     ]
     return list(dict.fromkeys([*hulls, *feet]))
+
+
+def tyre_materials(robots: Sequence[DartRobot]) -> list[LinkMaterial]:
+    """Materials of tyres, without duplicates."""
+    tyres = [LinkMaterial("tyre", robot.spec.ground_friction) for robot in robots if robot.spec.tyres]
+    return list(dict.fromkeys(tyres))
 
 
 class StaticGeometry:
@@ -40,7 +49,8 @@ class StaticGeometry:
     DART has one friction coefficient per shape, not per pair. So each static
     body is present several times: ground once for the ground links of each
     robot and once for each hull friction, obstacles once for each
-    `LinkMaterial` that collides with them.
+    `LinkMaterial` that collides with them; but those for tyres are present
+    only while they are near, see `set_tyre_obstacles`.
     """
 
     def __init__(
@@ -55,7 +65,16 @@ class StaticGeometry:
         grounds = {hull: self._add_body() for hull in dict.fromkeys(hulls)}
         self.hull_ground = [grounds[hull] for hull in hulls]
         self.obstacles = {material: self._add_body() for material in obstacle_materials(robots)}
-        self.numbers: dict[Any, int] = {}
+        obstacles = [*self.obstacles.items()]
+        self._tyre_obstacles = {material: self._add_body() for material in tyre_materials(robots)}
+        self.obstacles |= self._tyre_obstacles
+        self._statics, self._shapes = statics, meshes.shapes
+        self._near_tyres: frozenset[int] = frozenset()
+        boxes = [_horizontal_box(body) for body in statics if not body.ground]
+        self._box_numbers = np.array([index for index, body in enumerate(statics) if not body.ground], int)
+        self._boxes = np.array(boxes).reshape(-1, 2, 2)
+        self._numbers: dict[Any, int] = {}
+        self._tyre_numbers: dict[Any, int] = {}
         for number, (static, shape) in enumerate(zip(statics, meshes.shapes, strict=True)):
             if static.ground:
                 is_open = meshes.is_open[number]
@@ -68,9 +87,41 @@ class StaticGeometry:
                 for (friction, margin), body in grounds.items():
                     add_shape(body, shape, static.friction * friction, -margin * is_open)
                 continue
-            for material, body in self.obstacles.items():
-                self.numbers[add_shape(body, shape, static.friction * material.friction)] = number
+            for material, body in obstacles:
+                self._numbers[add_shape(body, shape, static.friction * material.friction)] = number
         self.skeleton.setMobile(False)
+
+    @property
+    def numbers(self) -> dict[Any, int]:
+        """Body numbers by shape, without ground."""
+        return self._numbers | self._tyre_numbers
+
+    def obstacles_near(self, x: float, y: float, reach_m: float) -> frozenset[int]:
+        """Numbers of the obstacles whose bounding box, seen from above, is within `reach_m` of a point."""
+        xy = np.array([x, y])
+        apart = np.maximum(self._boxes[:, 0] - xy, xy - self._boxes[:, 1]).max(axis=1)
+        return frozenset(self._box_numbers[apart <= reach_m].tolist())
+
+    @property
+    def tyre_obstacles(self) -> frozenset[int]:
+        """Numbers of the obstacles that collide with tyres."""
+        return self._near_tyres
+
+    def set_tyre_obstacles(self, numbers: frozenset[int]) -> None:
+        """Make the obstacles with these numbers, and no others, collide with tyres.
+
+        Each collision shape costs the engine time in every physics step, near or not. Python must not refer
+        to shapes when they are removed.
+        """
+        if numbers == self._near_tyres:
+            return
+        self._near_tyres = numbers
+        self._tyre_numbers.clear()
+        for material, body in self._tyre_obstacles.items():
+            body.removeAllShapeNodes()
+            for number in sorted(numbers):
+                friction = self._statics[number].friction * material.friction
+                self._tyre_numbers[add_shape(body, self._shapes[number], friction)] = number
 
     def use_foot_friction(self, robot: int) -> float:
         """Make the coefficients of a robot's ground links, not the ground's, decide their friction.
@@ -92,6 +143,11 @@ class StaticGeometry:
 
     def _add_body(self) -> Any:
         return self.skeleton.createWeldJointAndBodyNodePair()[1]
+
+
+def _horizontal_box(body: StaticBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    xy = body.vertices[:, :2]
+    return xy.min(axis=0), xy.max(axis=0)
 
 
 def _margin_m(only_spheres: bool) -> float:

@@ -6,13 +6,16 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.paths import assets_folder
-from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
+from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody, Tyre
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
+
+# From a wheel's joint, at the outside of its hub, inward to the centre of its tyre [m].
+_TYRE_Y = 0.0449
 
 
 class LeoDriveConf(SkidSteerConf):
@@ -101,7 +104,16 @@ class LeoRover(WheeledRobot):
                 ground_links=tuple(wheels),
                 ground_friction=conf.wheel_friction,
                 sideways_friction_share=conf.sideways_friction_share,
-                ground_links_meet_obstacles=True,
+                tyres=tuple(
+                    Tyre(
+                        wheel,
+                        self.contact_radius_m,
+                        self.contact_width_m,
+                        (x, y, z),
+                        centre=(0.0, float(np.copysign(_TYRE_Y, -y)), 0.0),
+                    )
+                    for wheel, (x, y, z) in zip(wheels, self.wheel_positions_b.tolist(), strict=True)
+                ),
                 passive=tuple(
                     PassiveJoint(joint, conf.rocker_friction_nm, conf.rocker_damping_nms_per_rad)
                     for joint in rockers

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.paths import assets_folder
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.interface import RobotBody, Tyre
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.mounts import MountsConf
@@ -63,6 +63,10 @@ class RoverZero(WheeledRobot):
                 motors=tuple(wheel_motor(f"{wheel}_joint", conf.drive) for wheel in wheels),
                 ground_links=tuple(wheels),
                 ground_friction=conf.wheel_friction,
+                tyres=tuple(
+                    Tyre(wheel, self.contact_radius_m, self.contact_width_m, (x, y, z))
+                    for wheel, (x, y, z) in zip(wheels, self.wheel_positions_b.tolist(), strict=True)
+                ),
             ),
             on_left=["left" in wheel for wheel in wheels],
             mounts=conf.mounts,

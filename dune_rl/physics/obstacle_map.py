@@ -1,0 +1,88 @@
+"""Horizontal distance to the nearest static obstacle, from a grid that all scenes of a world share."""
+
+import math
+from collections.abc import Sequence
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from dune_rl.physics.interface import StaticBody
+
+Array = NDArray[np.float64]
+
+_CELL_M = 0.1
+_MAX_CELLS = 1_000_000
+
+
+class ObstacleMap:
+    """Lower bound of the distance, seen from above, from any point to the triangles of static obstacles.
+
+    The bound is less than the distance by at most four cells of `cell_m`, which is 0.1 m, or more where the
+    obstacles' bounding box would have more than a million cells.
+    """
+
+    def __init__(self, statics: tuple[StaticBody, ...]) -> None:
+        # `load_shared_map` finds maps by the id of this tuple, which must not be reused.
+        self._statics = statics
+        obstacles = [body for body in statics if not body.ground and len(body.faces)]
+        self._is_empty = not obstacles
+        if self._is_empty:
+            return
+        vertices = np.concatenate([body.vertices[:, :2] for body in obstacles])
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        width, depth = high - low
+        self.cell_m = max(_CELL_M, float(np.sqrt(width * depth / _MAX_CELLS)))
+        self._low_x, self._low_y = low.tolist()
+        self._high_x, self._high_y = high.tolist()
+        columns, rows = (int(size / self.cell_m) + 2 for size in (width, depth))
+        free = np.ones((columns, rows), bool)
+        for body in obstacles:
+            for points in _surface_points(body.vertices[body.faces][..., :2], self.cell_m):
+                cells = ((points - low) / self.cell_m).astype(np.int64)
+                free[cells[:, 0], cells[:, 1]] = False
+        # Query and sample are up to half a cell's diagonal from their cells' centres, and a triangle's point
+        # is up to 1/sqrt(3) of the spacing from the nearest sample: two cells together.
+        distance = distance_transform_edt(free, sampling=self.cell_m) - 2.0 * self.cell_m
+        # In quarters of a cell, rounded down: a byte is enough for the distances that matter.
+        self._quarters = np.clip(4.0 * distance / self.cell_m, 0.0, 255.0).astype(np.uint8)
+
+    def distance(self, x: float, y: float) -> float:
+        """Lower bound [m] for a point, whose coordinates must be finite; inf without obstacles."""
+        if self._is_empty:
+            return float("inf")
+        inside_x = min(max(x, self._low_x), self._high_x)
+        inside_y = min(max(y, self._low_y), self._high_y)
+        apart = math.hypot(x - inside_x, y - inside_y)
+        cell = self.cell_m
+        column, row = int((inside_x - self._low_x) / cell), int((inside_y - self._low_y) / cell)
+        near = 0.25 * cell * float(self._quarters[column, row])
+        # Seen from the nearest point of the obstacles' convex bounding box, query and obstacles are in
+        # directions at least 90 degrees apart.
+        return math.hypot(apart, near)
+
+
+def _surface_points(triangles: Array, spacing_m: float) -> Sequence[Array]:
+    """Points (P, 2) [m] on triangles (F, 3, 2), at most `spacing_m` from their neighbours, in batches."""
+    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
+    # Powers of two, so that a mesh with triangles of many sizes needs few batches.
+    counts = 2 ** np.ceil(np.log2(np.maximum(edges / spacing_m, 1.0))).astype(np.int64)
+    batches = []
+    for count in np.unique(counts).tolist():
+        first, second = np.meshgrid(np.arange(count + 1), np.arange(count + 1))
+        keep = first + second <= count
+        weights = np.column_stack([first[keep], second[keep], count - first[keep] - second[keep]]) / count
+        batches.append((weights @ triangles[counts == count]).reshape(-1, 2))
+    return batches
+
+
+_maps_by_statics: WeakValueDictionary[int, ObstacleMap] = WeakValueDictionary()
+
+
+def load_shared_map(statics: tuple[StaticBody, ...]) -> ObstacleMap:
+    """The map of `statics`, computed once for all scenes with the same tuple."""
+    found = _maps_by_statics.get(id(statics))
+    if found is None:
+        _maps_by_statics[id(statics)] = found = ObstacleMap(statics)
+    return found

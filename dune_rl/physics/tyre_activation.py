@@ -1,0 +1,123 @@
+"""Activation of tyres: their collision shapes exist only while they can touch anything."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from dune_rl.physics.interface import RobotBody, SceneSpec
+from dune_rl.physics.obstacle_map import load_shared_map
+
+# A change of the active tyres costs as much as some thirty control steps of two tyres that touch nothing.
+_KEPT_STEPS = 30
+# Distance below which engines begin to treat two shapes as in contact, and the play of suspensions.
+_MARGIN_M = 0.05
+
+Tyres = frozenset[int]
+_NONE: Tyres = frozenset()
+
+
+class TyredRobot(Protocol):
+    """What the activation needs to know of a robot."""
+
+    @property
+    def reach_m(self) -> float:
+        """Largest horizontal distance of any point of the robot from its position."""
+        ...
+
+    def body_state(self) -> tuple[float, ...]:
+        """See `PhysicsRobot`."""
+        ...
+
+
+class TyreActivation:
+    """Decides which tyres of a scene's robots have collision shapes in the next control step.
+
+    Each shape is a link more in a robot's equations of motion: four of them cost an engine a sixth of a
+    physics step, whether anything is near or not. So a tyre has one from the control step on in which it can
+    touch anything, until it could not for a while. Robots without exposure (see `ContactGate`) need none.
+
+    `active` has the indices of the active tyres of each robot.
+    """
+
+    def __init__(self, spec: SceneSpec) -> None:
+        self._bodies: tuple[RobotBody, ...] = spec.robots
+        self._radii_m = [body.radius_m for body in spec.kinematics]
+        self._with_tyres = [index for index, body in enumerate(spec.robots) if body.tyres]
+        self._obstacles = load_shared_map(spec.statics) if self._with_tyres else None
+        self.active: list[Tyres] = [_NONE] * len(spec.robots)
+        self._surplus_steps = [0] * len(spec.robots)
+
+    def reset(self) -> None:
+        """Deactivate all tyres."""
+        self.active = [_NONE] * len(self.active)
+
+    def update(
+        self,
+        robots: Sequence[TyredRobot],
+        exposed: Sequence[bool],
+        motions_m: Sequence[float],
+        duration_s: float,
+        near_kinematics: Sequence[int],
+        kinematic_poses: Sequence[Sequence[float]],
+    ) -> list[int]:
+        """Set `active` for a control step of `duration_s`; returns the robots for which it has changed.
+
+        `exposed` and `motions_m` are the gate's, of each robot; `near_kinematics` the indices of kinematic
+        bodies that can touch any, which move to `kinematic_poses` (x, y, ...).
+        """
+        changed = []
+        for index in self._with_tyres:
+            active, needed = self.active[index], _NONE
+            if exposed[index]:
+                discs = []
+                for body in near_kinematics:
+                    x, y, *_ = kinematic_poses[body]
+                    discs.append((x, y, self._radii_m[body]))
+                for other, robot in enumerate(robots):
+                    if other != index:
+                        x, y, *_ = robot.body_state()
+                        discs.append((x, y, robot.reach_m + motions_m[other]))
+                needed = self._find_needed(index, robots[index], motions_m[index], duration_s, discs)
+            if needed == active:
+                self._surplus_steps[index] = 0
+                continue
+            self._surplus_steps[index] += 1
+            if needed <= active and self._surplus_steps[index] < _KEPT_STEPS:
+                continue
+            # What is kept while others come saves a change.
+            self.active[index] = needed if needed <= active else needed | active
+            self._surplus_steps[index] = 0
+            changed.append(index)
+        return changed
+
+    def _find_needed(
+        self,
+        index: int,
+        robot: TyredRobot,
+        motion_m: float,
+        duration_s: float,
+        discs: Sequence[tuple[float, float, float]],
+    ) -> Tyres:
+        """The tyres of a robot that can touch an obstacle or one of the `discs` (x, y, radius) [m]."""
+        x, y, _, qx, qy, qz, qw, *_, wx, wy, wz = robot.body_state()
+        # A state that has diverged is near nothing.
+        if not math.isfinite(x + y + qx + qy + qz + qw):
+            return _NONE
+        forward = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz)
+        left = 2.0 * (qx * qy - qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz)
+        up = 2.0 * (qx * qz + qw * qy), 2.0 * (qy * qz - qw * qx)
+        turn = math.hypot(wx, wy, wz) * duration_s
+        assert self._obstacles is not None
+        needed = []
+        for number, tyre in enumerate(self._bodies[index].tyres):
+            ahead, aside, above = tyre.position_b
+            tyre_x = x + ahead * forward[0] + aside * left[0] + above * up[0]
+            tyre_y = y + ahead * forward[1] + aside * left[1] + above * up[1]
+            reach = math.hypot(tyre.radius_m, tyre.width_m / 2) + motion_m + _MARGIN_M
+            reach += turn * math.hypot(ahead, aside, above)
+            near = self._obstacles.distance(tyre_x, tyre_y) < reach
+            for disc_x, disc_y, radius in discs:
+                near = near or math.hypot(tyre_x - disc_x, tyre_y - disc_y) < reach + radius
+            if near:
+                needed.append(number)
+        return frozenset(needed)
