@@ -53,10 +53,10 @@ class Robot(Protocol):
 
     Frame: x forward, y left, z up; the origin is that of the URDF's base link, `standing_height_m` above
     level ground. `length_m`, `width_m` and `height_m` are the sizes of the bounding box of hull and wheels
-    or feet; seen from above, the origin is its centre. `contact_centres_b` (W, 3) [m] are the centres of the
-    wheels or feet, of `contact_radius_m` and `contact_width_m`, in the order of `body.ground_links`; wheels
-    belong to the first motors. `wheels` is None for a robot with legs. `mounts` are the default poses of its
-    sensors; `battery` supplies the motors.
+    or legs at full stride; seen from above, the origin is its centre. `contact_centres_b` (W, 3) [m] are the
+    centres of the wheels or feet, of `contact_radius_m` and `contact_width_m`, in the order of
+    `body.ground_links`; wheels belong to the first motors. `wheels` is None for a robot with legs. `mounts`
+    are the default poses of its sensors; `battery` supplies the motors.
     """
 
     length_m: float
@@ -91,7 +91,7 @@ class Robot(Protocol):
         ...
 
     def outline(self) -> Array:
-        """Points (P, 2) [m] on the outline of hull and wheels, seen from above, in the body frame.
+        """Points (P, 2) [m] on the outline of hull, wheels and legs, seen from above, in the body frame.
 
         Neighbours are at most 0.16 m apart.
         """
@@ -125,7 +125,7 @@ def speed_and_heading_bounds(max_speed_mps: float) -> tuple[Array, Array]:
 
 
 class RectangularHull:
-    """Footprint and outline of a robot whose hull, seen from above, is a rectangle about the origin."""
+    """Footprint and outline of a robot: the rectangle about the origin that contains it, seen from above."""
 
     length_m: float
     width_m: float

@@ -29,7 +29,7 @@ from dune_rl.physics.interface import PhysicsScene, SceneSpec
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
-LENGTH_M, WIDTH_M = 0.62, 0.44
+LENGTH_M, WIDTH_M = 0.62, 0.443
 WALKER_RADIUS_M = 0.25
 
 # -- counting --------------------------------------------------------------------------------------

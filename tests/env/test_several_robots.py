@@ -284,7 +284,7 @@ def test_robots_that_meet_both_have_a_collision(engine: Engine) -> None:
         assert clearance[0] == clearance[1]
         if metric(simulation, "collisions")[0]:
             break
-    # 0.62 m long and 0.44 m wide, each.
+    # 0.62 m long and 0.443 m wide, each.
     assert 0.44 - 0.03 < distance(simulation)[0] < 0.77 + 0.03
     assert apart < 1.0 and nearest < 0.1
     assert metric(simulation, "collisions").tolist() == [1, 1]

@@ -292,16 +292,3 @@ def test_headings_beyond_half_a_turn_count_as_half_a_turn():
         for heading in (50.0, np.pi)
     )
     np.testing.assert_array_equal(beyond, half)
-
-
-def test_the_outline_runs_round_the_hull():
-    rover = RoverZero(RoverZeroConf(), 1)
-    outline = rover.outline()
-    np.testing.assert_allclose(np.abs(outline).max(axis=0), [rover.length_m / 2, rover.width_m / 2])
-    on_edge = np.isclose(np.abs(outline), [rover.length_m / 2, rover.width_m / 2]).any(axis=1)
-    assert on_edge.all()
-    # Thin posts of 0.1 m must not fit between neighbours unseen by more than a few centimetres.
-    bearing = np.arctan2(outline[:, 1], outline[:, 0])
-    around = outline[np.argsort(bearing)]
-    assert np.hypot(*(around - np.roll(around, 1, axis=0)).T).max() < 0.16
-    assert np.hypot(*outline.T).max() <= rover.footprint_radius_m + 1e-9

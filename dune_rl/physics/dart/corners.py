@@ -39,19 +39,22 @@ class CornerContacts:
         """Whether there are boxes without corner cubes."""
         return bool(self._boxes)
 
-    def add_where_touching(self, result: Any) -> bool:
-        """Add cubes to the boxes that touch ground in a collision result; whether there were any."""
+    def find_touching(self, result: Any) -> list[Any]:
+        """The boxes without corner cubes that touch ground in a collision result."""
         if not any(map(result.inCollision, self._grounds)):
-            return False
+            return []
         touching = set()
         for contact in result.getContacts():
             frames = {contact.collisionObject1.getShapeFrame(), contact.collisionObject2.getShapeFrame()}
             if not frames.isdisjoint(self._ground_nodes):
                 touching |= frames & self._boxes.keys()
         # In the order of the dict: the order of a set differs between processes.
-        for box in [box for box in self._boxes if box in touching]:
+        return [box for box in self._boxes if box in touching]
+
+    def add_to(self, boxes: Sequence[Any]) -> None:
+        """Add cubes to boxes."""
+        for box in boxes:
             _add_corner_cubes(self._boxes.pop(box), box)
-        return bool(touching)
 
 
 def _add_corner_cubes(body: Any, box: Any) -> None:

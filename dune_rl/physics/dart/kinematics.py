@@ -74,8 +74,12 @@ class KinematicCapsules:
         self.bodies[material].append(body)
         return add_shape(body, self._shapes[index], KINEMATIC_FRICTION * material.friction)
 
-    def add_for_tyres(self, indices: Iterable[int]) -> bool:
-        """Make these capsules collide with tyres, too; whether any did not before."""
+    def collide_with_tyres(self, indices: Iterable[int]) -> bool:
+        """Whether all of these capsules collide with tyres."""
+        return self._for_tyres.issuperset(indices)
+
+    def add_for_tyres(self, indices: Iterable[int]) -> None:
+        """Make these capsules collide with tyres, too."""
         new = [index for index in indices if index not in self._for_tyres]
         for index in new:
             for material in self._tyre_materials:
@@ -83,7 +87,6 @@ class KinematicCapsules:
                 number = self._body_numbers[index]
                 self._tyre_shape_numbers[self._add_capsule(index, body, material)] = number
         self._for_tyres.update(new)
-        return bool(new)
 
     def remove_for_tyres(self) -> None:
         """Undo `add_for_tyres`. Python must not refer to the shapes any more."""

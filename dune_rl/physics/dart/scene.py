@@ -1,6 +1,7 @@
 """The DART backend."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,8 @@ class DartScene:
             robot.bind(self._static_geometry, self._collision_filter)
         self._checks_corners_each_step = False
         self._corners = CornerContacts(self.robots, self._static_geometry.hull_ground)
-        for skeleton in (self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons):
+        self._skeletons = [self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons]
+        for skeleton in self._skeletons:
             world.addSkeleton(skeleton)
 
     def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
@@ -111,16 +113,37 @@ class DartScene:
             if tyres:
                 x, y, _ = robot.planar_motion()
                 obstacles |= self._static_geometry.obstacles_near(x, y, robot.reach_m + _TYRE_MARGIN_M)
-        if changed or obstacles != self._static_geometry.tyre_obstacles:
-            # The filter refers to shapes, which must not be when they are removed.
-            self._collision_filter.refresh_shapes()
-        self._static_geometry.set_tyre_obstacles(obstacles)
-        for index in changed:
-            self.robots[index].set_tyres(active[index])
-        if not any(active):
-            self._kinematics.remove_for_tyres()
-        if (any(active) and self._kinematics.add_for_tyres(near_kinematics)) or changed:
-            self._collision_filter.rebuild()
+        static_geometry, kinematics = self._static_geometry, self._kinematics
+        adds_kinematics = any(active) and not kinematics.collide_with_tyres(near_kinematics)
+        if not changed and obstacles == static_geometry.tyre_obstacles and not adds_kinematics:
+            return
+        with self._changed_shapes():
+            static_geometry.set_tyre_obstacles(obstacles)
+            for index in changed:
+                self.robots[index].set_tyres(active[index])
+            if not any(active):
+                kinematics.remove_for_tyres()
+            if adds_kinematics:
+                kinematics.add_for_tyres(near_kinematics)
+            if changed or adds_kinematics:
+                self._collision_filter.rebuild()
+
+    @contextmanager
+    def _changed_shapes(self) -> Iterator[None]:
+        """In the block, collision shapes may be added and removed.
+
+        The detector takes shapes that come or go together in the order of their addresses, on which the
+        last bits of contacts would depend. So it gets all of them again, in the order of the skeletons.
+        """
+        # The filter refers to shapes, which must not be when they are removed.
+        self._collision_filter.refresh_shapes()
+        for skeleton in self._skeletons:
+            self._world.removeSkeleton(skeleton)
+        # The last contacts refer to what the detector had.
+        self._world.getConstraintSolver().clearLastCollisionResult()
+        yield
+        for skeleton in self._skeletons:
+            self._world.addSkeleton(skeleton)
 
     def _clear_contact_cache(self) -> None:
         """Make the collision detector recompute all contacts in the next physics step.
@@ -166,8 +189,12 @@ class DartScene:
 
     def _add_corners(self) -> None:
         corners = self._corners
-        if corners.has_boxes_left and corners.add_where_touching(self._world.getLastCollisionResult()):
-            self._collision_filter.refresh_shapes()
+        if not corners.has_boxes_left:
+            return
+        boxes = corners.find_touching(self._world.getLastCollisionResult())
+        if boxes:
+            with self._changed_shapes():
+                corners.add_to(boxes)
 
     def close(self) -> None:
         # The engine frees its memory with the last reference to the world.

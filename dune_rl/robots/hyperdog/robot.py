@@ -77,8 +77,9 @@ class HyperDog(RectangularHull):
     Frame: x forward, y left, z up; the origin is the body's centre, `standing_height_m` above level ground.
     """
 
-    length_m = 0.43
-    width_m = 0.40
+    # Over the knees at full stride, and over the feet in the fastest turn. It stands on 0.58 m by 0.37 m.
+    length_m = 0.67
+    width_m = 0.47
     height_m = 0.30
     contact_radius_m = _FOOT_RADIUS_M
     contact_width_m = 2 * _FOOT_RADIUS_M

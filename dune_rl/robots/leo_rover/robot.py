@@ -79,7 +79,8 @@ class LeoRover(WheeledRobot):
     mean of theirs.
     """
 
-    length_m = 0.43
+    # Over the tyres, and over the flanges of the hubs.
+    length_m = 0.436
     width_m = 0.45
     height_m = 0.25
     standing_height_m = 0.198

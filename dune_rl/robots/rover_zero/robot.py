@@ -40,8 +40,9 @@ class RoverZero(WheeledRobot):
     Frame: x forward, y left, z up; the origin is the chassis centre, `standing_height_m` above level ground.
     """
 
+    # Of the hull, and over the tyres.
     length_m = 0.62
-    width_m = 0.44
+    width_m = 0.443
     height_m = 0.254
     standing_height_m = 0.125
     mass_kg = 11.0
