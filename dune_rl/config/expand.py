@@ -8,11 +8,18 @@ from hydra.core.config_loader import ConfigLoader
 from omegaconf import OmegaConf
 
 from dune_rl.config.actors import groups_of_list
+from dune_rl.config.agents import EXTERNAL, PERSON
 from dune_rl.config.overrides import option_names
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.sensors.conf import SensorsConf
+from dune_rl.settings import Settings
 from dune_rl.suggestions import closest, one_of
+from dune_rl.tasks.task import TaskConf
 
-# Sections of an agent group that may name an option of the group of this name.
-_SECTIONS = ("sensors", "task", "metrics")
+# Sections of an agent group that may name an option of the group of this name, with their settings.
+_SECTIONS: dict[str, type[Settings]] = {"sensors": SensorsConf, "task": TaskConf, "metrics": MetricsConf}
+# The options that persons have unless their group says otherwise.
+_OF_PERSONS = {"sensors": "walker", "task": "walking"}
 
 
 class _OptionReader:
@@ -45,8 +52,11 @@ def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
 
     A robot of `robots`, and a group's `body`, `sensors`, `task` and `metrics`,
     are the name of an option, or a mapping with its `name` and the values that
-    differ. A list of sensors is what is enabled, and a list of actors becomes
-    groups. What has no known name is left out, so that the rest is checked.
+    differ. A group's `sensors`, `task` and `metrics` without a name are what
+    differs from those that it has otherwise (see `resolve_groups`), unless they
+    have all settings, as in a saved run. A list of sensors is what is enabled,
+    and a list of actors becomes groups. What has no known name is left out, so
+    that the rest is checked.
     """
     options = _OptionReader(loader)
     faults = _expand_robots(data, options)
@@ -56,7 +66,7 @@ def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
         groups = data.get(section)
         if isinstance(groups, Mapping):
             data[section] = {
-                name: _expanded_group(group, f"{section}.{name}", options, faults)
+                name: _expanded_group(group, f"{section}.{name}", data, options, faults)
                 for name, group in groups.items()
                 if not name.isdigit()
             }
@@ -101,7 +111,9 @@ def _expand_robots(data: dict[str, Any], options: _OptionReader) -> list[str]:
     return faults
 
 
-def _expanded_group(group: Any, path: str, options: _OptionReader, faults: list[str]) -> Any:
+def _expanded_group(
+    group: Any, path: str, data: Mapping[str, Any], options: _OptionReader, faults: list[str]
+) -> Any:
     if not isinstance(group, Mapping):
         return group
     out = dict(group)
@@ -109,11 +121,11 @@ def _expanded_group(group: Any, path: str, options: _OptionReader, faults: list[
     # Persons, and robots of users' packages, are known to the schema alone.
     if isinstance(body, Mapping) and body.get("name") in options.names("robot"):
         out["body"] = options.changed("robot", str(body["name"]), body)
-    for section in _SECTIONS:
+    is_person = isinstance(body, Mapping) and body.get("name") == PERSON
+    for section, settings in _SECTIONS.items():
         value = group.get(section)
         if section == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
-            out[section] = {"enabled": list(value)}
-            continue
+            value = {"enabled": list(value)}
         changes = {"name": value} if isinstance(value, str) else value
         if isinstance(changes, Mapping) and isinstance(name := changes.get("name"), str):
             known = options.names(section)
@@ -124,4 +136,18 @@ def _expanded_group(group: Any, path: str, options: _OptionReader, faults: list[
                 remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
                 faults.append(f"{path}.{section}: there is no {section} {name!r}; {remedy}")
                 out[section] = None
+        elif isinstance(changes, Mapping) and not settings.model_fields.keys() <= changes.keys():
+            if is_person and section in _OF_PERSONS:
+                out[section] = options.changed(section, _OF_PERSONS[section], changes)
+            elif isinstance(base := data.get(section), Mapping):
+                is_roaming = section == "task" and group.get("controller", EXTERNAL) != EXTERNAL
+                out[section] = merged(_roaming(base) if is_roaming else base, changes)
     return out
+
+
+def _roaming(task: Mapping[str, Any]) -> dict[str, Any]:
+    """What `roaming_task` makes of settings, of settings as plain data."""
+    endings = task.get("terminations")
+    reached = endings.get("goal_reached") if isinstance(endings, Mapping) else None
+    renewed = {"goal_reached": {**reached, "renew": True}} if isinstance(reached, Mapping) else {}
+    return {**task, "rewards": {}, "terminations": renewed}

@@ -13,7 +13,6 @@ from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.errors import ConfigError
 from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
-from dune_rl.sensors.conf import SensorsConf
 from dune_rl.tasks.task import TaskConf, walking_task
 
 TEAM = (
@@ -146,7 +145,7 @@ def test_sections_of_a_group() -> None:
     )
     rover, blind, eager, husky = conf.groups
     assert (rover.sensors, rover.task, rover.metrics) == (conf.sensors, conf.task, conf.metrics)
-    assert blind.sensors == SensorsConf(enabled=("goal", "velocity"))
+    assert blind.sensors == conf.sensors.model_copy(update={"enabled": ("goal", "velocity")})
     assert blind.task == conf.task
     assert eager.body == RoverZeroConf(wheel_friction=0.5)
     assert eager.task is not None and eager.metrics is not None
@@ -157,6 +156,44 @@ def test_sections_of_a_group() -> None:
     assert husky.task is not None
     assert (husky.task.rewards, husky.metrics) == ({}, None)
     assert [(name, term.renew) for name, term in husky.task.terminations.items()] == [("goal_reached", True)]
+
+
+def test_sections_of_a_group_without_a_name_change_what_it_has_otherwise() -> None:
+    words = ["task=paper", "task.spawn.margin_m=0.3", "metrics.energy=true"]
+    changes = {
+        "sensors": {"lidar": {"n_beams": 64}},
+        "task": {"rewards": {"velocity": {"weight": 2.0}}, "terminations": {"time_limit": None}},
+        "metrics": {"terms": {"vort": None}},
+    }
+    groups = {
+        "rover": {"body": "rover_zero"} | changes,
+        "scout": {"body": "leo_rover", "controller": "go_to_goal", "task": {"spawn": {"margin_m": 0.4}}},
+        "walker": {
+            "body": "person",
+            "controller": "external",
+            "task": {"rewards": {"progress": {"weight": 3}}},
+        },
+    }
+    conf = compose_environment("flat", words, {"agents": groups})
+    rover, scout, walker = conf.groups
+    assert rover.sensors is not None and rover.sensors.lidar.n_beams == 64
+    assert rover.sensors.enabled == conf.sensors.enabled
+    assert rover.task is not None and rover.metrics is not None
+    assert list(rover.task.rewards) == list(conf.task.rewards)
+    assert (rover.task.rewards["velocity"].weight, rover.task.rewards["contact"].weight) == (2.0, 0.0)
+    assert rover.task.spawn == conf.task.spawn
+    assert {*conf.task.terminations} - {*rover.task.terminations} == {"time_limit"}
+    assert rover.metrics.energy and {*conf.metrics.terms} - {*rover.metrics.terms} == {"vort"}
+    assert scout.task is not None and scout.task.spawn.margin_m == 0.4
+    assert (scout.task.rewards, [*scout.task.terminations]) == ({}, ["goal_reached"])
+    assert scout.task.terminations["goal_reached"].renew
+    assert walker.task is not None and walker.sensors == walker_sensors()
+    assert {name: term.weight for name, term in walker.task.rewards.items()} == {
+        "progress": 3.0,
+        "near_miss": -0.1,
+    }
+    again = compose_evaluation(["policy=random"], (), conf.model_dump(mode="json"))
+    assert again.groups == conf.groups
 
 
 def test_settings_of_a_run_with_groups_stay() -> None:
