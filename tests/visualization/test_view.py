@@ -1,6 +1,6 @@
 """The view command: the sheets, films and pictures that it makes, and what it refuses."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -10,11 +10,16 @@ import pytest
 import yaml
 from PIL import Image
 from simulations import act, observation, started_simulation
+from training import make_sac
 
 from dune_rl import view
-from dune_rl.config.compose import compose, compose_view
+from dune_rl.config.build import make_torchrl_env
+from dune_rl.config.compose import compose, compose_environment, compose_view
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
+from dune_rl.learning.checkpoint import write
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.saved_policies import policy_entry
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.visualization.contact_sheet import contact_sheet
@@ -161,6 +166,33 @@ def test_a_checkpoint_that_is_not_there_is_named(
     assert call("checkpoint=nowhere") == 2
     assert "nowhere" in capsys.readouterr().err
     assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize(("robot", "group"), [("rover_zero", "rover"), ("hyperdog", "hyperdog")])
+def test_a_checkpoint_drives(robot: str, group: str, call: Call, folder: Path) -> None:
+    words = ["sensors=[goal,velocity]", "actors=none", f"robot={robot}"]
+    config = compose(["+world=flat", *words]).model_dump(mode="json")
+    spec = spec_of(words, group)
+    ends = []
+    for bias in (-3.0, 3.0):
+        learner = make_sac(spec, folder, hidden=(8,))
+        # All actions at one end of their ranges.
+        for name, values in learner.policy.network.named_parameters():
+            values.data.fill_(bias if name.endswith("bias") else 0.0)
+        groups = {group: policy_entry(learner)}
+        write(folder / "policy.pt", "policy", {"groups": groups, "config": config})
+        view_words = [word for word in TINY if word != "actors=none" and not word.startswith("+world")]
+        assert call(*view_words, "checkpoint=policy.pt", "view=video", f"out=views{bias}") == 0
+        frames, _ = frames_of(folder / f"views{bias}" / "flat_seed0.mp4")
+        ends.append(frames[10].astype(int))
+    assert np.abs(ends[0] - ends[1]).mean() > 1.0
+
+
+def spec_of(words: Sequence[str], group: str) -> PolicySpec:
+    env = make_torchrl_env(compose_environment("flat", words), 1, 0)
+    spec = PolicySpec.of(env, group)
+    env.close()
+    return spec
 
 
 def test_two_drivers_are_refused() -> None:
