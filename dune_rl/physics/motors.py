@@ -37,12 +37,11 @@ class Motor:
 
     @property
     def is_ideal(self) -> bool:
-        """Whether the command is a speed and the torque limit does not depend on the speed."""
+        """Whether a target speed and a torque limit hold for a whole control step; see `held_targets`."""
         return (
             self.mode == "velocity"
             and self.gear_friction_nm == 0.0
             and self.rotor_inertia_kgm2 == 0.0
-            and math.isinf(self.no_load_speed_radps)
             and math.isinf(self.max_speed_radps)
         )
 
@@ -86,6 +85,23 @@ def servo_targets(
             target = min(max(target, speed - reach), speed + reach)
         targets.append(target)
         limits.append(limit)
+    return targets, limits
+
+
+def held_targets(
+    motors: Sequence[Motor], commands: Sequence[float], speeds: Sequence[float]
+) -> tuple[list[float], list[float]]:
+    """Target speeds [rad/s] and torque limits [N m] of ideal motors for a control step.
+
+    `speeds` [rad/s] are the joints' at its start. A target is at most the no-load speed, which
+    a light joint could otherwise exceed within the step.
+    """
+    targets: list[float] = []
+    limits: list[float] = []
+    for motor, command, speed in zip(motors, commands, speeds, strict=True):
+        target = min(max(command, -motor.no_load_speed_radps), motor.no_load_speed_radps)
+        targets.append(target)
+        limits.append(motor.torque_limit_nm(target, speed))
     return targets, limits
 
 

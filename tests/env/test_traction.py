@@ -12,8 +12,7 @@ from simulations import act, motion_of_group, started_simulation
 from dune_rl.env.scene_spec import scene_spec
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SURFACES
 from dune_rl.worlds.world import Prop, World
@@ -21,7 +20,7 @@ from dune_rl.worlds.world import Prop, World
 LOAD_N = MASS_KG * GRAVITY_MPS2 / 4
 # Wheels that roll are sped up and slowed down too: mass and four inertias over the radius squared.
 ROLLING_MASS_KG = MASS_KG + 4 * 0.01008 / WHEEL_RADIUS_M**2
-FREE_WHEELS = RoverZeroConf(drive=SkidSteerConf(max_torque_nm=1e-9))
+FREE_WHEELS = RoverZeroConf(drive=RoverZeroDriveConf(no_load_speed_radps=None, max_torque_nm=1e-9))
 
 
 def slides(rover: RoverOnGround) -> bool:

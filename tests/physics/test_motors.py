@@ -141,6 +141,18 @@ def test_a_torque_speed_curve_bends_the_run_up(backend, arm):
 
 
 @every_backend
+@pytest.mark.parametrize("stall", [0.5, 500.0])
+def test_no_motor_turns_a_joint_beyond_its_no_load_speed(backend, arm, stall):
+    stage = standing(backend, arm(Motor("first", stall, no_load_speed_radps=1.0)))
+    speeds = []
+    for _ in range(40):
+        stage.step(5, [100.0])
+        speeds.append(stage.wheel_speeds[0])
+    assert max(speeds) < 1.05
+    assert speeds[-1] > 0.8
+
+
+@every_backend
 def test_a_position_motor_holds_its_angle_against_gravity_and_starts_at_its_rest(backend, arm):
     motors = [
         Motor(joint, 8.0, "position", rest_rad=rest, max_speed_radps=2.0)

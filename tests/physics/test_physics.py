@@ -34,8 +34,7 @@ from scenes import (
 from dune_rl.errors import PhysicsError
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf
 
 # Every test below takes `backend`, or pytest refuses to collect it.
 pytestmark = every_backend
@@ -60,7 +59,12 @@ def test_free_fall(backend, gravity):
 @pytest.mark.parametrize("torque", [0.2, 1.0])
 def test_a_drive_gives_the_torque_it_may_and_no_more(backend, torque):
     # Off the ground, a drive turns its wheel one way and the body the other.
-    stage = Stage(backend, robot=rover_body(RoverZeroConf(drive=SkidSteerConf(max_torque_nm=torque))))
+    stage = Stage(
+        backend,
+        robot=rover_body(
+            RoverZeroConf(drive=RoverZeroDriveConf(max_torque_nm=torque, no_load_speed_radps=None))
+        ),
+    )
     stage.place([0.0, 0.0, 5.0])
     stage.step(10, 500.0)
     body_inertia = 0.1088 + 1.25 * (RoverZero.wheel_positions_b[:, 0] ** 2).sum()

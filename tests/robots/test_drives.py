@@ -13,8 +13,7 @@ from scenes import (
     slope_stage,
 )
 
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
-from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.rover_zero.robot import RoverZeroConf, RoverZeroDriveConf
 
 # Every test below takes `backend`, or pytest refuses to collect it.
 pytestmark = every_backend
@@ -35,7 +34,12 @@ def test_wheel_angles_start_at_nothing_and_count_whole_turns(backend):
 
 @pytest.mark.parametrize("torque", [0.2, 1.0])
 def test_the_torque_told_is_the_one_that_speeds_a_wheel_up(backend, torque):
-    stage = Stage(backend, robot=rover_body(RoverZeroConf(drive=SkidSteerConf(max_torque_nm=torque))))
+    stage = Stage(
+        backend,
+        robot=rover_body(
+            RoverZeroConf(drive=RoverZeroDriveConf(no_load_speed_radps=None, max_torque_nm=torque))
+        ),
+    )
     stage.place([0.0, 0.0, 5.0])
     stage.step(10, [500.0, -500.0, 500.0, -500.0])
     np.testing.assert_allclose(stage.wheel_torques, [torque, -torque, torque, -torque], rtol=1e-6)

@@ -21,8 +21,9 @@ from scenes import (
 )
 
 from dune_rl.geometry.frames import rotation_matrices, wrap_angle
+from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.robots.heading import HeadingConf, HeadingController
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.skid_steer import SkidSteerConf, SkidSteerDrive
 
 EIGHT_HEADINGS = [pytest.param(k * np.pi / 4, id=f"{45 * k}deg") for k in range(8)]
@@ -118,13 +119,14 @@ def test_yaw_rate_keeps_its_limit(backend):
     yaws = np.unwrap(yaws)
     second = round(1.0 / STEP_S)
     assert (yaws[second:] - yaws[:-second]).max() < 2.0 * 1.1
-    # Tyres that slip and grip again make the loop swing about the limit.
-    assert max(rates) < 2.0 * 1.25
+    # Tyres that slip and grip again make the loop swing about the limit: it winds up while the motors, which
+    # weaken as they speed up, cannot follow.
+    assert max(rates) < 2.0 * allowed(backend, 1.4, 1.5)
     assert yaws[-1] - yaws[second] == pytest.approx(2.0 * (80 - second - 1) * STEP_S, rel=0.1)
 
 
 def rover_with_torque(torque_nm: float) -> RoverZeroConf:
-    return RoverZeroConf(drive=SkidSteerConf(max_torque_nm=torque_nm))
+    return RoverZeroConf(drive=RoverZeroDriveConf(max_torque_nm=torque_nm))
 
 
 @every_backend
@@ -145,7 +147,7 @@ def test_the_steepest_climb_is_that_of_the_torque(backend, torque, share, climbs
     start = drive.stage.position
     for _ in range(60):
         drive.step(0.5, 0.0)
-    assert ((drive.stage.position - start) @ uphill > 0.3) == climbs
+    assert ((drive.stage.position - start) @ uphill > 0.2) == climbs
 
 
 @every_backend
@@ -163,6 +165,55 @@ def test_wheels_against_a_wall_stall_or_slip_as_torque_and_friction_say(backend,
     assert (turned.sum() > allowed(backend, 0.5, 0.45) * 4 * 30 * STEP_S * 0.5 / WHEEL_RADIUS_M) == slips
     if not slips:
         np.testing.assert_allclose(turned, 0.0, atol=0.3)
+
+
+def drive_with_strength(backend, strength: float, slope: float = 0.0) -> tuple[Drive, np.ndarray]:
+    """A rover, on a slope, whose motors have `strength`, and the direction uphill."""
+    uphill, _, up = rotation_matrices(quaternion_of(0.0, slope)).T
+    drive = Drive(backend, statics=[plane(slope)])
+    drive.stage.engine.set_body(BodyVariation(motor_strength=strength))
+    drive.start(0.0, quaternion_of(0.0, slope), up * (WHEEL_RADIUS_M + 0.001))
+    return drive, uphill
+
+
+@every_backend
+@pytest.mark.parametrize("strength", [0.5, 0.7, 1.0])
+def test_weak_motors_climb_as_fast_as_their_curve_says(backend, strength):
+    slope = np.radians(20.0)
+    drive, uphill = drive_with_strength(backend, strength, slope)
+    for _ in range(40):
+        drive.step(1.0, 0.0)
+    start = drive.stage.position
+    for _ in range(40):
+        drive.step(1.0, 0.0)
+    conf = RoverZeroConf().drive
+    assert conf.no_load_speed_radps is not None
+    torque = MASS_KG * GRAVITY_MPS2 * np.sin(slope) * WHEEL_RADIUS_M / 4
+    wheel_speed = strength * conf.no_load_speed_radps - torque * conf.no_load_speed_radps / conf.max_torque_nm
+    expected = min(1.0, wheel_speed * WHEEL_RADIUS_M)
+    # DART's joints bear on each other through the body: its curve is right within a tenth.
+    speed = (drive.stage.position - start) @ uphill / (40 * STEP_S)
+    assert speed == pytest.approx(expected, rel=allowed(backend, 0.05, 0.2))
+
+
+@every_backend
+def test_weak_motors_are_slower_on_the_flat_and_in_a_turn(backend):
+    speeds, rates = [], []
+    for strength in (0.5, 1.0):
+        drive, _ = drive_with_strength(backend, strength)
+        for _ in range(60):
+            drive.step(1.0, 0.0)
+        speeds.append(drive.stage.velocity[0])
+        drive, _ = drive_with_strength(backend, strength)
+        yaws = []
+        for _ in range(60):
+            drive.step(0.0, 1.57)
+            yaws.append(drive.stage.yaw)
+        rates.append((np.unwrap(yaws)[-1] - np.unwrap(yaws)[19]) / (40 * STEP_S))
+    # 6 rad/s without load are 0.75 m/s.
+    assert speeds[0] == pytest.approx(0.75, rel=allowed(backend, 0.05, 0.2))
+    assert speeds[1] == pytest.approx(1.0, rel=0.03)
+    assert rates[0] < 0.8 * rates[1]
 
 
 @every_backend

@@ -18,7 +18,7 @@ from states import begin, measure
 from wheels import ALL, WHEELS, Measured, reading, wheels_state, within_bounds
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.rover_zero.robot import RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.sensors.currents import Currents, CurrentsConf
 
@@ -84,7 +84,7 @@ def test_level_driving_takes_next_to_nothing(backend):
 @every_backend
 @pytest.mark.parametrize("torque", [0.6, 1.0])
 def test_against_a_wall_motors_stall_at_the_drive_s_torque(backend, torque):
-    conf = RoverZeroConf(drive=SkidSteerConf(max_torque_nm=torque))
+    conf = RoverZeroConf(drive=RoverZeroDriveConf(no_load_speed_radps=None, max_torque_nm=torque))
     wall = box((0.4 + HULL_HALF_LENGTH_M, 0.0), 0.2, 4.0, 1.0)
     sensor = currents()
     measured = Measured(Drive(backend, conf, [plane(), wall]), sensor)

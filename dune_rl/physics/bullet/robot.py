@@ -11,7 +11,7 @@ from dune_rl.physics.base_frame import InertialFrame, Quadruple, Triple
 from dune_rl.physics.bullet.tyres import TYRE_AXIS, add_tyre_links, tyre_link_name
 from dune_rl.physics.bullet.urdf import add_visual_stubs
 from dune_rl.physics.interface import Coupling, RobotBody
-from dune_rl.physics.motors import Servos, motor_power_w
+from dune_rl.physics.motors import Servos, held_targets, motor_power_w
 from dune_rl.physics.stderr import suppress_stderr
 from dune_rl.physics.varied_body import BodyVariation, collision_urdf, scale_motors, varied_urdf
 
@@ -63,6 +63,7 @@ class BulletRobot:
         self._motors = spec.motors
         # Ideal motors take a command once a control step; others need the joint states in every physics step.
         self.has_ideal_motors = all(motor.is_ideal for motor in self._motors)
+        self._has_curves = any(math.isfinite(motor.no_load_speed_radps) for motor in self._motors)
         self._torques = [motor.max_torque_nm for motor in self._motors]
         self._commands: Sequence[float] = spec.rest_commands()
         self._servos = Servos(self._motors, timestep_s)
@@ -337,7 +338,13 @@ class BulletRobot:
         """Pass the commands to the motors for the next `count` physics steps."""
         self._touched.clear()
         if self.has_ideal_motors:
-            self._set_motors(self._commands, self._torques)
+            if self._has_curves:
+                robot, joints, client = self._robot, self._drive_joints, self._client
+                states = pybullet.getJointStates(robot, joints, physicsClientId=client)
+                speeds = [state[1] for state in states]
+                self._set_motors(*held_targets(self._motors, self._commands, speeds))
+            else:
+                self._set_motors(self._commands, self._torques)
         else:
             self._servos.set_commands(self._commands, count)
 

@@ -19,7 +19,7 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.tyres import CompliantGround
 from dune_rl.physics.interface import RobotBody, Tyre
-from dune_rl.physics.motors import Servos, motor_power_w
+from dune_rl.physics.motors import Servos, held_targets, motor_power_w
 from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 
 # DART uses the smaller friction coefficient of the two shapes of a contact. The robot's is always larger,
@@ -67,6 +67,7 @@ class DartRobot:
         self._has_ideal_motors = all(motor.is_ideal for motor in self._motors) and not has_driven_coupling(
             spec
         )
+        self._has_curves = any(math.isfinite(motor.no_load_speed_radps) for motor in self._motors)
         self._servos = Servos(self._motors, timestep_s)
         self._commands: Sequence[float] = spec.rest_commands()
         self._force: Sequence[float] | None = None
@@ -234,7 +235,13 @@ class DartRobot:
     def begin_step(self, count: int) -> None:
         """Pass the commands to the motors for the next `count` physics steps."""
         if self._has_ideal_motors:
-            self.skeleton.setCommands(self._drives, self._commands)
+            robot, drives, commands = self.skeleton, self._drives, self._commands
+            if self._has_curves:
+                speeds = robot.getVelocities(drives).tolist()
+                commands, torques = held_targets(self._motors, commands, speeds)
+                robot.setForceUpperLimits(drives, torques)
+                robot.setForceLowerLimits(drives, [-torque for torque in torques])
+            robot.setCommands(drives, commands)
         else:
             self._servos.set_commands(self._commands, count)
 

@@ -15,6 +15,18 @@ from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
 
 
+class RoverZeroDriveConf(SkidSteerConf):
+    """Geometry and limits of the drive, and its motors.
+
+    No figures of the motors are published. The no-load speed is that of the outer wheels in the fastest curve
+    that can be commanded, (1 m/s + 2 rad/s x 0.25 m) / 0.125 m. 6 N m at rest hold the rover with the maker's
+    50 kg of payload on 18 degrees; at 1 m/s, 2 N m are left, which give nearly the 5 m/s² of the maker's
+    controller. Gear friction and rotor inertia are part of these figures.
+    """
+
+    no_load_speed_radps: float | None = Field(12.0, gt=0.0)
+
+
 class RoverZeroConf(RobotSettings):
     """Settings of the rover: heading controller, drive, tyres, mounts and battery.
 
@@ -23,7 +35,7 @@ class RoverZeroConf(RobotSettings):
 
     name: Literal["rover_zero"] = "rover_zero"
     heading: HeadingConf = HeadingConf()
-    drive: SkidSteerConf = SkidSteerConf()
+    drive: RoverZeroDriveConf = RoverZeroDriveConf()
     wheel_friction: float = Field(1.0, gt=0.0, le=3.0)
     mounts: MountsConf = MountsConf()
     battery: BatteryConf = BatteryConf(capacity_wh=90.0, idle_w=15.0, efficiency=0.7)
