@@ -37,7 +37,8 @@ def main() -> None:
 
 def _main(parsed: Namespace) -> None:
     conf = compose_benchmark(parsed.overrides, command.config_folders(parsed))
-    setting = {"world": conf.world.name, "actors": len(conf.actors)}
+    groups = {group.name: group.count for group in conf.groups}
+    setting = {"world": conf.world.name, "groups": groups}
     if "environment" in conf.parts:
         _emit(benchmark="environment", **setting, **measure_environment(conf))
     if "cameras" in conf.parts:

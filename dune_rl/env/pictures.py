@@ -27,6 +27,8 @@ Picture = NDArray[np.uint8]
 _BEHIND_M, _ABOVE_M, _LOOK_AHEAD_M = 2.6, 1.35, 0.9
 _CLEAR_OF_GROUND_M, _CLEAR_OF_WALLS_M = 0.35, 0.15
 _NEAREST_EYE_M, _FARTHEST_EYE_M = 0.9, 3.0
+# Bodies up to this height are seen from the same place.
+_USUAL_HEIGHT_M = 0.5
 _GOAL_COLOUR = (0.10, 0.75, 0.35)
 
 
@@ -108,8 +110,13 @@ class Pictures:
         position = motion.position_w[row]
         yaw = float(motion.yaw[row])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-        target = position + _LOOK_AHEAD_M * ahead
-        eye = self._free_eye(scene, position, position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M])
+        # Somebody as tall as the eye would fill the picture, from so near.
+        body = group.body
+        excess = body.conf.height_m - _USUAL_HEIGHT_M if isinstance(body, KinematicBody) else 0.0
+        more = max(excess, 0.0)
+        target = position + _LOOK_AHEAD_M * ahead + [0.0, 0.0, 0.5 * more]
+        eye = position - (_BEHIND_M + more) * ahead + [0.0, 0.0, _ABOVE_M + more]
+        eye = self._free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
         return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
 
     def _group_of(self, agent: str) -> AgentGroup:
@@ -142,13 +149,13 @@ class Pictures:
     def _ground(self, scene: int, xy: Array) -> float:
         return float(self._simulation.worlds.worlds[scene].terrain.height(xy))
 
-    def _free_eye(self, scene: int, position: Array, eye: Array) -> Array:
+    def _free_eye(self, scene: int, position: Array, eye: Array, farthest_m: float) -> Array:
         """The point nearest to `eye` from which the agent is in sight, above the ground."""
         start = position + np.array([0.0, 0.0, 0.45])
         # From behind; where a wall leaves no room there, from ever higher up.
         ways = eye - start + np.outer([0.0, 1.0, 2.5, 40.0], [0.0, 0.0, _ABOVE_M])
         lengths = np.linalg.norm(ways, axis=1).astype(np.float32)
-        lengths = np.minimum(lengths, np.float32(_FARTHEST_EYE_M))
+        lengths = np.minimum(lengths, np.float32(farthest_m))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
         reach = lengths.copy()
         self._painters[scene].baked.rays.shorten_ranges(

@@ -246,6 +246,7 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert call(benchmark.main, *words) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     alone, cameras, sensors, terrain, new_world, groups, together = lines
+    assert alone["groups"] == {"rover": 1}
     assert [line["benchmark"] for line in lines] == [
         *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
     ]
