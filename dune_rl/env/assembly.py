@@ -12,9 +12,11 @@ from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
 from dune_rl.env.sensing import person_carrier, robot_carrier, sensor_context
 from dune_rl.env.state_builder import StateBuilder
+from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.tasks.spawn import SpawnConf
+from dune_rl.worlds.world import World
 
 # A new touch of the same body counts as a new collision after this long without one.
 _COLLISION_GAP_S = 1.0
@@ -24,21 +26,42 @@ def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager, seed: int) 
     """The groups of M scenes, without their sensors, which see each other's groups: see `add_sensors`."""
     groups: list[AgentGroup] = []
     robots: list[RegionGoals] = []
+    spawners = _SharedSpawners(scenes.worlds.worlds)
     for setup in setups:
         rows = len(scenes.worlds) * setup.count
         if isinstance(setup.body, PersonConf):
-            group = _kinematic_group(setup, setup.body, scenes, rows)
+            group = _kinematic_group(setup, setup.body, scenes, rows, spawners)
         else:
-            group = _robot_group(setup, scenes, rows, robots)
+            group = _robot_group(setup, scenes, rows, spawners, robots)
         groups.append(group)
     return tuple(groups)
+
+
+class _SharedSpawners:
+    """One `Spawners` for all groups of equal footprint and spawn settings: each searches a whole world."""
+
+    def __init__(self, worlds: SharedPerScene[World]) -> None:
+        self._worlds = worlds
+        self._known: dict[tuple[SpawnConf, float], Spawners] = {}
+
+    def of(self, conf: SpawnConf, radius_m: float) -> Spawners:
+        """The spawners of footprints of `radius_m`."""
+        if (conf, radius_m) not in self._known:
+            self._known[conf, radius_m] = Spawners(conf, radius_m, self._worlds)
+        return self._known[conf, radius_m]
 
 
 def _gap_steps(scenes: SceneManager) -> int:
     return round(_COLLISION_GAP_S * scenes.conf.control_hz)
 
 
-def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, robots: list[RegionGoals]) -> AgentGroup:
+def _robot_group(
+    setup: GroupSetup,
+    scenes: SceneManager,
+    rows: int,
+    shared_spawners: _SharedSpawners,
+    robots: list[RegionGoals],
+) -> AgentGroup:
     assert not isinstance(setup.body, PersonConf)
     robot = setup.body(rows)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
@@ -50,7 +73,7 @@ def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, robots: lis
         has_latency=scenes.randomizer.randomizes_latency,
         measures_work=setup.metrics is not None and setup.metrics.energy,
     )
-    spawners = Spawners(spawn, robot.footprint_radius_m, scenes.worlds.worlds)
+    spawners = shared_spawners.of(spawn, robot.footprint_radius_m)
     goals = RegionGoals(
         spawn,
         robot.footprint_radius_m,
@@ -63,11 +86,13 @@ def _robot_group(setup: GroupSetup, scenes: SceneManager, rows: int, robots: lis
     return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
 
 
-def _kinematic_group(setup: GroupSetup, conf: PersonConf, scenes: SceneManager, rows: int) -> AgentGroup:
+def _kinematic_group(
+    setup: GroupSetup, conf: PersonConf, scenes: SceneManager, rows: int, shared_spawners: _SharedSpawners
+) -> AgentGroup:
     body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
     worlds = scenes.worlds.worlds
     follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
-    spawners = Spawners(SpawnConf(), conf.radius_m, worlds)
+    spawners = shared_spawners.of(SpawnConf(), conf.radius_m)
     goals = GoalTracker(PathGoals(follower), rows)
     return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))
 

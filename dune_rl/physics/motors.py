@@ -16,7 +16,8 @@ class Motor:
     point and angle, as in the servos of walking robots. The absolute target
     speed is at most `max_speed_radps`.
 
-    The available torque falls linearly from `max_torque_nm` at rest to 0 at
+    The available torque is `max_torque_nm` up to `full_torque_speed_radps`,
+    where the motor's current is limited, and falls linearly from there to 0 at
     `no_load_speed_radps`, as in a DC motor, minus `gear_friction_nm`; a motor
     that brakes has the full torque plus the friction. `rotor_inertia_kgm2` is
     the rotor's inertia reflected to the joint (the gear ratio squared times
@@ -31,6 +32,7 @@ class Motor:
     position_gain_per_s: float = 20.0
     max_speed_radps: float = math.inf
     no_load_speed_radps: float = math.inf
+    full_torque_speed_radps: float = 0.0
     gear_friction_nm: float = 0.0
     rotor_inertia_kgm2: float = 0.0
     rest_rad: float = 0.0
@@ -59,7 +61,8 @@ class Motor:
         """Largest absolute torque on the joint while it changes from a speed to a target speed."""
         change = target_radps - speed_radps
         if change * speed_radps >= 0.0 and change != 0.0:
-            share = 1.0 - abs(speed_radps) / self.no_load_speed_radps
+            full = self.full_torque_speed_radps
+            share = 1.0 - max(abs(speed_radps) - full, 0.0) / (self.no_load_speed_radps - full)
             return max(0.0, self.max_torque_nm * share - self.gear_friction_nm)
         return self.max_torque_nm + self.gear_friction_nm
 

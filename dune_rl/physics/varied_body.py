@@ -41,12 +41,13 @@ AS_DESCRIBED = BodyVariation()
 
 
 def scale_motors(motors: Sequence[Motor], strength: float) -> tuple[Motor, ...]:
-    """The motors at `strength` times their voltage.
+    """The motors at `strength` times their voltage and current.
 
     A DC motor's stall torque and no-load speed are both proportional to its
     voltage (T = k V / R, w = V / k), so both are scaled and the slope between
-    them stays; a motor without a no-load speed only loses torque. Gear
-    friction and a controller's speed limit do not depend on the voltage.
+    them stays, and so are a limit of the current and the speed up to which it
+    acts; a motor without a no-load speed only loses torque. Gear friction and
+    a controller's speed limit are not scaled.
     """
     if strength == 1.0:
         return tuple(motors)
@@ -55,6 +56,7 @@ def scale_motors(motors: Sequence[Motor], strength: float) -> tuple[Motor, ...]:
             motor,
             max_torque_nm=motor.max_torque_nm * strength,
             no_load_speed_radps=motor.no_load_speed_radps * strength,
+            full_torque_speed_radps=motor.full_torque_speed_radps * strength,
         )
         for motor in motors
     )

@@ -1,8 +1,10 @@
 """Skid-steer drive: wheel speeds for a commanded twist, within the platform's limits."""
 
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dune_rl.geometry.frames import clip
 from dune_rl.settings import Settings
@@ -20,8 +22,8 @@ class SkidSteerConf(Settings):
     track that gives the commanded yaw rates on average, wider than the real one; how much wider depends on
     the ground. A PI loop on the gyroscope's yaw rate corrects the rest.
 
-    A wheel's motor has `max_torque_nm` at rest and, if `no_load_speed_radps` is set, linearly less up to
-    that speed, minus `gear_friction_nm`; `rotor_inertia_kgm2` is the rotor's inertia reflected to the wheel.
+    A wheel's motor has `max_torque_nm` up to `full_torque_speed_radps` and, if `no_load_speed_radps` is set,
+    linearly less from there up to that speed, minus `gear_friction_nm`; `rotor_inertia_kgm2` is the rotor's inertia reflected to the wheel.
     `max_wheel_speed_radps` limits the target speed of a wheel.
     """
 
@@ -34,10 +36,20 @@ class SkidSteerConf(Settings):
     max_acceleration_mps2: float = Field(5.0, gt=0.0)
     max_yaw_acceleration_radps2: float = Field(4.0, gt=0.0)
     max_torque_nm: float = Field(6.0, gt=0.0)
+    full_torque_speed_radps: float = Field(0.0, ge=0.0)
     no_load_speed_radps: float | None = Field(None, gt=0.0)
     gear_friction_nm: float = Field(0.0, ge=0.0)
     rotor_inertia_kgm2: float = Field(0.0, ge=0.0)
     max_wheel_speed_radps: float | None = Field(None, gt=0.0)
+
+    @model_validator(mode="after")
+    def _torque_ends_after_it_begins_to_fall(self) -> Self:
+        if self.no_load_speed_radps is not None and self.full_torque_speed_radps >= self.no_load_speed_radps:
+            raise ValueError(
+                f"full_torque_speed_radps ({self.full_torque_speed_radps}) must be less than "
+                f"no_load_speed_radps ({self.no_load_speed_radps})"
+            )
+        return self
 
 
 class SkidSteerDrive:

@@ -103,6 +103,7 @@ def wheel_motor(joint: str, drive: SkidSteerConf) -> Motor:
         drive.max_torque_nm,
         max_speed_radps=unlimited if drive.max_wheel_speed_radps is None else drive.max_wheel_speed_radps,
         no_load_speed_radps=unlimited if drive.no_load_speed_radps is None else drive.no_load_speed_radps,
+        full_torque_speed_radps=drive.full_torque_speed_radps,
         gear_friction_nm=drive.gear_friction_nm,
         rotor_inertia_kgm2=drive.rotor_inertia_kgm2,
     )

@@ -365,6 +365,20 @@ def test_a_crowd_has_one_body_for_each() -> None:
     core.close()
 
 
+def test_groups_of_equal_footprint_search_each_world_once() -> None:
+    agents = {
+        "one": {"body": "rover_zero"},
+        "other": {"body": "rover_zero", "controller": "go_to_goal"},
+        "wide": {"body": "rover_zero", "task": {"spawn": {"margin_m": 0.3}}},
+        "walker": {"body": "person", "controller": "external"},
+    }
+    simulation = new_simulation("flat", agents=agents)
+    one, other, wide, walker = (group.spawners for group in simulation.groups)
+    assert one is other
+    assert len({id(each) for each in (one, wide, walker)}) == 3
+    simulation.close()
+
+
 def test_groups_have_their_own_tasks_and_metrics() -> None:
     core = simulation("kinds")
     assert core.metric_names("rover") == core.metric_names("hyperdog")

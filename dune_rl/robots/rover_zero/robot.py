@@ -18,13 +18,14 @@ from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
 class RoverZeroDriveConf(SkidSteerConf):
     """Geometry and limits of the drive, and its motors.
 
-    No figures of the motors are published. The no-load speed is that of the outer wheels in the fastest curve
-    that can be commanded, (1 m/s + 2 rad/s x 0.25 m) / 0.125 m. 6 N m at rest hold the rover with the maker's
-    50 kg of payload on 18 degrees; at 1 m/s, 2 N m are left, which give nearly the 5 m/s² of the maker's
-    controller. Gear friction and rotor inertia are part of these figures.
+    Its brushless motors have controllers that limit the current. The no-load speed is that of the maker's
+    driver, which takes 2.5 m/s for full voltage without feedback. No torque is published: 6 N m, up to the
+    largest commanded speed of 1 m/s, are what tyres hold that carry up to half the rover's weight each, as they
+    do on rough ground. Gear friction and rotor inertia are part of these figures.
     """
 
-    no_load_speed_radps: float | None = Field(12.0, gt=0.0)
+    full_torque_speed_radps: float = Field(8.0, ge=0.0)
+    no_load_speed_radps: float | None = Field(20.0, gt=0.0)
 
 
 class RoverZeroConf(RobotSettings):
