@@ -23,8 +23,8 @@ class SkidSteerConf(Settings):
     the ground. A PI loop on the gyroscope's yaw rate corrects the rest.
 
     A wheel's motor has `max_torque_nm` up to `full_torque_speed_radps` and, if `no_load_speed_radps` is set,
-    linearly less from there up to that speed, minus `gear_friction_nm`; `rotor_inertia_kgm2` is the rotor's inertia reflected to the wheel.
-    `max_wheel_speed_radps` limits the target speed of a wheel.
+    linearly less from there up to that speed, minus `gear_friction_nm`; `rotor_inertia_kgm2` is the rotor's
+    inertia reflected to the wheel. `max_wheel_speed_radps` limits the target speed of a wheel.
     """
 
     wheel_radius_m: float = Field(0.125, gt=0.0)

@@ -372,7 +372,7 @@ def test_groups_of_equal_footprint_search_each_world_once() -> None:
         "wide": {"body": "rover_zero", "task": {"spawn": {"margin_m": 0.3}}},
         "walker": {"body": "person", "controller": "external"},
     }
-    simulation = new_simulation("flat", agents=agents)
+    simulation = started_simulation("flat", 1, agents=agents)
     one, other, wide, walker = (group.spawners for group in simulation.groups)
     assert one is other
     assert len({id(each) for each in (one, wide, walker)}) == 3

@@ -23,6 +23,7 @@ from simulations import act, every_engine, metric, observation, started_simulati
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
 from dune_rl.physics.motors import Motor, Servos, motor_power_w, servo_targets
+from dune_rl.robots.rover_zero.robot import RoverZeroDriveConf
 
 # A heavy box on the ground with an arm on a hinge, and a second arm beside it.
 ARM = """<?xml version="1.0"?><robot name="arm">
@@ -114,11 +115,31 @@ def test_plain_motors_need_no_look_at_each_physics_step(backend):
     np.testing.assert_allclose(*found, atol=1e-9)
 
 
+def test_full_torque_is_there_up_to_its_speed_and_falls_from_there():
+    motor = Motor("j", 6.0, full_torque_speed_radps=8.0, no_load_speed_radps=20.0)
+    limits = [motor.torque_limit_nm(30.0, speed) for speed in (0.0, 4.0, 8.0, 14.0, 20.0, 25.0)]
+    np.testing.assert_allclose(limits, [6.0, 6.0, 6.0, 3.0, 0.0, 0.0], atol=1e-12)
+    assert motor.torque_limit_nm(0.0, 14.0) == 6.0
+    constant = Motor("j", 6.0, full_torque_speed_radps=8.0)
+    assert constant.torque_limit_nm(30.0, 25.0) == 6.0
+
+
+def test_the_speed_of_full_torque_is_below_that_without_load():
+    with pytest.raises(ValueError, match="full_torque_speed_radps .* must be less than"):
+        RoverZeroDriveConf(full_torque_speed_radps=8.0, no_load_speed_radps=8.0)
+
+
 @every_backend
 def test_a_wheel_without_load_reaches_the_speed_where_friction_takes_all(backend):
     body = rover_body()
     motors = tuple(
-        replace(motor, max_torque_nm=2.0, no_load_speed_radps=10.0, gear_friction_nm=0.5)
+        replace(
+            motor,
+            max_torque_nm=2.0,
+            full_torque_speed_radps=0.0,
+            no_load_speed_radps=10.0,
+            gear_friction_nm=0.5,
+        )
         for motor in body.motors
     )
     stage = Stage(backend, robot=replace(body, motors=motors))

@@ -177,7 +177,7 @@ def drive_with_strength(backend, strength: float, slope: float = 0.0) -> tuple[D
 
 
 @every_backend
-@pytest.mark.parametrize("strength", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("strength", [0.3, 0.45, 1.0])
 def test_weak_motors_climb_as_fast_as_their_curve_says(backend, strength):
     slope = np.radians(20.0)
     drive, uphill = drive_with_strength(backend, strength, slope)
@@ -189,7 +189,8 @@ def test_weak_motors_climb_as_fast_as_their_curve_says(backend, strength):
     conf = RoverZeroConf().drive
     assert conf.no_load_speed_radps is not None
     torque = MASS_KG * GRAVITY_MPS2 * np.sin(slope) * WHEEL_RADIUS_M / 4
-    wheel_speed = strength * conf.no_load_speed_radps - torque * conf.no_load_speed_radps / conf.max_torque_nm
+    range_radps = conf.no_load_speed_radps - conf.full_torque_speed_radps
+    wheel_speed = strength * conf.no_load_speed_radps - torque * range_radps / conf.max_torque_nm
     expected = min(1.0, wheel_speed * WHEEL_RADIUS_M)
     # DART's joints bear on each other through the body: its curve is right within a tenth.
     speed = (drive.stage.position - start) @ uphill / (40 * STEP_S)
@@ -197,23 +198,27 @@ def test_weak_motors_climb_as_fast_as_their_curve_says(backend, strength):
 
 
 @every_backend
-def test_weak_motors_are_slower_on_the_flat_and_in_a_turn(backend):
-    speeds, rates = [], []
-    for strength in (0.5, 1.0):
+def test_weak_motors_are_slower_on_the_flat_and_in_curves(backend):
+    speeds = []
+    for strength in (0.3, 1.0):
         drive, _ = drive_with_strength(backend, strength)
         for _ in range(60):
             drive.step(1.0, 0.0)
         speeds.append(drive.stage.velocity[0])
-        drive, _ = drive_with_strength(backend, strength)
-        yaws = []
-        for _ in range(60):
-            drive.step(0.0, 1.57)
-            yaws.append(drive.stage.yaw)
-        rates.append((np.unwrap(yaws)[-1] - np.unwrap(yaws)[19]) / (40 * STEP_S))
     # 6 rad/s without load are 0.75 m/s.
     assert speeds[0] == pytest.approx(0.75, rel=allowed(backend, 0.05, 0.2))
     assert speeds[1] == pytest.approx(1.0, rel=0.03)
-    assert rates[0] < 0.8 * rates[1]
+    ways = []
+    for strength in (0.5, 0.7, 1.0):
+        drive, _ = drive_with_strength(backend, strength)
+        track = []
+        for step in range(60):
+            drive.step(0.8, 0.8 if step // 10 % 2 == 0 else -0.8)
+            track.append(drive.stage.position[:2])
+        ways.append(np.hypot(*np.diff(track, axis=0).T).sum())
+    # Tyres that scrub sideways take most of the torque.
+    assert ways[0] < 0.8 * ways[2]
+    assert ways[1] < 0.97 * ways[2]
 
 
 @every_backend

@@ -20,8 +20,8 @@ class RoverZeroDriveConf(SkidSteerConf):
 
     Its brushless motors have controllers that limit the current. The no-load speed is that of the maker's
     driver, which takes 2.5 m/s for full voltage without feedback. No torque is published: 6 N m, up to the
-    largest commanded speed of 1 m/s, are what tyres hold that carry up to half the rover's weight each, as they
-    do on rough ground. Gear friction and rotor inertia are part of these figures.
+    largest commanded speed of 1 m/s, are what a tyre holds that carries nearly half the rover's weight, as it
+    may on rough ground. Gear friction and rotor inertia are part of these figures.
     """
 
     full_torque_speed_radps: float = Field(8.0, ge=0.0)
