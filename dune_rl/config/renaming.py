@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dune_rl.errors import DuneWarning
@@ -83,12 +83,27 @@ _ROBOT = (
     _renaming("gait.careful_share", "gait.slow_speed_share"),
 )
 
+# By the kind of the sensor: those of `named` are found by theirs.
+_OF_SENSORS = {
+    "lidar": _angles("fov"),
+    "lidar_3d": _angles("fov", "lowest_elevation", "highest_elevation"),
+    "depth_strip": _angles("fov", "lowest_elevation", "highest_elevation"),
+    "camera": _angles("fov", "pitch"),
+}
+_SENSORS = tuple(
+    replace(each, old=f"{kind}.{each.old}", new=tuple(f"{kind}.{new}" for new in each.new))
+    for kind, renamings in _OF_SENSORS.items()
+    for each in renamings
+)
+
 # The renamed settings of each section of an environment's settings.
 RENAMED: Mapping[str, tuple[Renaming, ...]] = {
     "task": _TASK,
     "metrics": _METRICS,
     "robot": _ROBOT,
-    "sensors": (),
+    "sensors": _SENSORS,
+    "weather": _angles("light.sun_bearing", "light.sun_elevation"),
+    "randomisation": _angles("sun_bearing", "sun_elevation"),
 }
 
 
@@ -101,6 +116,11 @@ def rename_in_section(section: str, settings: Any, path: str, *, warn: bool) -> 
         return
     for each in RENAMED[section]:
         _move(settings, path, each, warn=warn)
+    named = settings.get("named") if section == "sensors" else None
+    for name, sensor in named.items() if isinstance(named, dict) else ():
+        if isinstance(sensor, dict):
+            for each in _OF_SENSORS.get(str(sensor.get("sensor", name)), ()):
+                _move(sensor, f"{path}.named.{name}", each, warn=warn)
 
 
 def put(data: dict[str, Any], path: str, value: Any) -> None:
