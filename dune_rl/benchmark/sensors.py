@@ -109,7 +109,7 @@ def _compare_camera(
 
     def render_theirs() -> None:
         for eye, turn in zip(eyes, rotation, strict=True):
-            reference.look(eye, turn[:, 0], settings.width, settings.height, settings.fov_rad)
+            reference.look(eye, turn[:, 0], settings.width, settings.height, settings.fov_deg)
 
     return _compare(conf, partial(camera.frames, position, rotation, no_neighbours), render_theirs)
 

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from dune_rl.config.checks import unique_lines, validate
 from dune_rl.config.expand import expand_options, merged
 from dune_rl.config.hydra_session import compose_config, hydra_session, present_groups, stated_keys, to_plain
-from dune_rl.config.migration import migrated, move_renamed
+from dune_rl.config.migration import copied, migrated, move_renamed
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
 from dune_rl.errors import ConfigError
@@ -150,7 +150,8 @@ def from_hydra(config: DictConfig) -> Conf:
     """The settings that Hydra composed for a job, which have been validated before."""
     data = to_plain(config)
     move_renamed(data, warn=False)
-    faults = expand_options(data, GlobalHydra.instance().config_loader())
+    faults = expand_options(data, GlobalHydra.instance().config_loader(), warn=False)
+    move_renamed(data, warn=False)
     return validate(Conf, data, faults)
 
 
@@ -182,8 +183,12 @@ def _validate_all(
 
     `set_in_python` are the sections that were set beside the overrides.
     """
+    # What a caller gave in Python stays as it is.
+    data = copied(data)
     move_renamed(data)
     faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
+    # The kind of a named sensor may be known only now, from an option.
+    move_renamed(data)
     if data.get("agents") is not None:
         overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
         for name in _SHORTHANDS:

@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import EXTERNAL, PERSON
 from dune_rl.config.overrides import option_names
+from dune_rl.config.renaming import rename_in_section
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
@@ -25,8 +26,8 @@ _OF_PERSONS = {"sensors": "walker", "task": "walking"}
 class _OptionReader:
     """The options of Hydra's groups and their settings, each read once."""
 
-    def __init__(self, loader: ConfigLoader) -> None:
-        self._loader = loader
+    def __init__(self, loader: ConfigLoader, warn: bool) -> None:
+        self._loader, self._warn = loader, warn
         self._names: dict[str, list[str]] = {}
         self._settings: dict[tuple[str, str], dict[str, Any]] = {}
 
@@ -41,13 +42,15 @@ class _OptionReader:
         if (group, name) not in self._settings:
             composed = OmegaConf.to_container(hydra_compose(f"{group}/{name}")[group], resolve=True)
             assert isinstance(composed, dict)
-            self._settings[group, name] = {str(key): value for key, value in composed.items()}
+            settings = {str(key): value for key, value in composed.items()}
+            rename_in_section(group, settings, group, warn=self._warn)
+            self._settings[group, name] = settings
         return merged(
             self._settings[group, name], {key: value for key, value in changes.items() if key != "name"}
         )
 
 
-def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
+def expand_options(data: dict[str, Any], loader: ConfigLoader, *, warn: bool = True) -> list[str]:
     """Put the settings of options in the place of their names in `data`; the faults in the names.
 
     A robot of `robots`, and a group's `body`, `sensors`, `task` and `metrics`,
@@ -56,9 +59,9 @@ def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     differs from those that it has otherwise (see `resolve_groups`), unless they
     have all settings, as in a saved run. A list of sensors is what is enabled,
     and a list of actors becomes groups. What has no known name is left out, so
-    that the rest is checked.
+    that the rest is checked. With `warn`, older names in the options' files are told.
     """
-    options = _OptionReader(loader)
+    options = _OptionReader(loader, warn)
     faults = _expand_robots(data, options)
     if isinstance(actors := data.get("actors"), Sequence) and not isinstance(actors, str):
         data["actors"] = groups_of_list(actors)

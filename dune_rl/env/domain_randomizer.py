@@ -49,8 +49,9 @@ class DomainRandomizer:
         """The values of an episode; a further `attempt` draws another world and leaves the rest alone."""
         values = []
         for name, distribution in self._distributions.items():
-            again = (attempt,) if attempt and PROPERTIES[name].world is not None else ()
-            rng = stream(seed, f"randomisation {name}", episode, *again)
+            drawn = PROPERTIES[name]
+            again = (attempt,) if attempt and drawn.world is not None else ()
+            rng = stream(seed, f"randomisation {drawn.stream or name}", episode, *again)
             values.append(distribution.draw(rng))
         return tuple(values)
 

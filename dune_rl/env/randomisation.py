@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-import numpy as np
 from pydantic import model_validator
 
 from dune_rl.env.distributions import Distribution, WholeNumbers
@@ -27,7 +26,8 @@ class Property:
 
     `world` and `weather` change settings, `traction` a scene's wheels before
     its robot is put down, and `body` the robot itself. `latency` is how late its
-    motors' commands are [s].
+    motors' commands are [s]. `stream` names its random numbers, by its former name where it had another, so
+    that a seed keeps its episodes; None: its own name.
     """
 
     limits: tuple[float, float]
@@ -36,6 +36,7 @@ class Property:
     traction: Callable[[Traction, int, float], None] | None = None
     body: Callable[[BodyVariation, float], BodyVariation] | None = None
     latency: bool = False
+    stream: str | None = None
 
 
 def _world_setting(name: str) -> Callable[[Any, float], Any]:
@@ -86,8 +87,12 @@ PROPERTIES: dict[str, Property] = {
     "layout_seed": Property((0, _LARGEST_SEED), world=_world_setting("layout_seed")),
     "friction": Property((0.01, 10.0), traction=_scale_friction),
     "stiffness": Property((0.01, 100.0), traction=_scale_stiffness),
-    "sun_bearing_rad": Property((-2 * np.pi, 2 * np.pi), weather=_light_setting("sun_bearing_rad")),
-    "sun_elevation_rad": Property((0.02, np.pi / 2), weather=_light_setting("sun_elevation_rad")),
+    "sun_bearing_deg": Property(
+        (-360.0, 360.0), weather=_light_setting("sun_bearing_deg"), stream="sun_bearing_rad"
+    ),
+    "sun_elevation_deg": Property(
+        (1.0, 90.0), weather=_light_setting("sun_elevation_deg"), stream="sun_elevation_rad"
+    ),
     "brightness": Property((0.01, 10.0), weather=_light_setting("brightness")),
     "mass": Property((0.1, 10.0), traction=_scale_load, body=_weigh),
     "centre_x_m": Property((-0.5, 0.5), body=_centre(0)),
@@ -121,8 +126,8 @@ class RandomisationConf(Settings):
     layout_seed: WholeNumbers | None = None
     friction: Distribution | None = None
     stiffness: Distribution | None = None
-    sun_bearing_rad: Distribution | None = None
-    sun_elevation_rad: Distribution | None = None
+    sun_bearing_deg: Distribution | None = None
+    sun_elevation_deg: Distribution | None = None
     brightness: Distribution | None = None
     mass: Distribution | None = None
     centre_x_m: Distribution | None = None
@@ -163,7 +168,7 @@ class RandomisationConf(Settings):
                 "randomisation.stiffness: the world's ground is rigid; say what it is made of "
                 "(world.surfaces=natural, or world.surface_map), or leave it null"
             )
-        for name in ("sun_bearing_rad", "sun_elevation_rad"):
+        for name in ("sun_bearing_deg", "sun_elevation_deg"):
             if name in self.drawn and weather.time_of_day_h is not None:
                 raise ValueError(
                     f"randomisation.{name}: weather.time_of_day_h={weather.time_of_day_h:g} says where the "

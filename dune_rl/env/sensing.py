@@ -69,7 +69,7 @@ def robot_carrier(robot: Robot) -> SensorCarrier:
         scanner_b=mounts.scanner_b,
         camera_b=mounts.camera_b,
         imu_b=mounts.imu_b,
-        camera_pitch_rad=float(np.deg2rad(mounts.camera_pitch_deg)),
+        camera_pitch_deg=mounts.camera_pitch_deg,
         standing_height_m=robot.standing_height_m,
         max_speed_mps=robot.max_speed_mps,
         num_joints=len(robot.body.drive_joints),

@@ -24,8 +24,8 @@ class LightConf(Settings):
     `brightness` scales the light of sun and sky.
     """
 
-    sun_bearing_rad: float = Field(2.2, ge=-2 * np.pi, le=2 * np.pi)
-    sun_elevation_rad: float = Field(0.75, ge=0.02, le=np.pi / 2)
+    sun_bearing_deg: float = Field(126.0, ge=-360.0, le=360.0)
+    sun_elevation_deg: float = Field(43.0, ge=1.0, le=90.0)
     shadows: bool = True
     sun_colour: tuple[Channel, Channel, Channel] = (1.0, 1.0, 1.0)
     brightness: float = Field(1.0, gt=0.0, le=10.0)
@@ -44,9 +44,8 @@ class Light:
     @classmethod
     def from_conf(cls, conf: LightConf) -> "Light":
         """The light of `conf`. A low sun is dimmer and redder, and so is the sky."""
-        height = np.sin(conf.sun_elevation_rad)
-        level = np.cos(conf.sun_elevation_rad)
-        bearing = conf.sun_bearing_rad
+        bearing, elevation = np.deg2rad([conf.sun_bearing_deg, conf.sun_elevation_deg])
+        height, level = np.sin(elevation), np.cos(elevation)
         # The light turns from red to white with the elevation, up to about 33 degrees.
         high = min(1.0, height / 0.55) ** 0.7
         tint = np.array(conf.sun_colour) / max(*conf.sun_colour, 1e-6)

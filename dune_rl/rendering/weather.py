@@ -43,8 +43,8 @@ class WeatherConf(Settings):
         """`light` with the sun's position of the time of day."""
         if self.time_of_day_h is None:
             return self.light
-        bearing, elevation = sun_position(self.time_of_day_h)
-        return self.light.model_copy(update={"sun_bearing_rad": bearing, "sun_elevation_rad": elevation})
+        bearing, elevation = np.rad2deg(sun_position(self.time_of_day_h)).tolist()
+        return self.light.model_copy(update={"sun_bearing_deg": bearing, "sun_elevation_deg": elevation})
 
 
 @dataclass(frozen=True, eq=False)

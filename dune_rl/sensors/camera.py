@@ -28,14 +28,14 @@ Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
 class CameraConf(LensConf):
     """Lens, mount and outputs. The defaults are the paper's: 64 by 64 pixels, 60 degrees, RGB.
 
-    `mount_b` is forward, left and up of the robot's origin [m]; `pitch_rad`
+    `mount_b` is forward, left and up of the robot's origin [m]; `pitch_deg`
     tilts the camera down. `range_m` is how far it sees, and the depth where
     nothing is seen.
     """
 
     outputs: tuple[Output, ...] = Field(("rgb",), min_length=1)
     mount_b: Mount = None
-    pitch_rad: float | None = Field(None, ge=-np.pi / 2, le=np.pi / 2)
+    pitch_deg: float | None = Field(None, ge=-90.0, le=90.0)
     range_m: float = Field(100.0, gt=0.0, le=10_000.0)
 
     @model_validator(mode="after")
@@ -71,7 +71,7 @@ class Camera:
         self._baked = baked
         self._meshes = columns_by_mesh(meshes)
         lens = Lens(conf)
-        pitch = conf.pitch_rad or 0.0
+        pitch = np.deg2rad(conf.pitch_deg or 0.0)
         cos, sin = np.cos(pitch), np.sin(pitch)
         self._tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
         self._directions = lens.directions.reshape(-1, 3)

@@ -250,6 +250,6 @@ def _mounted(conf: Any, kind: SensorKind | None, carrier: SensorCarrier) -> Any:
     if kind is not None and kind.mount is not None:
         values["mount_b"] = getattr(carrier, f"{kind.mount}_b")
     if kind is not None and kind.mount == "camera":
-        values["pitch_rad"] = carrier.camera_pitch_rad
+        values["pitch_deg"] = carrier.camera_pitch_deg
     missing = {key: value for key, value in values.items() if getattr(conf, key, value) is None}
     return conf.model_copy(update=missing)

@@ -20,7 +20,7 @@ class SensorCarrier:
     """The body that carries the sensors of a group.
 
     `scanner_b`, `camera_b` and `imu_b` are where it carries scanners, cameras and the inertial unit (forward,
-    left and up of its origin [m]), for sensors without a mount of their own; `camera_pitch_rad` tilts cameras
+    left and up of its origin [m]), for sensors without a mount of their own; `camera_pitch_deg` tilts cameras
     down. Its origin is `standing_height_m` above level ground. `num_joints` counts its motors' joints, and
     `drive` is the geometry of its wheels, None without wheels. `max_speed_mps` is its top speed.
     """
@@ -28,7 +28,7 @@ class SensorCarrier:
     scanner_b: Position
     camera_b: Position
     imu_b: Position
-    camera_pitch_rad: float = 0.0
+    camera_pitch_deg: float = 0.0
     standing_height_m: float = 0.0
     max_speed_mps: float = 10.0
     num_joints: int = 0

@@ -23,7 +23,7 @@ _CLEAR = ParticipatingMedia()
 
 
 class DepthStripConf(Settings):
-    """Columns side by side over `fov_rad`, each a fan of `rows` rays between two elevations; range and mount.
+    """Columns side by side over `fov_deg`, each a fan of `rows` rays between two elevations; range and mount.
 
     On level ground a ray below the horizon ends on the ground, which limits
     what its column can tell: the defaults keep that just out of range.
@@ -31,15 +31,15 @@ class DepthStripConf(Settings):
 
     columns: int = Field(32, ge=1, le=4096)
     rows: int = Field(4, ge=1, le=256)
-    fov_rad: float = Field(1.5, gt=0.0, le=2 * np.pi)
-    lowest_elevation_rad: float = Field(-0.06, ge=-np.pi / 2, le=np.pi / 2)
-    highest_elevation_rad: float = Field(0.24, ge=-np.pi / 2, le=np.pi / 2)
+    fov_deg: float = Field(86.0, gt=0.0, le=360.0)
+    lowest_elevation_deg: float = Field(-3.4, ge=-90.0, le=90.0)
+    highest_elevation_deg: float = Field(13.8, ge=-90.0, le=90.0)
     range_m: float = Field(5.0, gt=0.0, le=1_000.0)
     mount_b: Mount = None
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
-        check_elevations(self.lowest_elevation_rad, self.highest_elevation_rad, "rows", self.rows)
+        check_elevations(self.lowest_elevation_deg, self.highest_elevation_deg, "rows", self.rows)
         return self
 
 
@@ -65,8 +65,9 @@ class DepthStrip:
     ) -> None:
         self.conf, self._name = conf, name
         self._foliage = air.foliage
-        bearing = conf.fov_rad * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
-        elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.rows)
+        bearing = np.deg2rad(conf.fov_deg) * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
+        highest, lowest = np.deg2rad([conf.highest_elevation_deg, conf.lowest_elevation_deg])
+        elevation = np.linspace(highest, lowest, conf.rows)
         self._level = np.cos(elevation)[:, None].astype(np.float32)
         directions_b = fan(bearing, elevation).reshape(-1, 3)
         self._beams = Beams(directions_b, conf.mount_b, conf.range_m, solid, meshes)

@@ -23,7 +23,7 @@ _ROUNDS = 20
 class LensConf(Settings):
     """Size of the picture, projection, field of view and distortion.
 
-    `fov_rad` is the angle between the left and the right edge of the picture
+    `fov_deg` is the angle between the left and the right edge of the picture
     at half its height, distortion included. `distortion` holds OpenCV's
     coefficients: k1, k2, p1, p2, k3 of a `pinhole`, k1 to k4 of a `fisheye`
     (equidistant); those left out are 0.
@@ -32,15 +32,15 @@ class LensConf(Settings):
     width: int = Field(64, ge=1, le=8192)
     height: int = Field(64, ge=1, le=8192)
     projection: Literal["pinhole", "fisheye"] = "pinhole"
-    fov_rad: float = Field(1.047, ge=0.01, le=np.pi)
+    fov_deg: float = Field(60.0, ge=0.5, le=180.0)
     distortion: tuple[float, ...] = Field((), max_length=5)
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
-        if self.projection == "pinhole" and np.rad2deg(self.fov_rad) > _WIDEST_PINHOLE_DEG + 1e-6:
+        if self.projection == "pinhole" and self.fov_deg > _WIDEST_PINHOLE_DEG:
             raise ValueError(
-                f"fov_rad of a pinhole must be at most {np.deg2rad(_WIDEST_PINHOLE_DEG):.3f} "
-                f"({_WIDEST_PINHOLE_DEG:g} degrees; got {self.fov_rad:g}); projection=fisheye reaches farther"
+                f"fov_deg of a pinhole must be at most {_WIDEST_PINHOLE_DEG:g} (got {self.fov_deg:g}); "
+                "projection=fisheye reaches farther"
             )
         if self.projection == "fisheye" and len(self.distortion) > 4:
             raise ValueError(f"distortion of a fisheye has at most 4 numbers (got {len(self.distortion)})")
@@ -58,6 +58,7 @@ class Lens:
 
     def __init__(self, conf: LensConf) -> None:
         self.conf = conf
+        self._fov_rad = float(np.deg2rad(conf.fov_deg))
         self._k = np.array([*conf.distortion, *[0.0] * (5 - len(conf.distortion))])
         # Radii at ever larger angles, as far as they grow: beyond that the picture would fold over.
         angle = np.linspace(0.0, _LARGEST_RAD[conf.projection], _TABLE_SIZE)
@@ -66,10 +67,10 @@ class Lens:
         shrinks = np.flatnonzero(np.diff(seen) <= 0.0)
         end = int(shrinks[0]) + 1 if len(shrinks) else _TABLE_SIZE
         self._angle, self._plain, self._seen = angle[:end], plain[:end], seen[:end]
-        if conf.fov_rad / 2 > self._angle[-1]:
+        if self._fov_rad / 2 > self._angle[-1]:
             raise ValueError(self._fold())
         # The centre is half a pixel from the grid's middle lines, and the edge half a width from it.
-        self.focal_px = conf.width / 2 / float(np.interp(conf.fov_rad / 2, self._angle, self._seen))
+        self.focal_px = conf.width / 2 / float(np.interp(self._fov_rad / 2, self._angle, self._seen))
         self._fit_decentred()
         self.look(np.array([[0.0, 0.0], [conf.width, 0.0], [0.0, conf.height], [conf.width, conf.height]]))
 
@@ -83,7 +84,7 @@ class Lens:
         def excess(focal_px: float) -> float:
             self.focal_px = focal_px
             left, right = self.look(edges)
-            return float(np.arccos(np.clip(left @ right, -1.0, 1.0))) - self.conf.fov_rad
+            return float(np.arccos(np.clip(left @ right, -1.0, 1.0))) - self._fov_rad
 
         # A longer focal length sees less; one that is too short may fold.
         low = high = plain
@@ -157,11 +158,11 @@ class Lens:
         conf = self.conf
         if not any(conf.distortion):
             return (
-                f"a picture of {conf.width} by {conf.height} pixels at fov_rad={conf.fov_rad:g} reaches "
-                f"beyond {np.rad2deg(self._angle[-1]):.0f} degrees from its axis; lessen fov_rad or height"
+                f"a picture of {conf.width} by {conf.height} pixels at fov_deg={conf.fov_deg:g} reaches "
+                f"beyond {np.rad2deg(self._angle[-1]):.0f} degrees from its axis; lessen fov_deg or height"
             )
         return (
             f"distortion {list(conf.distortion)} folds the picture over "
             f"{np.rad2deg(self._angle[-1]):.0f} degrees from its axis, which "
-            f"{conf.width} by {conf.height} pixels at fov_rad={conf.fov_rad:g} reach; lessen one of them"
+            f"{conf.width} by {conf.height} pixels at fov_deg={conf.fov_deg:g} reach; lessen one of them"
         )

@@ -27,7 +27,7 @@ class LidarConf(Settings):
     n_segments: int = Field(32, ge=1, le=16_384)
     range_m: float = Field(12.0, gt=0.0, le=1_000.0)
     min_range_m: float = Field(0.1, ge=0.0)
-    fov_rad: float = Field(2 * np.pi, gt=0.0, le=2 * np.pi)
+    fov_deg: float = Field(360.0, gt=0.0, le=360.0)
     mount_b: Mount = None
 
     @model_validator(mode="after")
@@ -43,7 +43,7 @@ class LidarConf(Settings):
 
 def beam_angles(conf: LidarConf) -> Array:
     """Bearing of every beam in the sensor frame [rad], shape (n_beams,): `bearings` of its field of view."""
-    return bearings(conf.fov_rad, conf.n_beams)
+    return bearings(float(np.deg2rad(conf.fov_deg)), conf.n_beams)
 
 
 def bearings(fov_rad: float, count: int) -> Array:
@@ -65,13 +65,13 @@ def fan(bearing: Array, elevation: Array) -> Array:
     return np.stack(axes, axis=-1)
 
 
-def check_elevations(lowest_rad: float, highest_rad: float, name: str, count: int) -> None:
+def check_elevations(lowest_deg: float, highest_deg: float, name: str, count: int) -> None:
     """Raise ValueError unless both can bound a fan of `count` elevations, which the setting `name` tells."""
-    sound = lowest_rad < highest_rad if count > 1 else lowest_rad == highest_rad
+    sound = lowest_deg < highest_deg if count > 1 else lowest_deg == highest_deg
     if not sound:
         rule = "must be less than" if count > 1 else "must equal"
         raise ValueError(
-            f"lowest_elevation_rad ({lowest_rad:g}) {rule} highest_elevation_rad ({highest_rad:g}) "
+            f"lowest_elevation_deg ({lowest_deg:g}) {rule} highest_elevation_deg ({highest_deg:g}) "
             f"where {name}={count}"
         )
 

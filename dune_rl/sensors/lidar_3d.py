@@ -45,18 +45,18 @@ class Lidar3dConf(Settings):
 
     n_rings: int = Field(16, ge=1, le=256)
     n_beams: int = Field(512, ge=1, le=16_384)
-    lowest_elevation_rad: float = Field(-0.262, ge=-np.pi / 2, le=np.pi / 2)
-    highest_elevation_rad: float = Field(0.262, ge=-np.pi / 2, le=np.pi / 2)
+    lowest_elevation_deg: float = Field(-15.0, ge=-90.0, le=90.0)
+    highest_elevation_deg: float = Field(15.0, ge=-90.0, le=90.0)
     range_m: float = Field(30.0, gt=0.0, le=1_000.0)
     min_range_m: float = Field(0.1, ge=0.0)
-    fov_rad: float = Field(2 * np.pi, gt=0.0, le=2 * np.pi)
+    fov_deg: float = Field(360.0, gt=0.0, le=360.0)
     half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0)
     mount_b: Mount = None
     outputs: tuple[Lidar3dOutput, ...] = Field(("range",), min_length=1)
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
-        check_elevations(self.lowest_elevation_rad, self.highest_elevation_rad, "n_rings", self.n_rings)
+        check_elevations(self.lowest_elevation_deg, self.highest_elevation_deg, "n_rings", self.n_rings)
         if self.min_range_m >= self.range_m:
             raise ValueError(f"min_range_m ({self.min_range_m}) must be less than range_m ({self.range_m})")
         if len(set(self.outputs)) < len(self.outputs):
@@ -98,8 +98,11 @@ class Lidar3d:
         self._solid, self._surface = solid, surface
         self._groups = columns_by_mesh(meshes)
         self._brightness = [luminance(mesh.shape.albedo) for mesh, _ in self._groups]
-        elevation = np.linspace(conf.highest_elevation_rad, conf.lowest_elevation_rad, conf.n_rings)
-        directions = fan(bearings(conf.fov_rad, conf.n_beams), elevation).reshape(-1, 3)
+        highest, lowest, fov = np.deg2rad(
+            [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
+        )
+        elevation = np.linspace(highest, lowest, conf.n_rings)
+        directions = fan(bearings(fov, conf.n_beams), elevation).reshape(-1, 3)
         self._directions_b = directions.astype(np.float32)
         self._order = np.arange(len(self._directions_b))
         limits_m = (conf.min_range_m, conf.range_m)

@@ -21,10 +21,11 @@ class PastScan:
         self._conf = conf
         self._ends_w = np.zeros((delay_steps + 1, num_rows, conf.n_beams, 3), np.float32)
         self._newest = 0
+        fov_rad = np.deg2rad(conf.fov_deg)
         # Half a beam before the first, so that each beam lies in the middle of its share.
-        self._first_rad = np.float32(-conf.fov_rad / 2 - conf.fov_rad / conf.n_beams / 2)
-        self._per_rad = np.float32(conf.n_segments / conf.fov_rad)
-        self._full_circle = bool(np.isclose(conf.fov_rad, 2 * np.pi))
+        self._first_rad = np.float32(-fov_rad / 2 - fov_rad / conf.n_beams / 2)
+        self._per_rad = np.float32(conf.n_segments / fov_rad)
+        self._full_circle = bool(np.isclose(fov_rad, 2 * np.pi))
         self._limits = np.float32(conf.min_range_m), np.float32(conf.range_m)
 
     def restart(self, mask: NDArray[np.bool_], ends_w: Array | Floats) -> None:

@@ -180,7 +180,7 @@ def _draw_height_scan(axes: Axes, reading: NDArray[Any], conf: Any, label: str) 
 
 
 def _draw_depth_strip(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    width = np.rad2deg(conf.fov_rad) / len(reading)
+    width = conf.fov_deg / len(reading)
     to_the_right = (len(reading) / 2 - np.arange(len(reading)) - 0.5) * width
     _style(axes, f"{label}, seen from inside")
     axes.bar(to_the_right, reading, width=width * 0.9, color=_COOL)
@@ -205,8 +205,9 @@ def _draw_scans(
     axes.set_title(f"{label}, ahead is up", color=_INK, fontsize=11, loc="left")
     for ranges, colour, opacity, when in ((past, _COOL, 0.45, "past"), (now, _WARM, 0.9, "now")):
         if ranges is not None:
-            width = conf.fov_rad / len(ranges)
-            bearing = -conf.fov_rad / 2 + (np.arange(len(ranges)) + 0.5) * width
+            fov_rad = np.deg2rad(conf.fov_deg)
+            width = fov_rad / len(ranges)
+            bearing = -fov_rad / 2 + (np.arange(len(ranges)) + 0.5) * width
             hit = ranges < conf.range_m * 0.999
             axes.bar(
                 bearing[hit], 0.35, width=width * 0.92, bottom=ranges[hit] - 0.18, color=colour,

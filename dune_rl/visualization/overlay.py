@@ -92,12 +92,13 @@ def _draw_scan(
         # Ahead is up, left is left.
         return float(centre[0] - r * np.sin(bearing)), float(centre[1] - r * np.cos(bearing))
 
-    half = lidar.fov_rad / len(ranges) / 2
+    fov_rad = np.deg2rad(lidar.fov_deg)
+    half = fov_rad / len(ranges) / 2
     for index, distance in enumerate(ranges):
         if distance >= range_m * 0.999:
             continue
         # Segments are ordered counter-clockwise.
-        bearing = -lidar.fov_rad / 2 + (2 * index + 1) * half
+        bearing = -fov_rad / 2 + (2 * index + 1) * half
         draw.line(
             [at(float(distance), bearing - half * 0.9), at(float(distance), bearing + half * 0.9)],
             fill=_RETURN,

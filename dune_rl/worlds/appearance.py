@@ -16,6 +16,8 @@ from dune_rl.worlds.ground_texture import ground_texture, ground_texture_from_pi
 from dune_rl.worlds.world import Prop, World
 
 _LIGHTS_CACHED = 4
+# The lights that nobody has chosen: the default, and that of saved runs from when it was 2.2 and 0.75 rad.
+_UNSET_LIGHTS = (LightConf(), LightConf(sun_bearing_deg=126.050714929, sun_elevation_deg=42.971834635))
 
 
 def build_scenery(world: World) -> Scenery:
@@ -75,7 +77,7 @@ def _ground_albedo(world: World) -> NDArray[np.float32]:
 
 def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
     """`weather`, with the world's own sun if it has one and the weather does not set one."""
-    if world.light is None or weather.time_of_day_h is not None or weather.light != LightConf():
+    if world.light is None or weather.time_of_day_h is not None or weather.light not in _UNSET_LIGHTS:
         return weather
     return weather.model_copy(update={"light": world.light})
 

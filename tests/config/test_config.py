@@ -62,8 +62,8 @@ NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
 WORLDS = RandomisationConf(
     world_seed=Integers(low=1000, high=1_000_000),
     friction=LogUniform(low=0.6, high=1.25),
-    sun_bearing_rad=Uniform(low=-3.1415, high=3.1415),
-    sun_elevation_rad=Uniform(low=0.25, high=1.3),
+    sun_bearing_deg=Uniform(low=-180.0, high=180.0),
+    sun_elevation_deg=Uniform(low=14.0, high=74.0),
     brightness=LogUniform(low=0.7, high=1.4),
 )
 BODY = RandomisationConf(
@@ -129,7 +129,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),
     ("task", "walking"): walking_task(),
     ("weather", "clear"): WeatherConf(),
-    ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_rad=3.4, sun_elevation_rad=0.1)),
+    ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_deg=195.0, sun_elevation_deg=6.0)),
     ("weather", "dust"): WeatherConf(dust_visibility_m=30.0),
     ("weather", "fog"): WeatherConf(fog_visibility_m=50.0),
     ("world", "construction"): ConstructionConf(),

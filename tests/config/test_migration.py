@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from dune_rl.config.compose import compose, compose_environment, compose_evaluation
-from dune_rl.config.migration import RENAMED, migrated
+from dune_rl.config.migration import migrated
+from dune_rl.config.renaming import RENAMED
 from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneWarning
 from dune_rl.tasks.task import TaskConf

@@ -198,7 +198,7 @@ def test_worlds_and_weather_are_those_drawn() -> None:
         expected = build_world(IslandConf(seed=int(drawn["world_seed"][scene]), grass_cover=0.3))
         assert np.array_equal(simulation.worlds.worlds[scene].terrain.heights, expected.terrain.heights)
         light = simulation.worlds.appearances[scene].weather.light
-        assert light.sun_bearing_rad == drawn["sun_bearing_rad"][scene]
+        assert light.sun_bearing_deg == drawn["sun_bearing_deg"][scene]
     simulation.close()
 
 
@@ -389,8 +389,8 @@ def test_without_randomisation_nothing_more_is_told() -> None:
         ),
         (
             "island",
-            ["randomisation.sun_bearing_rad=[0,1]", "weather.time_of_day_h=9"],
-            "randomisation.sun_bearing_rad: weather.time_of_day_h=9 says where the sun stands; set one of "
+            ["randomisation.sun_bearing_deg=[0,60]", "weather.time_of_day_h=9"],
+            "randomisation.sun_bearing_deg: weather.time_of_day_h=9 says where the sun stands; set one of "
             "them to null",
         ),
     ],

@@ -56,7 +56,7 @@ def look(camera: Camera, position=STANDING, rotation=LEVEL, actors=()) -> dict[s
 
 def pinhole_directions(conf: CameraConf) -> np.ndarray:
     """Forward, left and up (height, width, 3) through each pixel's middle, forward being 1."""
-    focal_px = conf.width / 2 / np.tan(conf.fov_rad / 2)
+    focal_px = conf.width / 2 / np.tan(np.deg2rad(conf.fov_deg) / 2)
     row, column = np.mgrid[0 : conf.height, 0 : conf.width] + 0.5
     across, upward = (conf.width / 2 - column) / focal_px, (conf.height / 2 - row) / focal_px
     return np.stack([np.ones_like(across), across, upward], axis=-1)

@@ -1,7 +1,5 @@
 """Settings of sensors that stand where rover_zero carries them."""
 
-import numpy as np
-
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.depth_strip import DepthStripConf
@@ -26,8 +24,7 @@ def depth_strip_conf(**settings: object) -> DepthStripConf:
 
 
 def camera_conf(**settings: object) -> CameraConf:
-    pitch_rad = float(np.deg2rad(MOUNTS.camera_pitch_deg))
-    return CameraConf(**{"mount_b": MOUNTS.camera_b, "pitch_rad": pitch_rad, **settings})
+    return CameraConf(**{"mount_b": MOUNTS.camera_b, "pitch_deg": MOUNTS.camera_pitch_deg, **settings})
 
 
 def imu_conf(**settings: object) -> ImuConf:

@@ -27,7 +27,7 @@ ISLANDS: dict[str, Any] = {
     "randomisation": {
         "world_seed": [1, 2, 3],
         "friction": [0.4, 1.2],
-        "sun_bearing_rad": {"name": "choice", "values": [0.0, 2.0]},
+        "sun_bearing_deg": {"name": "choice", "values": [0.0, 115.0]},
     },
 }
 YARDS: dict[str, Any] = {
@@ -39,7 +39,7 @@ YARDS: dict[str, Any] = {
 EVENINGS: dict[str, Any] = {
     "world": "island",
     "sensors": {"enabled": ["camera", "lidar_3d", "goal"], **SMALL},
-    "randomisation": {"sun_elevation_rad": [0.1, 1.0], "brightness": [0.5, 1.5]},
+    "randomisation": {"sun_elevation_deg": [6.0, 57.0], "brightness": [0.5, 1.5]},
 }
 # Another body in one world.
 BODIES: dict[str, Any] = {

@@ -91,7 +91,7 @@ def test_a_picture_painted_in_parts_is_the_same(monkeypatch):
 @pytest.mark.parametrize("moves", [False, True])
 def test_a_shadow_falls_on_the_side_away_from_the_sun(bearing, moves):
     # A metre high, under a sun of 45 degrees, a shadow reaches a metre beyond the box.
-    light = {"sun_bearing_rad": bearing, "sun_elevation_rad": np.pi / 4}
+    light = {"sun_bearing_deg": np.rad2deg(bearing), "sun_elevation_deg": 45.0}
     props = () if moves else (box(0.0, 0.0, 0.5, 0.5, 1.0),)
     bodies = [body(0.0, 0.0, 0.5)] if moves else []
     picture = painter(*props, **light).render(ABOVE, *SIZE, bodies)
@@ -112,13 +112,13 @@ def test_a_lower_sun_makes_longer_shadows_and_none_are_made_where_none_are_wante
     post = box(0.0, 0.0, 0.4, 0.4, 1.0)
 
     def at_two_metres(**light) -> float:
-        picture = painter(post, sun_bearing_rad=np.pi, **light).render(ABOVE, *SIZE)
-        bare = painter(sun_bearing_rad=np.pi, **light).render(ABOVE, *SIZE)
+        picture = painter(post, sun_bearing_deg=180.0, **light).render(ABOVE, *SIZE)
+        bare = painter(sun_bearing_deg=180.0, **light).render(ABOVE, *SIZE)
         return brightness_at(picture, ABOVE, [2.0, 0.0, 0.0]) / brightness_at(bare, ABOVE, [2.0, 0.0, 0.0])
 
-    assert at_two_metres(sun_elevation_rad=0.3) < 0.85
-    assert at_two_metres(sun_elevation_rad=0.9) > 0.95
-    assert at_two_metres(sun_elevation_rad=0.3, shadows=False) > 0.95
+    assert at_two_metres(sun_elevation_deg=17.0) < 0.85
+    assert at_two_metres(sun_elevation_deg=52.0) > 0.95
+    assert at_two_metres(sun_elevation_deg=17.0, shadows=False) > 0.95
 
 
 def test_more_samples_agree_in_the_mean_and_smooth_the_edges():
@@ -149,7 +149,7 @@ def test_water_reflects_the_sky():
 def test_a_body_is_where_it_stands_and_hides_behind_walls():
     wall = box(0.0, 0.0, 0.3, 6.0, 2.0)
     # The sun stands behind the eye, so that the shadow falls behind the wall as well.
-    view, light = Viewpoint((-6.0, 0.0, 1.0), (0.0, 0.0, 1.0)), {"sun_bearing_rad": np.pi}
+    view, light = Viewpoint((-6.0, 0.0, 1.0), (0.0, 0.0, 1.0)), {"sun_bearing_deg": 180.0}
     one = painter(wall, **light)
     empty = one.render(view, *SIZE)
     np.testing.assert_array_equal(one.render(view, *SIZE, [body(1.5, 0.0, 0.5)]), empty)

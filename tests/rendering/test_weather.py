@@ -289,8 +289,8 @@ def test_settings_saved_before_there_was_weather_have_none():
         ("weather.fog_colour=[1,1,2]", "weather.fog_colour.2 must be at most 1.0 (got 2)"),
         ("weather.time_of_day_h=3", "weather.time_of_day_h must be at least 6.25 (got 3)"),
         (
-            "weather.light.sun_elevation_rad=0",
-            "weather.light.sun_elevation_rad must be at least 0.02 (got 0)",
+            "weather.light.sun_elevation_deg=0",
+            "weather.light.sun_elevation_deg must be at least 1.0 (got 0)",
         ),
         ("weather=hail", "there is no weather 'hail'; choose clear, dusk, dust or fog"),
     ],

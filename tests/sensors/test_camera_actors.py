@@ -29,7 +29,7 @@ def test_an_actor_is_in_the_right_pixels_at_the_right_depth(x, y, yaw):
     camera = camera_in(PLAIN, (PERSON,), width=64, height=64)
     found = look(camera, actors=[(x, y, 0.0, yaw)])
     rows, columns = np.nonzero(actor_pixels(found))
-    focal_px = 32 / np.tan(1.047 / 2)
+    focal_px = 32 / np.tan(np.deg2rad(60.0) / 2)
     ahead = x - EYE[0]
     # The left edge of the silhouette is a tangent to the circle.
     bearing, half = np.arctan2(y, ahead), np.arcsin(0.25 / np.hypot(ahead, y))
@@ -102,14 +102,14 @@ def test_actors_out_of_the_picture_or_out_of_range_are_not_drawn():
 
 @settings(max_examples=60)
 @given(
-    st.sampled_from([("pinhole", 1.0), ("pinhole", 2.7), ("fisheye", 1.0), ("fisheye", np.pi)]),
+    st.sampled_from([("pinhole", 57.0), ("pinhole", 155.0), ("fisheye", 57.0), ("fisheye", 180.0)]),
     st.floats(-4, 4),
     st.floats(-4, 4),
     st.floats(-2, 2),
     st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1),
 )
 def test_no_pixel_of_an_actor_is_left_out(lens, x, y, z, quaternion):
-    conf = {"projection": lens[0], "fov_rad": lens[1], "width": 24, "height": 18}
+    conf = {"projection": lens[0], "fov_deg": lens[1], "width": 24, "height": 18}
     camera = camera_in(PLAIN, (PERSON,), **conf)
     rotation = rotation_matrices(np.array(quaternion) / np.linalg.norm(quaternion))
     found = look(camera, STANDING, rotation, [(x, y, z, 1.0)])
@@ -130,7 +130,7 @@ def test_no_pixel_of_an_actor_is_left_out(lens, x, y, z, quaternion):
 
 def test_feet_beside_the_camera_are_seen_though_their_owner_is_behind():
     # It looks straight down from 0.3 m, and the person's middle is well above it.
-    camera = camera_in(PLAIN, (PERSON,), pitch_rad=np.pi / 2, mount_b=(0.0, 0.0, 0.175), height=32)
+    camera = camera_in(PLAIN, (PERSON,), pitch_deg=90.0, mount_b=(0.0, 0.0, 0.175), height=32)
     rows, _ = np.nonzero(actor_pixels(look(camera, actors=[(0.3, 0.0, 0.0, 0.0)])))
     assert len(rows) > 10
     assert rows.max() < 4

@@ -61,7 +61,7 @@ def test_decks_and_water_are_told_apart_from_obstacles():
 
 def test_solar_panels_look_blue_and_the_ground_does_not():
     world = build_world(InspectionConf(seed=3))
-    camera = camera_in(world, width=16, height=16, pitch_rad=np.pi / 2, mount_b=(0.0, 0.0, 0.0), fov_rad=0.3)
+    camera = camera_in(world, width=16, height=16, pitch_deg=90.0, mount_b=(0.0, 0.0, 0.0), fov_deg=17.0)
     panels = [prop for prop in world.props if prop.name.endswith("panel")]
     assert len(panels) == 5
     for panel in panels:
@@ -77,7 +77,7 @@ def test_solar_panels_look_blue_and_the_ground_does_not():
     assert blue < min(red, green)
 
 
-SUN_BEHIND = {"sun_bearing_rad": np.pi, "sun_elevation_rad": 0.3}
+SUN_BEHIND = {"sun_bearing_deg": 180.0, "sun_elevation_deg": 17.0}
 # On the left a high screen keeps the sun, which stands behind the camera, from half of the wall ahead.
 WALL: Box = (4.0, 0.0, 0.0, 0.4, 6.0, 1.0)
 SCREEN: Box = (-4.0, 4.0, 0.0, 0.2, 8.0, 6.0)
@@ -108,16 +108,16 @@ def test_a_wall_in_shadow_is_darker_than_one_in_the_sun():
 
 def test_a_wall_that_faces_the_sun_is_brighter_than_its_back():
     def brightness(bearing: float) -> float:
-        light = LightConf(sun_bearing_rad=bearing, sun_elevation_rad=0.3)
+        light = LightConf(sun_bearing_deg=bearing, sun_elevation_deg=17.0)
         found = look(camera_in(with_boxes(WALL), light=light))
         return found["grey"][found["segmentation"] == Segment.OBSTACLE].mean()
 
-    assert brightness(0.0) < brightness(2.2) < brightness(np.pi)
+    assert brightness(0.0) < brightness(126.0) < brightness(180.0)
 
 
 def test_a_lower_sun_is_redder():
     def warmth(elevation: float) -> float:
-        light = Light.from_conf(LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=elevation))
+        light = Light.from_conf(LightConf(sun_bearing_deg=180.0, sun_elevation_deg=elevation))
         camera = Camera(
             camera_conf(width=16, height=12),
             BakedScenery(build_scenery(with_boxes(WALL)), light),
@@ -126,4 +126,4 @@ def test_a_lower_sun_is_redder():
         red, _, blue = look(camera)["rgb"][6].mean(axis=0)
         return red / blue
 
-    assert warmth(0.05) > 1.2 * warmth(0.9)
+    assert warmth(3.0) > 1.2 * warmth(52.0)

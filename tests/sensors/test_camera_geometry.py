@@ -32,7 +32,7 @@ def pitched(pitch: float) -> np.ndarray:
 
 def worked_out(conf: CameraConf, position, rotation, boxes: list[Box]) -> dict[str, np.ndarray]:
     """Depth, segments and normals of boxes on a plain, by slabs."""
-    axes = rotation @ pitched(conf.pitch_rad)
+    axes = rotation @ pitched(np.deg2rad(conf.pitch_deg))
     origin = position + rotation @ conf.mount_b
     ray = pinhole_directions(conf) @ axes.T
     # Along such rays, which are 1 forward, how far one goes is the depth.
@@ -68,17 +68,17 @@ def agree(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None
     np.testing.assert_allclose(found["normals"][same], expected["normals"][same], atol=1e-5)
 
 
-@pytest.mark.parametrize("pitch", [0.0, 0.2, -0.3, np.pi / 2])
+@pytest.mark.parametrize("pitch_deg", [0.0, 11.0, -17.0, 90.0])
 @pytest.mark.parametrize(
     ("x", "y", "yaw", "roll", "nose_down"),
     [(0.0, 0.0, 0.0, 0.0, 0.0), (-1.0, 2.0, 0.7, 0.1, 0.2), (1.5, -2.0, -2.9, -0.3, -0.1)],
 )
-def test_boxes_stand_in_the_picture_where_geometry_says(x, y, yaw, roll, nose_down, pitch):
+def test_boxes_stand_in_the_picture_where_geometry_says(x, y, yaw, roll, nose_down, pitch_deg):
     boxes: list[Box] = [AHEAD, (-3.0, 4.0, 0.6, 2.0, 0.3, 0.7), (1.0, 3.0, 0.2, 1.0, 1.0, 1.0)]
     boxes.append((0.0, -6.0, 1.2, 3.0, 3.0, 2.5))
     rotation = turned(yaw) @ pitched(nose_down) @ rotation_matrices(about([1, 0, 0], roll))
     position = np.array([x, y, 0.125])
-    camera = camera_in(with_boxes(*boxes), pitch_rad=pitch, fov_rad=1.4)
+    camera = camera_in(with_boxes(*boxes), pitch_deg=pitch_deg, fov_deg=80.0)
     found = look(camera, position, rotation)
     expected = worked_out(camera.conf, position, rotation, boxes)
     agree(found, expected)
@@ -94,7 +94,7 @@ def test_a_camera_looks_from_its_mount(mount):
     )
     agree(look(camera, STANDING, rotation), worked_out(camera.conf, STANDING, rotation, [AHEAD]))
     # Straight down, every pixel is as deep as the mount is high.
-    down = look(camera_in(PLAIN, mount_b=mount, pitch_rad=np.pi / 2))
+    down = look(camera_in(PLAIN, mount_b=mount, pitch_deg=90.0))
     np.testing.assert_allclose(down["depth"], 0.125 + mount[2], rtol=1e-5)
 
 
@@ -102,7 +102,7 @@ def test_a_box_ahead_is_as_deep_as_it_is_far_at_every_pixel():
     found = look(camera_in(with_boxes(AHEAD)))
     box = found["segmentation"][..., 0] == Segment.OBSTACLE
     rows, columns = np.nonzero(box)
-    focal_px = 16 / np.tan(1.047 / 2)
+    focal_px = 16 / np.tan(np.deg2rad(60.0) / 2)
     # Its front is 4.8 m ahead, 1 m to either side, from 0.3 m below the camera to 0.7 m above.
     aside, above, below = (focal_px * reach / 4.8 for reach in (1.0, 0.7, 0.3))
     assert (columns.min(), columns.max()) == (round(16 - aside), round(16 + aside) - 1)
@@ -128,11 +128,11 @@ def test_where_nothing_is_seen_all_outputs_say_so():
 
 
 def test_a_fisheye_s_depth_is_the_range():
-    conf = {"projection": "fisheye", "fov_rad": 2.6, "width": 33, "height": 33}
+    conf = {"projection": "fisheye", "fov_deg": 150.0, "width": 33, "height": 33}
     camera = camera_in(with_boxes(AHEAD), **conf)
     found = look(camera)
     row, column = np.mgrid[0:33, 0:33] - 16.0
-    angle, turn = np.hypot(row, column) * 2.6 / 33, np.arctan2(-row, -column)
+    angle, turn = np.hypot(row, column) * np.deg2rad(150.0) / 33, np.arctan2(-row, -column)
     direction = np.stack([np.cos(angle), np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn)], axis=-1)
     box, ground = (found["segmentation"][..., 0] == each for each in (Segment.OBSTACLE, Segment.GROUND))
     assert box[16, 16] and box.sum() > 5
@@ -144,8 +144,8 @@ def test_a_fisheye_s_depth_is_the_range():
 
 def test_a_camera_s_pitch_is_the_rover_s():
     world = with_boxes(AHEAD)
-    tilted = look(camera_in(world, pitch_rad=0.3))
-    rotation = pitched(0.3)
+    tilted = look(camera_in(world, pitch_deg=17.0))
+    rotation = pitched(np.deg2rad(17.0))
     mount = np.array(camera_conf().mount_b)
     leaning = look(camera_in(world), STANDING + mount - rotation @ mount, rotation)
     for name in ("depth", "normals"):

@@ -23,8 +23,9 @@ STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
 NOBODY = np.zeros((1, 0, 4))
 PERSON = PersonConf()
-# The middles of 32 columns over 1.5 rad.
-BEARINGS = 1.5 * ((np.arange(32) + 0.5) / 32 - 0.5)
+# The middles of 32 columns over 86 degrees, and the lowest elevation.
+BEARINGS = np.deg2rad(86.0) * ((np.arange(32) + 0.5) / 32 - 0.5)
+LOWEST = np.deg2rad(-3.4)
 
 
 def strip_in(
@@ -61,7 +62,7 @@ def test_depth_is_level_whichever_ray_meets_the_wall():
     # Only the upper rays reach a wall that hangs over the ground.
     found = depths(strip_in(world))
     np.testing.assert_allclose(found[12:20], (2.9 - 0.174) / np.cos(BEARINGS[12:20]), rtol=1e-4)
-    level = depths(strip_in(world, rows=1, lowest_elevation_rad=0.0, highest_elevation_rad=0.0))
+    level = depths(strip_in(world, rows=1, lowest_elevation_deg=0.0, highest_elevation_deg=0.0))
     np.testing.assert_array_equal(level, np.float32(5.0))
 
 
@@ -69,7 +70,7 @@ def test_a_low_step_is_seen_by_the_lowest_row():
     step = Prop("step", "box", *upright_box((2.5, 0.0), 0.0, -0.1, 0.24, 0.4, 20.0))
     world = World("test", build_flat(FlatConf()).terrain, [step], region=(-4, 4, -4, 4))
     found = depths(strip_in(world))
-    # 2.126 m ahead, the lowest ray is 0.321 - 2.126 tan 0.06 = 0.193 m over the ground.
+    # 2.126 m ahead, the lowest ray is 0.321 - 2.126 tan 3.4° = 0.195 m over the ground.
     np.testing.assert_allclose(found[15:17], 2.3 - 0.174, atol=0.01)
 
 
@@ -84,12 +85,12 @@ def test_columns_run_counter_clockwise():
 def test_one_column_looks_ahead_and_a_full_circle_repeats_none():
     world = flat_with((2.0, 0.0, 0.0, 0.4, 0.4))
     assert depths(strip_in(world, columns=1))[0] == pytest.approx(1.8 - 0.174, abs=1e-3)
-    round_about = strip_in(flat_with((-2.0, 0.0, 0.0, 0.4, 0.4)), columns=4, fov_rad=2 * np.pi)
+    round_about = strip_in(flat_with((-2.0, 0.0, 0.0, 0.4, 0.4)), columns=4, fov_deg=360.0)
     # Columns look 135 degrees to the right, 45 to the right, 45 and 135 to the left.
     spots = [(-1.5, -1.5), (1.5, -1.5), (1.5, 1.5), (-1.5, 1.5)]
     for column, (x, y) in enumerate(spots):
         world = flat_with((x + 0.174, y, 0.0, 0.6, 0.6))
-        found = depths(strip_in(world, columns=4, fov_rad=2 * np.pi))
+        found = depths(strip_in(world, columns=4, fov_deg=360.0))
         assert np.flatnonzero(found < 5.0).tolist() == [column]
     np.testing.assert_array_equal(depths(round_about), np.float32(5.0))
 
@@ -100,8 +101,8 @@ def test_a_rover_that_dips_its_nose_sees_the_ground():
     mast = 0.125 - np.sin(0.2) * 0.174 + np.cos(0.2) * 0.196
     # In the middle, rays that fall by 0.2 and by their own elevation: the lowest is the nearest.
     bearing = BEARINGS[16]
-    down = np.sin(0.2) * np.cos(-0.06) * np.cos(bearing) - np.cos(0.2) * np.sin(-0.06)
-    assert found[16] == pytest.approx(mast / down * np.cos(0.06), rel=1e-3)
+    down = np.sin(0.2) * np.cos(LOWEST) * np.cos(bearing) - np.cos(0.2) * np.sin(LOWEST)
+    assert found[16] == pytest.approx(mast / down * np.cos(LOWEST), rel=1e-3)
 
 
 def test_people_are_seen_and_the_nearest_counts():
@@ -162,11 +163,11 @@ def test_whatever_the_pose_depths_are_within_range(position, quaternion, actor):
         ({"columns": 0}, r"columns[\s\S]*greater than or equal to 1"),
         ({"rows": 0}, r"rows[\s\S]*greater than or equal to 1"),
         ({"range_m": -5.0}, r"range_m[\s\S]*greater than 0"),
-        ({"fov_rad": 0.0}, r"fov_rad[\s\S]*greater than 0"),
-        ({"lowest_elevation_rad": -2.0}, r"lowest_elevation_rad[\s\S]*greater than or equal to -1.57"),
-        ({"highest_elevation_rad": 2.0}, r"highest_elevation_rad[\s\S]*less than or equal to 1.57"),
-        ({"highest_elevation_rad": -0.06}, r"lowest_elevation_rad \(-0.06\) must be less than"),
-        ({"rows": 1}, r"must equal highest_elevation_rad \(0.24\) where rows=1"),
+        ({"fov_deg": 0.0}, r"fov_deg[\s\S]*greater than 0"),
+        ({"lowest_elevation_deg": -91.0}, r"lowest_elevation_deg[\s\S]*greater than or equal to -90"),
+        ({"highest_elevation_deg": 91.0}, r"highest_elevation_deg[\s\S]*less than or equal to 90"),
+        ({"highest_elevation_deg": -3.4}, r"lowest_elevation_deg \(-3.4\) must be less than"),
+        ({"rows": 1}, r"must equal highest_elevation_deg \(13.8\) where rows=1"),
     ],
 )
 def test_faulty_settings_are_refused(wrong, message):

@@ -119,7 +119,7 @@ def test_a_depth_strip_ends_in_it():
     world = ahead_world()
     solid = world.solid_mesh()
     static = RayScene(solid.vertices, solid.faces)
-    conf = depth_strip_conf(fov_rad=6.28, columns=32)
+    conf = depth_strip_conf(fov_deg=359.8, columns=32)
     bare, seen = (
         DepthStrip(conf, static, (), 1, air).depths(STANDING, LEVEL, NOBODY)[0]
         for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))

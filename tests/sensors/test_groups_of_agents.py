@@ -46,7 +46,7 @@ CARRIER = SensorCarrier(
     scanner_b=(0.1, 0.05, 0.2),
     camera_b=(0.2, 0.0, 0.3),
     imu_b=(0.1, -0.1, 0.05),
-    camera_pitch_rad=0.1,
+    camera_pitch_deg=6.0,
     standing_height_m=0.12,
     num_joints=WHEELS,
     drive=DriveGeometry(0.12, 0.4, (0, 2), (1, 3)),
@@ -56,7 +56,13 @@ SMALL = {
     "lidar_3d": {"outputs": ["range", "intensity", "segmentation"], "n_rings": 4, "n_beams": 24},
     "named": {
         "bare_ground": {"sensor": "height_scan", "source": "terrain"},
-        "rear": {"sensor": "camera", "width": 6, "height": 4, "pitch_rad": 0.3, "realism": "raspberry_pi_v2"},
+        "rear": {
+            "sensor": "camera",
+            "width": 6,
+            "height": 4,
+            "pitch_deg": 17.0,
+            "realism": "raspberry_pi_v2",
+        },
     },
 }
 KINDS = (

@@ -58,11 +58,11 @@ def edge_to_edge(lens: Lens) -> float:
 
 
 @pytest.mark.parametrize(("width", "height"), [(4, 3), (7, 5), (1, 1), (16, 12)])
-@pytest.mark.parametrize("fov_rad", [0.3, 1.047, 2.9])
-def test_a_pinhole_looks_through_a_plane(width, height, fov_rad):
-    directions = Lens(LensConf(width=width, height=height, fov_rad=fov_rad)).directions
+@pytest.mark.parametrize("fov_deg", [17.0, 60.0, 166.0])
+def test_a_pinhole_looks_through_a_plane(width, height, fov_deg):
+    directions = Lens(LensConf(width=width, height=height, fov_deg=fov_deg)).directions
     assert directions.shape == (height, width, 3)
-    focal_px = width / 2 / np.tan(fov_rad / 2)
+    focal_px = width / 2 / np.tan(np.deg2rad(fov_deg) / 2)
     for row in range(height):
         for column in range(width):
             through = np.array([focal_px, width / 2 - column - 0.5, height / 2 - row - 0.5])
@@ -70,15 +70,15 @@ def test_a_pinhole_looks_through_a_plane(width, height, fov_rad):
 
 
 @pytest.mark.parametrize(("width", "height"), [(4, 3), (7, 5), (16, 12)])
-@pytest.mark.parametrize("fov_rad", [0.3, 1.047, np.pi])
-def test_a_fisheye_s_angle_from_the_axis_grows_evenly(width, height, fov_rad):
-    conf = LensConf(width=width, height=height, projection="fisheye", fov_rad=fov_rad)
+@pytest.mark.parametrize("fov_deg", [17.0, 60.0, 180.0])
+def test_a_fisheye_s_angle_from_the_axis_grows_evenly(width, height, fov_deg):
+    conf = LensConf(width=width, height=height, projection="fisheye", fov_deg=fov_deg)
     directions = Lens(conf).directions
     for row in range(height):
         for column in range(width):
             away_px = np.array([width / 2 - column - 0.5, height / 2 - row - 0.5])
             far_px = np.linalg.norm(away_px)
-            angle = far_px * fov_rad / width
+            angle = far_px * np.deg2rad(fov_deg) / width
             expected = [np.cos(angle), *(np.sin(angle) * away_px / max(far_px, 1e-9))]
             np.testing.assert_allclose(directions[row, column], expected, atol=1e-6)
 
@@ -88,7 +88,7 @@ def test_a_fisheye_s_angle_from_the_axis_grows_evenly(width, height, fov_rad):
     [
         {},
         {"distortion": (-0.2, 0.05, 0.0, 0.0, 0.01)},
-        {"projection": "fisheye", "fov_rad": 3.0, "distortion": (-0.02, 0.003)},
+        {"projection": "fisheye", "fov_deg": 172.0, "distortion": (-0.02, 0.003)},
     ],
 )
 def test_the_picture_is_symmetric_about_its_centre(settings):
@@ -103,7 +103,7 @@ def test_the_picture_is_symmetric_about_its_centre(settings):
     np.testing.assert_array_equal(Lens(LensConf(width=9, height=5, **settings)).directions[2, 4], [1, 0, 0])
 
 
-@pytest.mark.parametrize("fov_rad", [0.3, 1.2, 2.8])
+@pytest.mark.parametrize("fov_deg", [17.0, 69.0, 160.0])
 @pytest.mark.parametrize("size", [(8, 8), (64, 48), (20, 30)])
 @pytest.mark.parametrize(
     ("projection", "distortion"),
@@ -116,15 +116,17 @@ def test_the_picture_is_symmetric_about_its_centre(settings):
         ("fisheye", (-0.02, 0.003, -0.0002, 0.00001)),
     ],
 )
-def test_the_field_of_view_spans_edge_to_edge_distortion_included(projection, distortion, size, fov_rad):
+def test_the_field_of_view_spans_edge_to_edge_distortion_included(projection, distortion, size, fov_deg):
     conf = LensConf(
-        width=size[0], height=size[1], projection=projection, fov_rad=fov_rad, distortion=distortion
+        width=size[0], height=size[1], projection=projection, fov_deg=fov_deg, distortion=distortion
     )
-    assert edge_to_edge(Lens(conf)) == pytest.approx(fov_rad, abs=2e-6)
+    assert edge_to_edge(Lens(conf)) == pytest.approx(np.deg2rad(fov_deg), abs=2e-6)
 
 
 def test_the_field_of_view_spans_edge_to_edge_off_centre_lenses_included():
-    assert edge_to_edge(Lens(LensConf(distortion=(0.0, 0.0, 0.0, 0.03)))) == pytest.approx(1.047, abs=1e-4)
+    assert edge_to_edge(Lens(LensConf(distortion=(0.0, 0.0, 0.0, 0.03)))) == pytest.approx(
+        np.pi / 3, abs=1e-4
+    )
 
 
 # -- distortion ---------------------------------------------------------------------------------------
@@ -149,7 +151,7 @@ def scattered(rng: np.random.Generator, widest_rad: float, count: int = 200) -> 
     ],
 )
 def test_a_pinhole_s_distortion_is_opencv_s(coefficients):
-    lens = Lens(LensConf(width=64, height=40, fov_rad=0.9, distortion=coefficients))
+    lens = Lens(LensConf(width=64, height=40, fov_deg=52.0, distortion=coefficients))
     points = scattered(np.random.default_rng(0), 0.55)
     expected = opencv_pinhole(points, *coefficients) * lens.focal_px + [32.0, 20.0]
     np.testing.assert_allclose(lens.project(in_camera_frame(points)), expected, atol=1e-9)
@@ -157,7 +159,7 @@ def test_a_pinhole_s_distortion_is_opencv_s(coefficients):
 
 @pytest.mark.parametrize("coefficients", [(), (-0.05,), (0.03, -0.004), (-0.02, 0.003, -0.0004, 0.00003)])
 def test_a_fisheye_s_distortion_is_opencv_s(coefficients):
-    lens = Lens(LensConf(width=64, height=40, projection="fisheye", fov_rad=2.8, distortion=coefficients))
+    lens = Lens(LensConf(width=64, height=40, projection="fisheye", fov_deg=160.0, distortion=coefficients))
     points = scattered(np.random.default_rng(1), 1.7)
     expected = opencv_fisheye(points, *coefficients) * lens.focal_px + [32.0, 20.0]
     np.testing.assert_allclose(lens.project(in_camera_frame(points)), expected, atol=1e-9)
@@ -188,15 +190,15 @@ def test_what_lies_behind_a_pinhole_appears_nowhere():
     st.sampled_from(["pinhole", "fisheye"]),
     st.integers(1, 300),
     st.integers(1, 300),
-    st.floats(0.05, 1.2),
+    st.floats(3.0, 69.0),
     st.lists(st.floats(-0.02, 0.02), max_size=4),
     st.floats(0.0, 1.0),
     st.floats(0.0, 1.0),
 )
-def test_what_a_pixel_sees_is_shown_in_that_pixel(projection, width, height, fov_rad, distortion, x, y):
+def test_what_a_pixel_sees_is_shown_in_that_pixel(projection, width, height, fov_deg, distortion, x, y):
     # Of wide fields and tall pictures the upper edge would lie too far out.
     width, height = max(width, height), min(width, height)
-    conf = LensConf(width=width, height=height, projection=projection, fov_rad=fov_rad, distortion=distortion)
+    conf = LensConf(width=width, height=height, projection=projection, fov_deg=fov_deg, distortion=distortion)
     lens = Lens(conf)
     at = np.array([x * width, y * height])
     direction = lens.look(at)
@@ -206,9 +208,9 @@ def test_what_a_pixel_sees_is_shown_in_that_pixel(projection, width, height, fov
 
 def test_a_strong_distortion_is_undone_all_over_the_picture():
     for conf in (
-        LensConf(width=64, height=48, fov_rad=1.2, distortion=(-0.3, 0.1, 0.002, -0.001, -0.01)),
-        LensConf(width=64, height=48, fov_rad=2.6, distortion=(0.05,)),
-        LensConf(width=64, height=48, fov_rad=np.pi, projection="fisheye", distortion=(-0.02, 0.003)),
+        LensConf(width=64, height=48, fov_deg=69.0, distortion=(-0.3, 0.1, 0.002, -0.001, -0.01)),
+        LensConf(width=64, height=48, fov_deg=149.0, distortion=(0.05,)),
+        LensConf(width=64, height=48, fov_deg=180.0, projection="fisheye", distortion=(-0.02, 0.003)),
     ):
         lens = Lens(conf)
         rows, columns = np.mgrid[0:48, 0:64] + 0.5
@@ -236,19 +238,19 @@ def focal(distortion: tuple[float, ...]) -> float:
     ("camera", "message"),
     [
         (
-            {"fov_rad": 3.0},
-            "sensors.camera: fov_rad of a pinhole must be at most 2.967 (170 degrees; got 3); "
+            {"fov_deg": 172.0},
+            "sensors.camera: fov_deg of a pinhole must be at most 170 (got 172); "
             "projection=fisheye reaches farther",
         ),
         (
             {"distortion": [-0.5]},
             "sensors.camera: distortion [-0.5] folds the picture over 39 degrees from its axis, "
-            "which 64 by 64 pixels at fov_rad=1.047 reach; lessen one of them",
+            "which 64 by 64 pixels at fov_deg=60 reach; lessen one of them",
         ),
         (
-            {"projection": "fisheye", "fov_rad": 3.0, "distortion": [-0.2]},
+            {"projection": "fisheye", "fov_deg": 172.0, "distortion": [-0.2]},
             "sensors.camera: distortion [-0.2] folds the picture over 74 degrees from its axis, "
-            "which 64 by 64 pixels at fov_rad=3 reach; lessen one of them",
+            "which 64 by 64 pixels at fov_deg=172 reach; lessen one of them",
         ),
         (
             {"projection": "fisheye", "distortion": [0, 0, 0, 0, 0]},
@@ -263,7 +265,7 @@ def focal(distortion: tuple[float, ...]) -> float:
             "sensors.camera.width must be at least 1 (got 0)\n"
             "sensors.camera.height must be at least 1 (got -1)",
         ),
-        ({"fov_rad": 0.0}, "sensors.camera.fov_rad must be at least 0.01 (got 0.0)"),
+        ({"fov_deg": 0.0}, "sensors.camera.fov_deg must be at least 0.5 (got 0.0)"),
         ({"projection": "round"}, "sensors.camera.projection must be one of pinhole, fisheye (got 'round')"),
         ({"outputs": []}, "sensors.camera.outputs must be a list of at least 1 (got [])"),
         ({"range_m": 0}, "sensors.camera.range_m must be above 0.0 (got 0)"),
@@ -276,24 +278,24 @@ def test_impossible_lenses_are_refused_in_words(camera, message):
 
 
 def test_a_pinhole_reaches_170_degrees_and_no_farther():
-    assert edge_to_edge(Lens(LensConf(fov_rad=np.deg2rad(170.0)))) == pytest.approx(np.deg2rad(170.0))
+    assert edge_to_edge(Lens(LensConf(fov_deg=170.0))) == pytest.approx(np.deg2rad(170.0))
     with pytest.raises(ValidationError, match="projection=fisheye reaches farther"):
-        camera_conf(fov_rad=np.deg2rad(170.1))
+        camera_conf(fov_deg=170.1)
     # Half of all there is to see.
-    assert edge_to_edge(Lens(LensConf(fov_rad=np.pi, projection="fisheye"))) == pytest.approx(np.pi)
+    assert edge_to_edge(Lens(LensConf(fov_deg=180.0, projection="fisheye"))) == pytest.approx(np.pi)
 
 
 def test_a_distortion_is_refused_just_where_it_folds():
     # 1 + 3 k1 r² = 0 is where the radius stops to grow; a corner is √2 farther out than an edge.
     def sound(k1: float) -> bool:
         try:
-            LensConf(width=8, height=8, fov_rad=1.0, distortion=(k1,))
+            LensConf(width=8, height=8, fov_deg=57.0, distortion=(k1,))
         except ValidationError as error:
             assert "folds the picture" in str(error)
             return False
         return True
 
-    edge = np.tan(0.5)
+    edge = np.tan(np.deg2rad(57.0) / 2)
 
     def corner_reachable(k1: float) -> bool:
         top = np.sqrt(-1.0 / (3.0 * k1))

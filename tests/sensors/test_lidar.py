@@ -66,7 +66,7 @@ def test_a_full_circle_leaves_out_its_last_beam():
 
 
 def test_part_of_a_circle_has_beams_at_both_ends():
-    angles = beam_angles(lidar_conf(n_beams=5, n_segments=5, fov_rad=2.0))
+    angles = beam_angles(lidar_conf(n_beams=5, n_segments=5, fov_deg=np.rad2deg(2.0)))
     np.testing.assert_allclose(angles, [-1.0, -0.5, 0.0, 0.5, 1.0])
 
 

@@ -58,7 +58,7 @@ def scan(
 def test_its_level_ring_is_the_planar_lidar():
     world = build_inspection(InspectionConf(seed=2))
     actors = (PERSON, PersonConf(radius_m=0.4))
-    conf = lidar_conf(n_beams=180, n_segments=180, range_m=20.0, fov_rad=4.0)
+    conf = lidar_conf(n_beams=180, n_segments=180, range_m=20.0, fov_deg=230.0)
     planar = lidar_in(world, actors, conf)
     rings = lidar_3d_in(
         world,
@@ -66,9 +66,9 @@ def test_its_level_ring_is_the_planar_lidar():
         n_rings=3,
         n_beams=180,
         range_m=20.0,
-        fov_rad=4.0,
-        lowest_elevation_rad=-0.2,
-        highest_elevation_rad=0.2,
+        fov_deg=230.0,
+        lowest_elevation_deg=-11.0,
+        highest_elevation_deg=11.0,
     )
     rng = np.random.default_rng(0)
     for _ in range(10):
@@ -100,7 +100,7 @@ def test_the_first_ring_is_the_highest_and_beams_run_counter_clockwise():
 def test_rings_below_the_horizon_meet_the_ground_where_geometry_says(pitch):
     rotation = rotation_matrices(about([0, 1, 0], pitch))
     found = scan(lidar_3d_in(build_flat(FlatConf())), np.array([0.4, 0.7, 0.125]), rotation)
-    elevation = np.linspace(0.262, -0.262, 16)[:, None]
+    elevation = np.deg2rad(np.linspace(15.0, -15.0, 16))[:, None]
     bearing = (-np.pi + 2 * np.pi / 512 * np.arange(512))[None]
     x, z = np.cos(elevation) * np.cos(bearing), np.sin(elevation)
     down = x * np.sin(pitch) - z * np.cos(pitch)
@@ -185,7 +185,7 @@ def test_people_are_seen_at_their_pose_of_that_instant():
         offset = np.array([x, y]) - [0.174, 0.0]
         towards = np.arctan2(offset[1], offset[0])
         assert np.abs(bearing - towards).max() <= np.arcsin(0.25 / np.linalg.norm(offset)) + 1e-6
-        level = found["range"][at] * np.cos(np.linspace(0.262, -0.262, 16)[at[0]])
+        level = found["range"][at] * np.cos(np.deg2rad(np.linspace(15.0, -15.0, 16))[at[0]])
         assert level.min() == pytest.approx(np.linalg.norm(offset) - 0.25, abs=0.01)
         assert (found["intensity"][at] > 0.0).any()
         assert found["intensity"].max() < 1.0
@@ -239,7 +239,7 @@ def test_scenes_are_independent_and_only_those_that_begin_scan_anew():
 
 
 def test_readings_have_the_shapes_and_types_of_their_bounds():
-    lidar = lidar_3d_in(build_flat(FlatConf()), scenes=2, n_rings=4, n_beams=30, fov_rad=2.0)
+    lidar = lidar_3d_in(build_flat(FlatConf()), scenes=2, n_rings=4, n_beams=30, fov_deg=115.0)
     bounds = lidar.bounds()
     assert list(bounds) == ["lidar_3d_range", "lidar_3d_intensity", "lidar_3d_segmentation"]
     measure(lidar, state_at(np.stack([STANDING] * 2), np.zeros(2)))
@@ -280,14 +280,14 @@ _LUMPY = lidar_3d_in(flat_with((2.0, 1.0, 0.3, 1.0, 1.0)), (PERSON,), n_beams=64
         ({"range_m": -1.0}, r"range_m[\s\S]*greater than 0"),
         ({"min_range_m": -0.1}, r"min_range_m[\s\S]*greater than or equal to 0"),
         ({"min_range_m": 30.0}, r"min_range_m \(30.0\) must be less than range_m \(30.0\)"),
-        ({"fov_rad": 7.0}, r"fov_rad[\s\S]*less than or equal to 6.28"),
-        ({"lowest_elevation_rad": -1.6}, r"lowest_elevation_rad[\s\S]*greater than or equal to -1.57"),
-        ({"highest_elevation_rad": 1.6}, r"highest_elevation_rad[\s\S]*less than or equal to 1.57"),
+        ({"fov_deg": 361.0}, r"fov_deg[\s\S]*less than or equal to 360"),
+        ({"lowest_elevation_deg": -91.0}, r"lowest_elevation_deg[\s\S]*greater than or equal to -90"),
+        ({"highest_elevation_deg": 91.0}, r"highest_elevation_deg[\s\S]*less than or equal to 90"),
         (
-            {"lowest_elevation_rad": 0.3},
-            r"lowest_elevation_rad \(0.3\) must be less than highest_elevation_rad \(0.262\)",
+            {"lowest_elevation_deg": 17.0},
+            r"lowest_elevation_deg \(17\) must be less than highest_elevation_deg \(15\)",
         ),
-        ({"n_rings": 1}, r"must equal highest_elevation_rad \(0.262\) where n_rings=1"),
+        ({"n_rings": 1}, r"must equal highest_elevation_deg \(15\) where n_rings=1"),
         ({"half_intensity_m": 0.0}, r"half_intensity_m[\s\S]*greater than 0"),
         ({"outputs": ()}, r"outputs[\s\S]*at least 1"),
         ({"outputs": ("range", "colour")}, r"'range', 'intensity' or 'segmentation'"),

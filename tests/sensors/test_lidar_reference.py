@@ -129,11 +129,11 @@ class Site:
         conf = camera.conf
         # The buffer's float32 steps grow with the square of the depth: 6e-5 m at 10 m with this near plane.
         near, far = 0.1, conf.range_m
-        tilt = rotation_matrices(about([0, 1, 0], conf.pitch_rad))
+        tilt = rotation_matrices(about([0, 1, 0], np.deg2rad(conf.pitch_deg)))
         ahead, _, up = (rotation @ tilt).T
         eye = camera.origin(position[None], rotation[None])[0]
         view = pybullet.computeViewMatrix(eye.tolist(), (eye + ahead).tolist(), up.tolist())
-        half = near * np.tan(conf.fov_rad / 2)
+        half = near * np.tan(np.deg2rad(conf.fov_deg) / 2)
         # It takes a pixel's value at its lower left corner, not at its centre.
         shift = half / conf.width
         window = [-half + shift, half + shift] * 2
@@ -201,7 +201,7 @@ def test_the_rings_are_pybullet_s(site):
     rays = RayScene(solid.vertices, solid.faces)
     lidar = Lidar3d(conf, rays, beam_surface(site.world), meshes_of(PEOPLE), 1)
     elevation, bearing = np.meshgrid(
-        np.linspace(0.262, -0.262, 16), -np.pi + 2 * np.pi / 512 * np.arange(512), indexing="ij"
+        np.deg2rad(np.linspace(15.0, -15.0, 16)), -np.pi + 2 * np.pi / 512 * np.arange(512), indexing="ij"
     )
     beams_b = np.stack(
         [np.cos(elevation) * np.cos(bearing), np.cos(elevation) * np.sin(bearing), np.sin(elevation)], axis=-1
@@ -222,7 +222,7 @@ def test_the_rings_are_pybullet_s(site):
 
 
 def test_the_camera_s_depths_are_pybullet_s(site):
-    conf = camera_conf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_rad=0.1)
+    conf = camera_conf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_deg=6.0)
     look = bake_world(site.world, LightConf())
     camera = Camera(conf, look, meshes_of(PEOPLE))
     upward = np.array([[0.0, 0.0, 1.0]], np.float32)

@@ -98,7 +98,7 @@ def test_it_is_as_old_as_asked_for_and_no_older_than_its_episode():
 
 
 def test_half_a_circle_does_not_wrap_round():
-    conf = lidar_conf(n_beams=64, n_segments=16, fov_rad=np.pi)
+    conf = lidar_conf(n_beams=64, n_segments=16, fov_deg=180.0)
     lidar = lidar_in(flat_with(*WALLS), conf=conf)
     past = PastScan(conf, 1, 1)
     past.restart(ALL, sensed(lidar, STANDING, turned(0.0))[1])

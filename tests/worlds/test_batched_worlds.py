@@ -19,7 +19,7 @@ from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.world import World
 
-CLEAR, LOW_SUN = WeatherConf(), WeatherConf(light=LightConf(sun_elevation_rad=0.2))
+CLEAR, LOW_SUN = WeatherConf(), WeatherConf(light=LightConf(sun_elevation_deg=11.0))
 # Of five scenes: two share the first world, two the third.
 ORDER = (2, 0, 2, 1, 0)
 
@@ -185,7 +185,7 @@ def test_scenes_that_look_alike_share_a_look(islands: list[World]) -> None:
 
 
 def test_another_light_on_a_known_world_is_that_of_a_new_one() -> None:
-    light = LightConf(sun_bearing_rad=-1.0, sun_elevation_rad=0.3, brightness=0.8)
+    light = LightConf(sun_bearing_deg=-57.0, sun_elevation_deg=17.0, brightness=0.8)
     known, new = (build_island(IslandConf(seed=4)) for _ in range(2))
     before = bake_world(known, LightConf()).ground.copy()
     relit, fresh = bake_world(known, light), bake_world(new, light)

@@ -180,7 +180,7 @@ def test_colours_lights_and_friction(tmp_path):
     assert world.props[0].colour == pytest.approx((0.9, 0.1, 0.1), abs=1e-5)
     assert world.friction == 0.7
     assert world.light is not None
-    assert (world.light.sun_bearing_rad, world.light.sun_elevation_rad) == pytest.approx((0.0, np.pi / 4))
+    assert (world.light.sun_bearing_deg, world.light.sun_elevation_deg) == pytest.approx((0.0, 45.0))
     assert not world.light.shadows
     assert build(tmp_path, PLANE.format(surface=MU.format(0.7)), friction=0.4).friction == 0.4
     assert build(tmp_path, GROUND).friction == 1.0

@@ -122,7 +122,7 @@ def test_a_kept_world_is_the_built_one(tmp_path: Path, name: str, counted: list[
 def test_looks_are_kept_beside_worlds(
     tmp_path: Path, conf: WorldSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    light = LightConf(sun_bearing_rad=1.0)
+    light = LightConf(sun_bearing_deg=57.0)
     fresh = bake_world(build(conf), light)
     store = WorldStore(tmp_path)
     assert not store.is_kept(conf, seen=True)

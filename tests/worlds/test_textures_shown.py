@@ -28,7 +28,7 @@ RED, GREEN, BLUE, YELLOW = (
     np.array(colour) / 255.0 for colour in [(220, 40, 40), (40, 180, 60), (40, 70, 210), (230, 200, 40)]
 )
 # The sun behind who looks along x, without shadows.
-BEHIND = LightConf(sun_bearing_rad=np.pi, sun_elevation_rad=0.5, shadows=False)
+BEHIND = LightConf(sun_bearing_deg=180.0, sun_elevation_deg=29.0, shadows=False)
 SIGN_FOOT = float(ground_height(np.array(SIGN)))
 
 
@@ -57,7 +57,7 @@ def test_a_picture_shows_a_sign_upright_and_the_right_way_round(yard):
 
 
 def test_a_camera_shows_it_too(yard):
-    conf = camera_conf(outputs=("rgb",), width=64, height=48, fov_rad=0.6, mount_b=(0.0, 0.0, 0.0))
+    conf = camera_conf(outputs=("rgb",), width=64, height=48, fov_deg=34.0, mount_b=(0.0, 0.0, 0.0))
     camera = Camera(conf, bake_world(yard, BEHIND), ())
     # Of two scenes, the first looks away.
     turned = np.stack([np.diag([-1.0, -1.0, 1.0]), np.eye(3)])
@@ -194,7 +194,7 @@ def test_a_file_s_sun_shines_unless_the_weather_says_where_its_own_is(tmp_path):
     world = in_sun(tmp_path)
     light = bake_in_weather(world, WeatherConf()).light
     np.testing.assert_allclose(light.to_sun, [0.5**0.5, 0.0, 0.5**0.5], atol=1e-6)
-    plain = bake_world(world, LightConf(sun_bearing_rad=0.0, sun_elevation_rad=np.pi / 4)).light
+    plain = bake_world(world, LightConf(sun_bearing_deg=0.0, sun_elevation_deg=45.0)).light
     np.testing.assert_allclose(light.sun, plain.sun * [1.0, 0.5, 0.25], rtol=1e-5)
     fog = with_own_sun(world, WeatherConf(fog_visibility_m=20.0))
     assert fog.light == world.light

@@ -57,11 +57,11 @@ class BulletReference:
         """Cast rays from `origins` to `ends`, at most 16,383."""
         pybullet.rayTestBatch(origins, ends, physicsClientId=self._client)
 
-    def look(self, eye: Array, ahead: Array, width: int, height: int, fov_rad: float) -> None:
+    def look(self, eye: Array, ahead: Array, width: int, height: int, fov_deg: float) -> None:
         """Render an image with PyBullet's software renderer, without shadows."""
         target = np.asarray(eye) + np.asarray(ahead)
         view = pybullet.computeViewMatrix(list(eye), target.tolist(), [0.0, 0.0, 1.0])
-        lens = pybullet.computeProjectionMatrixFOV(np.rad2deg(fov_rad), width / height, 0.05, 100.0)
+        lens = pybullet.computeProjectionMatrixFOV(fov_deg, width / height, 0.05, 100.0)
         pybullet.getCameraImage(
             width,
             height,

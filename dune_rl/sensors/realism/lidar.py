@@ -55,7 +55,7 @@ class BeamFaults:
         self._conf, self._name = conf, name
         self._limits_m, self._count = (lidar.min_range_m, lidar.range_m), lidar.n_beams
         angles = beam_angles(lidar)
-        self._full_circle = bool(np.isclose(lidar.fov_rad, 2 * np.pi))
+        self._full_circle = bool(np.isclose(lidar.fov_deg, 360.0))
         apart = float(angles[1] - angles[0]) if len(angles) > 1 else 0.0
         # Beams so far apart tell nothing of what lies between them.
         self._slanted = 0.0 < apart < np.pi / 4 and len(angles) > 2

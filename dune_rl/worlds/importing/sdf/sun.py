@@ -20,8 +20,8 @@ def parse_sun(element: Element, turn: NDArray[np.float64], report: ImportReport)
         report.warn("its directional light does not come from above and is left out")
         return None
     return LightConf(
-        sun_bearing_rad=float(np.arctan2(to_sun[1], to_sun[0])),
-        sun_elevation_rad=float(np.clip(np.arcsin(to_sun[2] / length), 0.02, np.pi / 2)),
+        sun_bearing_deg=float(np.rad2deg(np.arctan2(to_sun[1], to_sun[0]))),
+        sun_elevation_deg=float(np.clip(np.rad2deg(np.arcsin(to_sun[2] / length)), 1.0, 90.0)),
         shadows=(element.findtext("cast_shadows") or "true").strip() in ("true", "1"),
         sun_colour=_colour(element, report),
     )
