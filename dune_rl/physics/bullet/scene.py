@@ -1,7 +1,7 @@
 """The PyBullet backend."""
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -136,23 +136,36 @@ class BulletScene:
             robot.begin_step(count)
         self._kinematics.begin_step(poses, near)
         watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
-        if not watched and not forces:
+        if watched or forces:
+            self._step_watching(count, watched, forces, near)
+        else:
             self.step_passive(count)
-            self._kinematics.end_step()
-            return
+        self._kinematics.end_step()
+
+    def _step_watching(
+        self,
+        count: int,
+        watched: Sequence[BulletRobot],
+        forces: Mapping[int, Sequence[float]],
+        near: Sequence[int],
+    ) -> None:
+        """Advance by `count` physics steps and read the contacts of the `watched` robots after each.
+
+        `forces` [N] act on the robots with these indices, and the kinematic bodies `near` move.
+        """
+        robots, kinematics = self.robots, self._kinematics
         for substep in range(1, count + 1):
             for body in near:
-                self._kinematics.move(body, substep / count)
+                kinematics.move(body, substep / count)
             for index, force in forces.items():
                 robots[index].act_force(force)
             self.step_passive(1)
             for robot in watched:
                 contacts = robot.record_contacts()
-                if near:
-                    self._kinematics.record_contacts(contacts, robot)
-            if near:
-                self._kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
-        self._kinematics.end_step()
+                if contacts and near:
+                    kinematics.record_contacts(contacts, robot)
+            if kinematics.are_pushing:
+                kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
 
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics
