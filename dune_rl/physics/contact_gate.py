@@ -45,8 +45,9 @@ class ContactGate:
     def __init__(self, statics: tuple[StaticBody, ...], kinematics: Sequence[KinematicCapsule]) -> None:
         self._obstacles = load_shared_map(statics)
         self._radii_m = [body.radius_m for body in kinematics]
-        # Bound of each robot's motion in the next control step, as of `find_contacts`.
+        # Bound of each robot's motion in the next control step, as of `find_contacts`, and where it can be.
         self.motions_m: list[float] = []
+        self._discs: list[tuple[float, float, float]] = []
 
     def find_contacts(
         self,
@@ -79,7 +80,7 @@ class ContactGate:
                 # Written so that NaN, which compares false, counts as near.
                 if not math.hypot(x - other_x, y - other_y) > span + other_span:
                     exposed[one] = exposed[other] = True
-        self.motions_m = motions
+        self.motions_m, self._discs = motions, discs
         near = []
         for body, radius in enumerate(self._radii_m):
             old, new = old_poses[body], new_poses[body]
@@ -92,3 +93,7 @@ class ContactGate:
             if is_near:
                 near.append(body)
         return near, exposed
+
+    def statics_near(self, robot: int) -> list[int]:
+        """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
+        return self._obstacles.bodies_near(*self._discs[robot])

@@ -23,8 +23,8 @@ GROUND, WHEEL, HULL, OBSTACLE, TYRE = 1, 2, 4, 8, 16
 
 # Contact points closer than this count as contacts.
 _CONTACT_DISTANCE_M = 1e-3
-# What `getContactPoints` takes for any other body, and any link of either.
-_ANY_BODY_AND_LINKS = -1, -2, -2
+# What `getContactPoints` takes for any other body, and any link.
+ANY_BODY, _ANY_LINK = -1, -2
 # The force limit of a coupling is never reached. Its position error falls by the share _GEAR_ERP a second:
 # above 10 it starts to oscillate. With 10 iterations Leo's rockers, on stones, have errors up to 1.2e-3 rad,
 # with 20 half of that.
@@ -436,19 +436,23 @@ class BulletRobot:
         states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
         return tuple(state[0] for state in states)
 
-    def record_contacts(self) -> Sequence[tuple[Any, ...]]:
+    def record_contacts(self, handles: Sequence[int]) -> Sequence[tuple[Any, ...]]:
         """Add what the robot touched in the last physics step to `contacts`; returns all contact points with
         bodies that are not ground.
+
+        `handles` are those of the bodies that it can have touched, or ANY_BODY.
         """
-        numbers = self._body_numbers
-        # Names of arguments would take PyBullet a fifth of the call.
-        points = pybullet.getContactPoints(self._robot, *_ANY_BODY_AND_LINKS, self._client)
-        # Ground has no number: what remains is collisions.
-        points = [contact for contact in points if contact[2] in numbers]
-        for contact in points:
-            if contact[8] < _CONTACT_DISTANCE_M:
-                self._touched.add(numbers[contact[2]])
-        return points
+        numbers, found = self._body_numbers, []
+        for handle in handles:
+            # Names of arguments would take PyBullet a fifth of the call.
+            points = pybullet.getContactPoints(self._robot, handle, _ANY_LINK, _ANY_LINK, self._client)
+            for contact in points:
+                # Ground has no number: what remains is collisions.
+                if contact[2] in numbers:
+                    found.append(contact)
+                    if contact[8] < _CONTACT_DISTANCE_M:
+                        self._touched.add(numbers[contact[2]])
+        return found
 
     def contacts(self) -> list[int]:
         return sorted(self._touched)

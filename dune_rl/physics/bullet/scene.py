@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.bullet.kinematics import BulletCapsules
-from dune_rl.physics.bullet.robot import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
+from dune_rl.physics.bullet.robot import ANY_BODY, GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
@@ -21,6 +21,9 @@ with suppress_stderr():
 
 # Limits of a mesh in PyBullet's wheel (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
 _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
+
+# With more bodies than these one question about all is faster than one about each.
+_FEW_BODIES = 4
 
 
 class BulletScene:
@@ -58,9 +61,11 @@ class BulletScene:
         )
         pybullet.setGravity(0.0, 0.0, -spec.gravity_mps2, physicsClientId=self._client)
         self._body_numbers: dict[int, int] = {}
+        self._static_handles: list[list[int]] = [[] for _ in spec.statics]
         for number, body in enumerate(spec.statics):
             for vertices, faces in mesh_pieces(body.vertices, body.faces, _MOST_VERTICES, _MOST_FACES):
                 handle = self._add_static(replace(body, vertices=vertices, faces=faces))
+                self._static_handles[number].append(handle)
                 if not body.ground:
                     self._body_numbers[handle] = number
         self._kinematics = BulletCapsules(self._client, spec.kinematics, OBSTACLE, HULL)
@@ -135,7 +140,7 @@ class BulletScene:
         for robot in robots:
             robot.begin_step(count)
         self._kinematics.begin_step(poses, near)
-        watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
+        watched = [index for index, is_exposed in enumerate(exposed) if is_exposed]
         if watched or forces:
             self._step_watching(count, watched, forces, near)
         else:
@@ -145,7 +150,7 @@ class BulletScene:
     def _step_watching(
         self,
         count: int,
-        watched: Sequence[BulletRobot],
+        watched: Sequence[int],
         forces: Mapping[int, Sequence[float]],
         near: Sequence[int],
     ) -> None:
@@ -154,18 +159,31 @@ class BulletScene:
         `forces` [N] act on the robots with these indices, and the kinematic bodies `near` move.
         """
         robots, kinematics = self.robots, self._kinematics
+        touchable = [(robots[index], self._touchable(index, near)) for index in watched]
         for substep in range(1, count + 1):
             for body in near:
                 kinematics.move(body, substep / count)
             for index, force in forces.items():
                 robots[index].act_force(force)
             self.step_passive(1)
-            for robot in watched:
-                contacts = robot.record_contacts()
+            for robot, handles in touchable:
+                contacts = robot.record_contacts(handles)
                 if contacts and near:
                     kinematics.record_contacts(contacts, robot)
             if kinematics.are_pushing:
                 kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
+
+    def _touchable(self, robot: int, near: Sequence[int]) -> list[int]:
+        """Handles of all bodies that a robot can touch in this control step, or that of any body.
+
+        `near` are the kinematic bodies that robots can touch.
+        """
+        if len(self.robots) > 1:
+            return [ANY_BODY]
+        handles = [self._kinematics.handles[index] for index in near]
+        for number in self._gate.statics_near(robot):
+            handles += self._static_handles[number]
+        return handles if len(handles) <= _FEW_BODIES else [ANY_BODY]
 
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics
