@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
+from dune_rl.physics.bullet.clients import open_client, release_client
 from dune_rl.physics.bullet.kinematics import BulletCapsules
+from dune_rl.physics.bullet.meshes import create_mesh_shape
 from dune_rl.physics.bullet.robot import ANY_BODY, GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import SceneSpec, StaticBody
@@ -40,12 +42,11 @@ class BulletScene:
                 "take physics.friction=pyramid, or physics=dart"
             )
         self._spec = spec
-        self._client: int | None = pybullet.connect(pybullet.DIRECT)
-        if self._client < 0:
-            raise PhysicsError("PyBullet opened no further client in this process; use fewer scenes")
-        # PyBullet keeps the memory of a client, some 30 MB, until it is disconnected.
-        self._disconnect = weakref.finalize(self, _disconnect, self._client)
-        self._disconnect.atexit = False
+        client = open_client()
+        self._client: int | None = client
+        # PyBullet keeps the memory of a client until it is disconnected.
+        self._release_client = weakref.finalize(self, release_client, client)
+        self._release_client.atexit = False
         iterations = spec.solver_iterations
         if any(robot.couplings for robot in spec.robots):
             iterations = max(iterations, GEAR_ITERATIONS)
@@ -64,7 +65,7 @@ class BulletScene:
         self._static_handles: list[list[int]] = [[] for _ in spec.statics]
         for number, body in enumerate(spec.statics):
             for vertices, faces in mesh_pieces(body.vertices, body.faces, _MOST_VERTICES, _MOST_FACES):
-                handle = self._add_static(replace(body, vertices=vertices, faces=faces))
+                handle = self._add_static(client, replace(body, vertices=vertices, faces=faces))
                 self._static_handles[number].append(handle)
                 if not body.ground:
                     self._body_numbers[handle] = number
@@ -90,14 +91,8 @@ class BulletScene:
         self._all_ideal = all(robot.has_ideal_motors for robot in self.robots)
         self._measures_work = any(robot.measures_work for robot in self.robots)
 
-    def _add_static(self, body: StaticBody) -> int:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=body.vertices.tolist(),
-            indices=body.faces.ravel().tolist(),
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=self._client,
-        )
+    def _add_static(self, client: int, body: StaticBody) -> int:
+        shape = create_mesh_shape(body.vertices, body.faces, client)
         if shape < 0:
             raise PhysicsError(f"PyBullet refused the mesh of {body.name!r} ({len(body.faces)} faces)")
         handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
@@ -211,12 +206,7 @@ class BulletScene:
                         robot.add_work()
 
     def close(self) -> None:
-        self._disconnect()
+        self._release_client()
         for robot in self.robots:
             robot.release()
         self._client = None
-
-
-def _disconnect(client: int) -> None:
-    if pybullet.isConnected(client):
-        pybullet.disconnect(client)
