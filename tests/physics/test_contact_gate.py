@@ -224,6 +224,6 @@ def test_the_reach_of_a_robot_has_its_tyres_in_it(backend, tmp_path):
 def test_the_obstacles_near_a_place_are_those_that_can_be_touched():
     walls = (plane(), box((3.0, 0.0), 1.0, 1.0, 1.0), box((0.0, 3.0), 1.0, 1.0, 1.0, name="other"))
     gate = ContactGate(walls, ())
-    for place, near in (((2.0, 0.0), [1]), ((0.0, 2.0), [2]), ((2.2, 2.2), [1, 2]), ((-9.0, 0.0), [])):
+    for place, near in (((2.2, 0.0), [1]), ((0.0, 2.2), [2]), ((2.2, 2.2), [1, 2]), ((-9.0, 0.0), [])):
         gate.find_contacts([Puck(*place, reach_m=0.3 if len(near) < 2 else 1.8)], 0.05, {}, (), ())
         assert gate.statics_near(0) == near
