@@ -1,7 +1,7 @@
 """Agents that walk there and back on smooth paths: where they start, where they go, and the scripted walk."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple, Self
 from weakref import WeakKeyDictionary
@@ -76,6 +76,8 @@ class PathFollower:
         # How far agents are off their paths [m], and by how much they moved along them last.
         self._offsets = np.zeros((len(worlds), count, 2))
         self._step = np.zeros((len(worlds), count))
+        # Where they would be on their paths after the last `advance`.
+        self._targets = np.zeros((len(worlds), count, 4))
 
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
         """Find the paths of `world` unless they are known.
@@ -152,26 +154,26 @@ class PathFollower:
             self._offsets *= 1.0 - (back / np.where(length > 0.0, length, 1.0))[..., None]
             self._step -= back
         self._travelled += self._step
-        poses = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
+        self._targets = poses = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
         if is_off:
+            poses = poses.copy()
             poses[..., :2] += self._offsets
             height = query_grouped(self._worlds.groups, _height, poses[..., :2])
             poses[..., 2] = np.where(self._offsets.any(axis=2), height, poses[..., 2])
         return poses.reshape(-1, 4)
 
-    def hold_back(self, scene: int, poses: Array) -> None:
-        """Take note that the agents of a scene have come to `poses` (G, 4) by the last `advance`.
+    def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
+        """Take note that the agents of `scenes` (S) have come to `poses` (S, G, 4) by the last `advance`.
 
         What an agent lacks of its step it walks again; what it is off its path beyond that it walks back.
         """
-        loop = self._loop[scene]
-        world = self._worlds[scene]
-        bank = self._paths[world].bank
-        target = bank.pose(loop, self._travelled[scene])
-        heading = np.stack([np.cos(target[:, 3]), np.sin(target[:, 3])], axis=1)
-        lacking = ((target[:, :2] - poses[:, :2]) * heading).sum(axis=1)
-        self._travelled[scene] -= np.clip(lacking, 0.0, self._step[scene])
-        self._offsets[scene] = poses[:, :2] - bank.pose(loop, self._travelled[scene])[:, :2]
+        rows = list(scenes)
+        targets, xy = self._targets[rows], poses[..., :2]
+        heading = np.stack([np.cos(targets[..., 3]), np.sin(targets[..., 3])], axis=-1)
+        lacking = ((targets[..., :2] - xy) * heading).sum(axis=-1)
+        self._travelled[rows] -= np.clip(lacking, 0.0, self._step[rows])
+        reached = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
+        self._offsets[rows] = xy - reached[rows, :, :2]
 
     def renew(self, mask: Flags) -> None:
         """Send the agents in `mask` (N,) to the other end of their path."""

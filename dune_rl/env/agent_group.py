@@ -214,13 +214,15 @@ class AgentGroup:
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
-    def hold_back(self, scene: int, poses: Array) -> None:
-        """Put the kinematic bodies of a scene at `poses` (G, 4), where robots held them back in this step."""
+    def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
+        """Put the kinematic bodies of `scenes` (S) at `poses` (S, G, 4), where robots held them back in this
+        step.
+        """
         assert isinstance(self.body, KinematicBody)
-        self.body.hold_back(scene, poses)
+        self.body.hold_back(scenes, poses)
         if self.setup.follows_paths:
             assert isinstance(self.goals.source, PathGoals)
-            self.goals.source.follower.hold_back(scene, poses)
+            self.goals.source.follower.hold_back(scenes, poses)
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
         """Read the bodies' states after a step of physics; gives contacts as pairs of row and body number."""

@@ -1,6 +1,6 @@
 """Puts a scene at the start of an episode: world, start poses, goals, and robots that have settled."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -120,11 +120,16 @@ class EpisodeStart:
                     found[group.name] += engines
         return found
 
-    def hold_back(self, scene: int, poses: Array) -> None:
-        """Put the kinematic bodies of a scene, which robots have held back, at `poses` (K, 4)."""
+    def hold_back(self, held: Mapping[int, Array]) -> None:
+        """Put the kinematic bodies of the scenes in which robots have held any back at `held` (K, 4), by
+        scene.
+        """
+        if not held:
+            return
+        scenes, poses = list(held), np.stack(list(held.values()))
         first = 0
         for group in self._kinematic:
-            group.hold_back(scene, poses[first : first + group.count])
+            group.hold_back(scenes, poses[:, first : first + group.count])
             first += group.count
 
     def kinematic_poses(self) -> Array:

@@ -2,6 +2,7 @@
 obstacles.
 """
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -98,11 +99,12 @@ class KinematicBody:
         self._arrive(poses)
         self.blocked = ~free
 
-    def hold_back(self, scene: int, poses: Array) -> None:
-        """Be at `poses` (G, 4), on the ground, in a scene where robots were in the way in this step."""
-        rows = slice(scene * self.count, (scene + 1) * self.count)
+    def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
+        """Be at `poses` (S, G, 4), on the ground, in `scenes` (S) where robots were in the way in this
+        step.
+        """
         reached = self.poses.copy()
-        reached[rows, :2] = poses[:, :2]
+        reached.reshape(-1, self.count, 4)[list(scenes), :, :2] = poses[..., :2]
         moved = (reached[:, :2] != self.poses[:, :2]).any(axis=1)
         height = self._worlds.height(reached[:, :2].reshape(-1, self.count, 2)).ravel()
         reached[:, 2] = np.where(moved, height, reached[:, 2])

@@ -158,8 +158,7 @@ class VectorSimulation:
         before = self.state
         for group in self.groups:
             group.act(given.get(group.name), before, self._engines[group.name])
-        for scene, poses in self.scenes.step(self._starter.kinematic_poses()).items():
-            self._starter.hold_back(scene, poses)
+        self._starter.hold_back(self.scenes.step(self._starter.kinematic_poses()))
         self.steps = self.steps + 1
         contacts = {group.name: group.read(self._engines[group.name]) for group in self.groups}
         state = self._builder.build(self.seed, self.steps, contacts, self.scenes.count_statics)

@@ -8,106 +8,15 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Protocol
-from weakref import WeakValueDictionary
-
-import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.physics.interface import KinematicCapsule, StaticBody
+from dune_rl.physics.obstacle_map import load_shared_map
 
-Array = NDArray[np.float64]
-
-# A robot that may move farther than this within a control step always counts as exposed.
-_MARGIN_M = 0.3
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
 # velocity and do not increase it.
 _MAX_ACCELERATION_MPS2 = 40.0
 # Distance below which engines begin to treat two shapes as in contact, and more.
-_CONTACT_MARGIN_M = 0.1
-_CELL_M, _MOST_CELLS = 0.25, 512
-# Triangles with larger bounding boxes are split before they are drawn into the grid.
-_LARGE_TRIANGLE_M = 2.0
-_MOST_SPLITS = 12
-
-
-class ObstacleGrid:
-    """Grid over the ground of where a robot with horizontal reach `reach_m` is near a static obstacle.
-
-    Each triangle counts with its bounding box, at any height.
-    """
-
-    def __init__(self, statics: Sequence[StaticBody], reach_m: float) -> None:
-        # Keeps the statics, and so their id, which `load_shared_grid` looks up.
-        self.statics = statics
-        obstacles = [body.vertices[body.faces][..., :2] for body in statics if not body.ground]
-        triangles = np.concatenate([np.zeros((0, 3, 2)), *obstacles])
-        self._cells = b""
-        self._rows = self._columns = 0
-        if not len(triangles) or not np.isfinite(reach_m):
-            self._is_everywhere = bool(len(triangles))
-            return
-        self._is_everywhere = False
-        triangles = _split_large(triangles)
-        low = triangles.min(axis=1) - reach_m - _MARGIN_M - _CONTACT_MARGIN_M
-        high = triangles.max(axis=1) + reach_m + _MARGIN_M + _CONTACT_MARGIN_M
-        corner, far_corner = low.min(axis=0), high.max(axis=0)
-        size = max(_CELL_M, float((far_corner - corner).max()) / _MOST_CELLS)
-        self._x, self._y, self._per_m = float(corner[0]), float(corner[1]), 1.0 / size
-        first, last = (np.floor((edge - corner) / size).astype(np.int64) for edge in (low, high))
-        self._rows, self._columns = (last.max(axis=0) + 1).tolist()
-        # Sums over this count the boxes over each cell.
-        steps = np.zeros((self._rows + 1, self._columns + 1), np.int64)
-        after = last + 1
-        np.add.at(steps, (first[:, 0], first[:, 1]), 1)
-        np.add.at(steps, (after[:, 0], after[:, 1]), 1)
-        np.add.at(steps, (first[:, 0], after[:, 1]), -1)
-        np.add.at(steps, (after[:, 0], first[:, 1]), -1)
-        covered = steps.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
-        self._cells = covered.tobytes()
-
-    def is_near(self, x: float, y: float) -> bool:
-        """Whether a robot at (x, y) [m] can touch an obstacle before it has moved by the margin.
-
-        NaN counts as near.
-        """
-        if not self._rows:
-            return self._is_everywhere
-        row, column = (x - self._x) * self._per_m, (y - self._y) * self._per_m
-        if not (row < self._rows and column < self._columns and row >= 0.0 and column >= 0.0):
-            return not (row == row and column == column)
-        return self._cells[int(row) * self._columns + int(column)] != 0
-
-
-def _split_large(triangles: Array) -> Array:
-    """Halve triangles (F, 3, 2) at their longest edges until their bounding boxes are small."""
-    done = []
-    for _ in range(_MOST_SPLITS):
-        large = (np.ptp(triangles, axis=1) > _LARGE_TRIANGLE_M).any(axis=1)
-        done.append(triangles[~large])
-        triangles = triangles[large]
-        if not len(triangles):
-            break
-        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        order = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
-        # The longest edge is a-b.
-        a, b, c = np.moveaxis(np.take_along_axis(triangles, order[..., None], axis=1), 1, 0)
-        middle = (a + b) / 2
-        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-    return np.concatenate([*done, triangles])
-
-
-# Scenes with the same statics share a grid, which lives as long as one of them.
-_grids: WeakValueDictionary[tuple[int, float], ObstacleGrid] = WeakValueDictionary()
-
-
-def load_shared_grid(statics: tuple[StaticBody, ...], reach_m: float) -> ObstacleGrid:
-    """The grid of `statics` for robots of `reach_m`, built once for all scenes with the same tuple."""
-    # Robots of nearly equal reach share a grid.
-    reach_m = float(np.ceil(reach_m * 10.0) / 10.0)
-    grid = _grids.get((id(statics), reach_m))
-    if grid is None:
-        _grids[id(statics), reach_m] = grid = ObstacleGrid(statics, reach_m)
-    return grid
+_CONTACT_MARGIN_M = 0.05
 
 
 class GatedRobot(Protocol):
@@ -115,7 +24,9 @@ class GatedRobot(Protocol):
 
     @property
     def reach_m(self) -> float:
-        """Largest horizontal distance of any point of the robot from its position, at any joint angles."""
+        """Largest horizontal distance of any point of the robot, tyres included, from its position, at any
+        joint angles.
+        """
         ...
 
     @property
@@ -132,11 +43,11 @@ class ContactGate:
     """Finds the bodies that can have contacts, other than with ground, in the next control step."""
 
     def __init__(self, statics: tuple[StaticBody, ...], kinematics: Sequence[KinematicCapsule]) -> None:
-        self._statics = statics
-        self._rooms_m = [body.radius_m + _CONTACT_MARGIN_M for body in kinematics]
-        self._grids: dict[float, ObstacleGrid] = {}
-        # Bound of each robot's motion in the next control step, as of `find_contacts`.
+        self._obstacles = load_shared_map(statics)
+        self._radii_m = [body.radius_m for body in kinematics]
+        # Bound of each robot's motion in the next control step, as of `find_contacts`, and where it can be.
         self.motions_m: list[float] = []
+        self._discs: list[tuple[float, float, float]] = []
 
     def find_contacts(
         self,
@@ -151,37 +62,38 @@ class ContactGate:
         The step takes `duration_s` [s]. `forces` [N] are the external ones, by index of the robot. The K
         kinematic bodies move from `old_poses` (x, y, ...) [m] to `new_poses`.
         """
-        places = [robot.planar_motion() for robot in robots]
-        reaches = [robot.reach_m for robot in robots]
-        exposed, motions = [], []
-        for index, (x, y, speed) in enumerate(places):
+        discs, exposed, motions = [], [], []
+        for index, robot in enumerate(robots):
+            x, y, speed = robot.planar_motion()
             acceleration = _MAX_ACCELERATION_MPS2
             if index in forces:
-                acceleration += math.hypot(*forces[index]) / robots[index].base_mass_kg
+                acceleration += math.hypot(*forces[index]) / robot.base_mass_kg
             motion = (speed + acceleration * duration_s / 2) * duration_s
             motions.append(motion)
-            # Written so that NaN, which compares false, counts as exposed.
-            exposed.append(not motion <= _MARGIN_M or self._grid(reaches[index]).is_near(x, y))
-        for one, other in combinations(range(len(robots)), 2):
-            reach = reaches[one] + reaches[other] + motions[one] + motions[other] + _CONTACT_MARGIN_M
-            (x, y, _), (other_x, other_y, _) = places[one], places[other]
-            if not (abs(x - other_x) > reach or abs(y - other_y) > reach):
-                exposed[one] = exposed[other] = True
-        self.motions_m = motions
+            span = robot.reach_m + motion + _CONTACT_MARGIN_M
+            discs.append((x, y, span))
+            # A state that has diverged counts as exposed.
+            exposed.append(not (math.isfinite(x + y) and self._obstacles.distance(x, y) >= span))
+        if len(discs) > 1:
+            for one, other in combinations(range(len(discs)), 2):
+                (x, y, span), (other_x, other_y, other_span) = discs[one], discs[other]
+                # Written so that NaN, which compares false, counts as near.
+                if not math.hypot(x - other_x, y - other_y) > span + other_span:
+                    exposed[one] = exposed[other] = True
+        self.motions_m, self._discs = motions, discs
         near = []
-        for body, (old, new, room) in enumerate(zip(old_poses, new_poses, self._rooms_m, strict=True)):
-            (x, y, *_), step = new, abs(new[0] - old[0]) + abs(new[1] - old[1])
+        for body, radius in enumerate(self._radii_m):
+            old, new = old_poses[body], new_poses[body]
+            x, y = new[0], new[1]
+            room = radius + abs(x - old[0]) + abs(y - old[1])
             is_near = False
-            for index, (robot_x, robot_y, _) in enumerate(places):
-                reach = reaches[index] + motions[index] + room + step
-                if not (abs(x - robot_x) > reach or abs(y - robot_y) > reach):
+            for index, (robot_x, robot_y, span) in enumerate(discs):
+                if not math.hypot(x - robot_x, y - robot_y) > span + room:
                     is_near = exposed[index] = True
             if is_near:
                 near.append(body)
         return near, exposed
 
-    def _grid(self, reach_m: float) -> ObstacleGrid:
-        grid = self._grids.get(reach_m)
-        if grid is None:
-            grid = self._grids[reach_m] = load_shared_grid(self._statics, reach_m)
-        return grid
+    def statics_near(self, robot: int) -> list[int]:
+        """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
+        return self._obstacles.bodies_near(*self._discs[robot])

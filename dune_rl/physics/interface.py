@@ -1,5 +1,6 @@
 """Interface of a physics engine: what a scene is built from, and what can be done with it."""
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,6 +125,11 @@ class Tyre:
     position_b: tuple[float, float, float]
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+    @property
+    def reach_m(self) -> float:
+        """Upper bound of the distance [m] of any of its points from the origin of its link."""
+        return math.hypot(*self.centre) + math.hypot(self.radius_m, self.width_m / 2)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from dune_rl.physics.interface import RobotBody, SceneSpec
+from dune_rl.physics.interface import SceneSpec, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
 
 # A change of the active tyres costs as much as some thirty control steps of two tyres that touch nothing.
@@ -40,7 +40,7 @@ class TyreActivation:
     """
 
     def __init__(self, spec: SceneSpec) -> None:
-        self._bodies: tuple[RobotBody, ...] = spec.robots
+        self._tyres = [[_dimensions(tyre) for tyre in body.tyres] for body in spec.robots]
         self._radii_m = [body.radius_m for body in spec.kinematics]
         self._with_tyres = [index for index, body in enumerate(spec.robots) if body.tyres]
         self._obstacles = load_shared_map(spec.statics) if self._with_tyres else None
@@ -73,7 +73,7 @@ class TyreActivation:
                 for body in near_kinematics:
                     x, y, *_ = kinematic_poses[body]
                     discs.append((x, y, self._radii_m[body]))
-                for other, robot in enumerate(robots):
+                for other, robot in enumerate(robots if len(robots) > 1 else ()):
                     if other != index:
                         x, y, *_ = robot.body_state()
                         discs.append((x, y, robot.reach_m + motions_m[other]))
@@ -109,15 +109,21 @@ class TyreActivation:
         turn = math.hypot(wx, wy, wz) * duration_s
         assert self._obstacles is not None
         needed = []
-        for number, tyre in enumerate(self._bodies[index].tyres):
-            ahead, aside, above = tyre.position_b
+        for number, ((ahead, aside, above), arm, size) in enumerate(self._tyres[index]):
             tyre_x = x + ahead * forward[0] + aside * left[0] + above * up[0]
             tyre_y = y + ahead * forward[1] + aside * left[1] + above * up[1]
-            reach = math.hypot(tyre.radius_m, tyre.width_m / 2) + motion_m + _MARGIN_M
-            reach += turn * math.hypot(ahead, aside, above)
-            near = self._obstacles.distance(tyre_x, tyre_y) < reach
-            for disc_x, disc_y, radius in discs:
-                near = near or math.hypot(tyre_x - disc_x, tyre_y - disc_y) < reach + radius
-            if near:
+            reach = size + motion_m + _MARGIN_M
+            reach += turn * arm
+            if self._obstacles.distance(tyre_x, tyre_y) < reach:
                 needed.append(number)
+                continue
+            for disc_x, disc_y, radius in discs:
+                if math.hypot(tyre_x - disc_x, tyre_y - disc_y) < reach + radius:
+                    needed.append(number)
+                    break
         return frozenset(needed)
+
+
+def _dimensions(tyre: Tyre) -> tuple[tuple[float, float, float], float, float]:
+    """Position in the base link's frame (3), its length, and the distance of the tyre's edge from it [m]."""
+    return tyre.position_b, math.hypot(*tyre.position_b), math.hypot(tyre.radius_m, tyre.width_m / 2)

@@ -9,6 +9,7 @@ from dune_rl.worlds.world import World
 Array = NDArray[np.float64]
 
 _MAX_CELLS = 4_000_000
+_CELLS_AT_ONCE = 16_384
 
 
 class FreeSpace:
@@ -33,9 +34,15 @@ class FreeSpace:
         self.cell_m = max(cell_m, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
         self.x: Array = np.arange(xmin + self.cell_m / 2, xmax, self.cell_m)
         self.y: Array = np.arange(ymin + self.cell_m / 2, ymax, self.cell_m)
-        centres = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        self.clearance: Array = world.clearance(centres)
-        self.steep: NDArray[np.bool_] = world.terrain.slope(centres) > np.deg2rad(max_slope_deg)
+        self.clearance: Array = np.empty((len(self.y), len(self.x)))
+        self.steep: NDArray[np.bool_] = np.empty(self.clearance.shape, bool)
+        # In parts: what queries need on the way is ten times as large as what they give.
+        rows = max(1, _CELLS_AT_ONCE // len(self.x))
+        for first in range(0, len(self.y), rows):
+            part = slice(first, first + rows)
+            centres = np.stack(np.meshgrid(self.x, self.y[part]), axis=-1)
+            self.clearance[part] = world.clearance(centres)
+            self.steep[part] = world.terrain.slope(centres) > np.deg2rad(max_slope_deg)
         self.blocked: NDArray[np.bool_] = self.clearance < footprint_radius_m
         for prop in world.props:
             if prop.solid and prop.drivable:

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import oaconvolve
 
 from dune_rl.geometry.heightfield import HeightField
 
@@ -65,6 +64,9 @@ def _interpolate(values: NDArray[np.float32], columns: int, last: Array, at: Arr
 
 def _rms_about_plane(heights: Array, disc: NDArray[np.bool_], offsets: Array) -> Array:
     """RMS of heights (rows, columns) about the plane of best fit, wherever the whole disc fits."""
+    # SciPy's signal processing takes 20 MB and half a second to load, and most worlds do without it.
+    from scipy.signal import oaconvolve
+
     count = float(disc.sum())
     ones = disc.astype(np.float64)
 

@@ -1,5 +1,6 @@
 """The studies under `experiments/`: their weights fit what is in the tree, and drive."""
 
+import csv
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,15 @@ def test_the_redesign_kept_every_byte() -> None:
     cases = before.strip().splitlines()[1:]
     text = (folder / "README.md").read_text()
     assert text.count("| same | same |") == len(cases) / 2 == 7
+
+
+def test_the_table_of_memory_is_that_of_its_files() -> None:
+    folder = EXPERIMENTS / "memory"
+    before, after = (
+        list(csv.reader((folder / name).read_text().splitlines()))[1:] for name in ("before.csv", "after.csv")
+    )
+    text = (folder / "README.md").read_text()
+    for (part, old), (same, new) in zip(before, after, strict=True):
+        assert part == same
+        assert f"| {part} | {old} | {new} |" in text
+    assert f"hold {after[-1][1]} MiB" in (EXPERIMENTS.parent / "README.md").read_text()

@@ -105,7 +105,7 @@ def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> Non
     commanded = body.poses.copy()
     reached = commanded.copy()
     reached[0, :2] = before[0, :2] + [0.01, -0.02]
-    body.hold_back(0, reached)
+    body.hold_back([0], reached[None])
     np.testing.assert_allclose(body.poses[0], [0.06, -0.02, 0.006, 0.0], atol=1e-9)
     np.testing.assert_allclose(body.motion.velocity_w[0], [0.2, -0.4, 0.0], atol=1e-9)
     # The other has got to where it went.

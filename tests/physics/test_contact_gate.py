@@ -1,5 +1,8 @@
 """Contacts of any physics step are reported, and the gate that saves reading them loses none."""
 
+from dataclasses import replace
+from itertools import chain
+
 import numpy as np
 import pytest
 from scenes import (
@@ -12,14 +15,15 @@ from scenes import (
     every_backend,
     ground,
     plane,
+    rover_body,
     rover_without_tyres,
     walker,
 )
 from simple_robots import block, body, link
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.contact_gate import ContactGate, ObstacleGrid
-from dune_rl.physics.interface import StaticBody
+from dune_rl.physics.contact_gate import ContactGate
+from dune_rl.physics.interface import KinematicCapsule, RobotBody, Tyre
 
 RADIUS_M = 0.1
 
@@ -72,13 +76,13 @@ def test_contacts_are_those_of_the_last_step_alone(backend):
     assert stage.contacts() == set()
 
 
-def tumble(backend: Backend, folder, seed: int) -> tuple[list[list[set[int]]], list[bytes]]:
+def tumble(backend: Backend, folder, seed: int, rover: RobotBody) -> tuple[list[list[set[int]]], list[bytes]]:
     """Contacts and states of robots that are thrown at boxes, past a walker and each other."""
     rng = np.random.default_rng(seed)
     centres = rng.uniform(-5.0, 5.0, (5, 2))
     boxes = [box(tuple(xy), *rng.uniform(0.05, 1.0, 2), 1.0, name=f"{xy}") for xy in centres.tolist()]
     terrain = ground(HeightField(np.zeros((3, 3)), 30.0, (-30.0, -30.0)))
-    company = Company(backend, [rover_without_tyres(), block(folder)], [terrain, *boxes], [walker()])
+    company = Company(backend, [rover, block(folder)], [terrain, *boxes], [walker()])
     contacts, states = [], []
     for _ in range(4):
         places = rng.uniform(-5.0, 5.0, (2, 2))
@@ -113,42 +117,113 @@ def test_the_gate_loses_no_contact(backend, seed, tmp_path, monkeypatch):
         return near, [True] * len(exposed)
 
     monkeypatch.setattr(ContactGate, "find_contacts", record)
-    gated, states = tumble(backend, tmp_path, seed)
+    gated, states = tumble(backend, tmp_path, seed, rover_without_tyres())
     monkeypatch.setattr(ContactGate, "find_contacts", expose_all)
-    always, same_states = tumble(backend, tmp_path, seed)
+    always, same_states = tumble(backend, tmp_path, seed, rover_without_tyres())
     assert gated == always
     assert states == same_states
     assert 10 < sum(any(found) for found in always) < len(always)
     assert exposures.count(True) > 10 and exposures.count(False) > 10
 
 
-def triangles(rng: np.random.Generator, count: int, size_m: float) -> StaticBody:
-    vertices = rng.uniform(-10.0, 10.0, (count, 1, 3)) + rng.uniform(-size_m, size_m, (count, 3, 3))
-    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    return StaticBody("triangles", vertices.reshape(-1, 3), faces, 1.0, ground=False)
+@every_backend
+def test_a_robot_with_tyres_touches_only_what_the_gate_finds(backend, tmp_path, monkeypatch):
+    exposures = []
+    find_contacts = ContactGate.find_contacts
+
+    def expose_all(self, *given):
+        near, exposed = find_contacts(self, *given)
+        exposures.extend(exposed)
+        return near, [True] * len(exposed)
+
+    monkeypatch.setattr(ContactGate, "find_contacts", expose_all)
+    contacts, _ = tumble(backend, tmp_path, 5, rover_body())
+    pairs = zip(chain.from_iterable(contacts), exposures, strict=True)
+    touching = [is_exposed for found, is_exposed in pairs if found]
+    assert len(touching) > 10 and all(touching)
+    assert not all(exposures)
 
 
-@pytest.mark.parametrize(("count", "size_m", "reach_m"), [(1, 0.1, 0.3), (40, 0.5, 0.5), (6, 12.0, 1.0)])
-def test_a_place_within_reach_of_an_obstacle_is_near_and_a_far_one_is_not(count, size_m, reach_m):
-    rng = np.random.default_rng(count)
-    body = triangles(rng, count, size_m)
-    grid = ObstacleGrid([plane(), body], reach_m)
-    corners = body.vertices[body.faces][..., :2]
-    weights = rng.dirichlet(np.ones(3), (count, 4000))
+class Puck:
+    """A robot as the gate sees it."""
+
+    base_mass_kg = 10.0
+
+    def __init__(self, x: float, y: float, speed_mps: float = 0.0, reach_m: float = 0.5) -> None:
+        self._motion = x, y, speed_mps
+        self.reach_m = reach_m
+
+    def planar_motion(self) -> tuple[float, float, float]:
+        return self._motion
+
+
+def exposed(statics, *pucks: Puck, forces=None, kinematics=(), old=(), new=()) -> list[bool]:
+    """Whether each of the pucks can touch anything in a control step of 0.05 s."""
+    gate = ContactGate(tuple(statics), kinematics)
+    return gate.find_contacts(pucks, 0.05, forces or {}, old, new)[1]
+
+
+def test_a_robot_is_exposed_within_its_reach_of_an_obstacle_and_not_far_from_it():
+    wall = [plane(), box((3.0, 0.0), 1.0, 1.0, 1.0)]
+    # The motion of a control step and the contact margin; the map is too low by four cells at most.
+    assert exposed(wall, Puck(2.5 - 0.5 - 0.09, 0.3)) == [True]
+    assert exposed(wall, Puck(2.5 - 0.5 - 0.1 - 0.4 - 0.01, 0.3)) == [False]
+    assert exposed([plane()], Puck(0.0, 0.0)) == [False]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_is_within_reach_of_an_obstacle_is_exposed(seed):
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-4.0, 4.0, (6, 2)).tolist()
+    walls = [box(tuple(xy), *rng.uniform(0.05, 2.0, 2), 1.0, name=f"{xy}") for xy in places]
+    corners = np.concatenate([wall.vertices[wall.faces][..., :2] for wall in walls])
+    weights = rng.dirichlet(np.ones(3), (len(corners), 20))
     points = np.einsum("fkc,fcd->fkd", weights, corners).reshape(-1, 2)
-    around = points + reach_m * np.stack([np.cos(points[:, 0] * 99), np.sin(points[:, 0] * 99)], axis=1)
-    assert all(grid.is_near(*xy) for xy in around.tolist())
-    queries = rng.uniform(-40.0, 40.0, (300, 2))
-    distance = np.array([np.hypot(*(points - query).T).min() for query in queries])
-    # Margins, two cells, the bounding box of a split triangle, and what lies between the samples.
-    far = distance > reach_m + 0.4 + 2 * 0.36 + 2.9 + 0.7
-    assert far.sum() > 30
-    assert not any(grid.is_near(*query) for query in queries[far].tolist())
-    assert grid.is_near(np.nan, 0.0)
+    bearing = rng.uniform(-np.pi, np.pi, len(points))
+    around = points + 0.5 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    gate = ContactGate((plane(), *walls), ())
+    for xy in around.tolist():
+        assert gate.find_contacts([Puck(*xy)], 0.05, {}, (), ()) == ([], [True])
 
 
-def test_without_obstacles_nothing_is_near_and_without_bounds_everything():
-    assert not ObstacleGrid([plane()], 0.5).is_near(0.0, 0.0)
-    wall = box((3.0, 0.0), 1.0, 1.0, 1.0)
-    assert ObstacleGrid([plane(), wall], np.inf).is_near(99.0, 0.0)
-    assert not ObstacleGrid([plane(), wall], 0.5).is_near(99.0, 0.0)
+def test_speed_and_forces_widen_what_a_robot_can_touch():
+    wall, puck = [box((3.0, 0.0), 1.0, 1.0, 1.0)], (1.3, 0.0)
+    assert exposed(wall, Puck(*puck)) == [False]
+    assert exposed(wall, Puck(*puck, speed_mps=20.0)) == [True]
+    assert exposed(wall, Puck(*puck), forces={0: [0.0, 0.0, 8e3]}) == [True]
+
+
+def test_what_cannot_be_known_counts_as_exposed():
+    wall = [box((3.0, 0.0), 1.0, 1.0, 1.0)]
+    assert exposed(wall, Puck(99.0, 0.0, reach_m=np.inf)) == [True]
+    assert exposed(wall, Puck(99.0, 0.0, speed_mps=np.nan)) == [True]
+    for lost in (np.nan, np.inf):
+        assert exposed(wall, Puck(lost, 0.0)) == [True]
+        assert exposed([], Puck(lost, 0.0), Puck(5.0, 0.0))[0]
+
+
+def test_robots_and_kinematic_bodies_that_come_near_expose():
+    assert exposed([], Puck(0.0, 0.0), Puck(1.05, 0.0), Puck(9.0, 0.0)) == [True, True, False]
+    person = (KinematicCapsule("walker_0", 0.25, 1.75, 250.0),)
+    for x, is_near in ((0.8, True), (1.5, False)):
+        pose = [[x, 0.0, 0.0, 0.0]]
+        assert exposed([], Puck(0.0, 0.0), kinematics=person, old=pose, new=pose) == [is_near]
+    # It comes from where it is near.
+    paces = {"old": [[0.8, 0.0, 0.0, 0.0]], "new": [[1.5, 0.0, 0.0, 0.0]]}
+    assert exposed([], Puck(0.0, 0.0), kinematics=person, **paces) == [True]
+
+
+@every_backend
+def test_the_reach_of_a_robot_has_its_tyres_in_it(backend, tmp_path):
+    wide = Tyre("front_left_wheel", 0.125, 2.0, (0.1415, 0.18, 0.0))
+    company = Company(backend, [replace(rover_body(), tyres=(wide,))], [plane()])
+    company.place([0.0, 0.0, 0.125])
+    assert company.robots[0].reach_m > 1.0
+
+
+def test_the_obstacles_near_a_place_are_those_that_can_be_touched():
+    walls = (plane(), box((3.0, 0.0), 1.0, 1.0, 1.0), box((0.0, 3.0), 1.0, 1.0, 1.0, name="other"))
+    gate = ContactGate(walls, ())
+    for place, near in (((2.2, 0.0), [1]), ((0.0, 2.2), [2]), ((2.2, 2.2), [1, 2]), ((-9.0, 0.0), [])):
+        gate.find_contacts([Puck(*place, reach_m=0.3 if len(near) < 2 else 1.8)], 0.05, {}, (), ())
+        assert gate.statics_near(0) == near

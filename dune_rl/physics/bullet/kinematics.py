@@ -76,6 +76,7 @@ class BulletCapsules:
         self.poses: list[list[float]] = [[0.0] * 4 for _ in bodies]
         self.any_held_back = False
         self._old = self.poses
+        self._attitudes: dict[int, tuple[float, float, float, float]] = {}
         self._positions: dict[int, tuple[float, float]] = {}
         self._offsets: dict[int, tuple[float, float]] = {}
         self._pushes: dict[int, _Push] = {}
@@ -113,22 +114,26 @@ class BulletCapsules:
         for index, is_parked in enumerate(self._parked):
             if index in near:
                 self._parked[index] = False
+                self._attitudes[index] = _attitude(poses[index][3])
             elif not is_parked:
                 self._move(index, _PARKING_POSE)
                 self._parked[index] = True
 
     def move(self, index: int, share: float) -> None:
         """Put a body at `share` of the way that it moves in this control step."""
-        new = self.poses[index]
-        x, y, z = (a + (b - a) * share for a, b in zip(self._old[index][:3], new[:3], strict=True))
+        (old_x, old_y, old_z, _), (x, y, z, _) = self._old[index], self.poses[index]
+        x, y, z = old_x + (x - old_x) * share, old_y + (y - old_y) * share, old_z + (z - old_z) * share
         if index in self._offsets:
             back_x, back_y = self._offsets[index]
             x, y = x + back_x, y + back_y
         self._positions[index] = x, y
-        self._move(index, [x, y, z, new[3]])
+        position = x, y, z + self._centre_heights[index]
+        pybullet.resetBasePositionAndOrientation(
+            self.handles[index], position, self._attitudes[index], self._client
+        )
 
     def record_contacts(self, contacts: Sequence[tuple[Any, ...]], robot: PushedRobot) -> None:
-        """Take note of a robot's contact points in the last physics step, as PyBullet lists them."""
+        """Take note of contact points of a robot in the last physics step, as PyBullet lists them."""
         for contact in contacts:
             index, force_n = self._indices.get(contact[2]), contact[9]
             if index is None or not force_n > 0.0:
@@ -140,6 +145,11 @@ class BulletCapsules:
                 velocity = robot.velocity_xy()
                 push = self._pushes.setdefault(index, _Push())
                 push.add(force_n * x / length, force_n * y / length, velocity)
+
+    @property
+    def are_pushing(self) -> bool:
+        """Whether contact points were recorded since the last `yield_to_robots`."""
+        return bool(self._pushes)
 
     def yield_to_robots(self, share: float, timestep_s: float) -> None:
         """Set back the capsules that would push harder than they may in the next physics step.
@@ -167,6 +177,11 @@ class BulletCapsules:
         pybullet.resetBasePositionAndOrientation(
             self.handles[index],
             (x, y, z + self._centre_heights[index]),
-            (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)),
+            _attitude(yaw),
             physicsClientId=self._client,
         )
+
+
+def _attitude(yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion xyzw of a yaw [rad]."""
+    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)

@@ -1,19 +1,17 @@
 """A robot in a PyBullet scene."""
 
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.base_frame import InertialFrame, Quadruple, Triple
-from dune_rl.physics.bullet.tyres import TYRE_AXIS, add_tyre_links, tyre_link_name
-from dune_rl.physics.bullet.urdf import add_visual_stubs
+from dune_rl.physics.bullet.tyres import TYRE_AXIS, tyre_link_name
+from dune_rl.physics.bullet.urdf import RobotUrdfs, load_shared_urdfs, named_file
 from dune_rl.physics.interface import Coupling, RobotBody
 from dune_rl.physics.motors import Servos, held_targets, motor_power_w
 from dune_rl.physics.stderr import suppress_stderr
-from dune_rl.physics.varied_body import BodyVariation, collision_urdf, scale_motors, varied_urdf
+from dune_rl.physics.varied_body import BodyVariation, scale_motors
 
 with suppress_stderr():
     import pybullet
@@ -25,6 +23,8 @@ GROUND, WHEEL, HULL, OBSTACLE, TYRE = 1, 2, 4, 8, 16
 
 # Contact points closer than this count as contacts.
 _CONTACT_DISTANCE_M = 1e-3
+# What `getContactPoints` takes for any other body, and any link.
+ANY_BODY, _ANY_LINK = -1, -2
 # The force limit of a coupling is never reached. Its position error falls by the share _GEAR_ERP a second:
 # above 10 it starts to oscillate. With 10 iterations Leo's rockers, on stones, have errors up to 1.2e-3 rad,
 # with 20 half of that.
@@ -69,15 +69,15 @@ class BulletRobot:
         self._servos = Servos(self._motors, timestep_s)
         self._next_variation: BodyVariation | None = None
         self._variation: BodyVariation | None = None
-        # URDFs of `_variation`, by the tyres in them.
-        self._urdfs: dict[frozenset[int], str] = {}
+        self._urdfs = load_shared_urdfs(spec)
         self._frame: InertialFrame | None = None
         self.measures_work = measures_work and bool(self._motors)
         self._work = 0.0
         self._speeds: Sequence[float] = ()
         self._base_state: _BaseState | None = None
         self._touched: set[int] = set()
-        self._reach_m: float | None = None
+        # See `GatedRobot`; the position is that of the base's centre of mass. Infinite until it is measured.
+        self.reach_m = math.inf
         self.base_mass_kg = 0.0
 
     def set_body(self, variation: BodyVariation) -> None:
@@ -86,7 +86,7 @@ class BulletRobot:
         self._torques = [motor.max_torque_nm for motor in self._motors]
         self._next_variation = None if variation.keeps_masses else variation
         # The centre of mass, which the reach is about, may move.
-        self._reach_m = None
+        self.reach_m = math.inf
 
     def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         self._pose = (position_w, quaternion)
@@ -100,8 +100,9 @@ class BulletRobot:
     def load(self) -> int:
         """Load the robot at its start pose, without tyres, and return PyBullet's handle."""
         if self._next_variation is not self._variation:
-            self._variation = self._next_variation
-            self._urdfs.clear()
+            self._variation = variation = self._next_variation
+            shared = variation is None
+            self._urdfs = load_shared_urdfs(self._spec) if shared else RobotUrdfs(self._spec, variation)
         self._robot = self._load_robot(frozenset())
         self._commands = self._spec.rest_commands()
         self._servos.reset()
@@ -110,8 +111,8 @@ class BulletRobot:
         self._wheel_contacts = [() for _ in self._ground_links]
         self._base_state = None
         self._touched.clear()
-        if self._reach_m is None:
-            self._reach_m = self._measure_reach_m(self._robot)
+        if self.reach_m == math.inf:
+            self.reach_m = self._measure_reach_m(self._robot)
         return self._robot
 
     def reload(self, tyres: frozenset[int]) -> int:
@@ -139,25 +140,10 @@ class BulletRobot:
 
     def _load_robot(self, tyres: frozenset[int]) -> int:
         # PyBullet cannot change masses or links of a loaded body, and loads a URDF only from a file.
-        handle, name = tempfile.mkstemp(prefix="dune_rl_", suffix=".urdf")
-        try:
-            with open(handle, "w", encoding="utf-8") as file:
-                file.write(self._urdf(tyres))
+        with named_file(self._urdfs.text(tyres)) as name:
             robot = self._load_file(name, has_tyres=bool(tyres))
-        finally:
-            Path(name).unlink()
         self._set_up(robot)
         return robot
-
-    def _urdf(self, tyres: frozenset[int]) -> str:
-        text = self._urdfs.get(tyres)
-        if text is None:
-            urdf, variation = self._spec.urdf, self._variation
-            text = collision_urdf(urdf) if variation is None else varied_urdf(urdf, variation)
-            if tyres:
-                text = add_tyre_links(text, [self._spec.tyres[index] for index in sorted(tyres)])
-            self._urdfs[tyres] = text = add_visual_stubs(text)
-        return text
 
     def _load_file(self, name: str, *, has_tyres: bool) -> int:
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -317,12 +303,8 @@ class BulletRobot:
             joints[link], distances[link] = position, distance
             box = pybullet.getAABB(robot, link, physicsClientId=client)
             reach = max(reach, distance + _farthest_m(position, *box))
-        return reach
-
-    @property
-    def reach_m(self) -> float:
-        """See `GatedRobot`; the position is that of the base's centre of mass."""
-        return math.inf if self._reach_m is None else self._reach_m
+        tyres = (distances[self._links[tyre.link]] + tyre.reach_m for tyre in self._spec.tyres)
+        return max([reach, *tyres])
 
     def planar_motion(self) -> tuple[float, float, float]:
         """See `GatedRobot`."""
@@ -431,8 +413,8 @@ class BulletRobot:
         if state is None:
             robot, client = self._robot, self._client
             self._base_state = state = (
-                *pybullet.getBasePositionAndOrientation(robot, physicsClientId=client),
-                *pybullet.getBaseVelocity(robot, physicsClientId=client),
+                *pybullet.getBasePositionAndOrientation(robot, client),
+                *pybullet.getBaseVelocity(robot, client),
             )
         return state
 
@@ -454,16 +436,23 @@ class BulletRobot:
         states = pybullet.getJointStates(self._robot, indices, physicsClientId=self._client)
         return tuple(state[0] for state in states)
 
-    def record_contacts(self) -> Sequence[tuple[Any, ...]]:
-        """Add what the robot touched in the last physics step to `contacts`; returns all contact points."""
-        numbers, touched = self._body_numbers, self._touched
-        points: Sequence[tuple[Any, ...]]
-        points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
-        for contact in points:
-            # Ground has no number: what remains is collisions.
-            if contact[2] in numbers and contact[8] < _CONTACT_DISTANCE_M:
-                touched.add(numbers[contact[2]])
-        return points
+    def record_contacts(self, handles: Sequence[int]) -> Sequence[tuple[Any, ...]]:
+        """Add what the robot touched in the last physics step to `contacts`; returns all contact points with
+        bodies that are not ground.
+
+        `handles` are those of the bodies that it can have touched, or ANY_BODY.
+        """
+        numbers, found = self._body_numbers, []
+        for handle in handles:
+            # Names of arguments would take PyBullet a fifth of the call.
+            points = pybullet.getContactPoints(self._robot, handle, _ANY_LINK, _ANY_LINK, self._client)
+            for contact in points:
+                # Ground has no number: what remains is collisions.
+                if contact[2] in numbers:
+                    found.append(contact)
+                    if contact[8] < _CONTACT_DISTANCE_M:
+                        self._touched.add(numbers[contact[2]])
+        return found
 
     def contacts(self) -> list[int]:
         return sorted(self._touched)

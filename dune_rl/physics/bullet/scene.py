@@ -1,15 +1,17 @@
 """The PyBullet backend."""
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
+from dune_rl.physics.bullet.clients import open_client, release_client
 from dune_rl.physics.bullet.kinematics import BulletCapsules
-from dune_rl.physics.bullet.robot import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
+from dune_rl.physics.bullet.meshes import create_mesh_shape
+from dune_rl.physics.bullet.robot import ANY_BODY, GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
@@ -21,6 +23,9 @@ with suppress_stderr():
 
 # Limits of a mesh in PyBullet's wheel (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
 _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
+
+# With more bodies than these one question about all is faster than one about each.
+_FEW_BODIES = 4
 
 
 class BulletScene:
@@ -37,12 +42,11 @@ class BulletScene:
                 "take physics.friction=pyramid, or physics=dart"
             )
         self._spec = spec
-        self._client: int | None = pybullet.connect(pybullet.DIRECT)
-        if self._client < 0:
-            raise PhysicsError("PyBullet opened no further client in this process; use fewer scenes")
-        # PyBullet keeps the memory of a client, some 30 MB, until it is disconnected.
-        self._disconnect = weakref.finalize(self, _disconnect, self._client)
-        self._disconnect.atexit = False
+        client = open_client()
+        self._client: int | None = client
+        # PyBullet keeps the memory of a client until it is disconnected.
+        self._release_client = weakref.finalize(self, release_client, client)
+        self._release_client.atexit = False
         iterations = spec.solver_iterations
         if any(robot.couplings for robot in spec.robots):
             iterations = max(iterations, GEAR_ITERATIONS)
@@ -58,9 +62,11 @@ class BulletScene:
         )
         pybullet.setGravity(0.0, 0.0, -spec.gravity_mps2, physicsClientId=self._client)
         self._body_numbers: dict[int, int] = {}
+        self._static_handles: list[list[int]] = [[] for _ in spec.statics]
         for number, body in enumerate(spec.statics):
             for vertices, faces in mesh_pieces(body.vertices, body.faces, _MOST_VERTICES, _MOST_FACES):
-                handle = self._add_static(replace(body, vertices=vertices, faces=faces))
+                handle = self._add_static(client, replace(body, vertices=vertices, faces=faces))
+                self._static_handles[number].append(handle)
                 if not body.ground:
                     self._body_numbers[handle] = number
         self._kinematics = BulletCapsules(self._client, spec.kinematics, OBSTACLE, HULL)
@@ -85,14 +91,8 @@ class BulletScene:
         self._all_ideal = all(robot.has_ideal_motors for robot in self.robots)
         self._measures_work = any(robot.measures_work for robot in self.robots)
 
-    def _add_static(self, body: StaticBody) -> int:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=body.vertices.tolist(),
-            indices=body.faces.ravel().tolist(),
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=self._client,
-        )
+    def _add_static(self, client: int, body: StaticBody) -> int:
+        shape = create_mesh_shape(body.vertices, body.faces, client)
         if shape < 0:
             raise PhysicsError(f"PyBullet refused the mesh of {body.name!r} ({len(body.faces)} faces)")
         handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
@@ -135,24 +135,50 @@ class BulletScene:
         for robot in robots:
             robot.begin_step(count)
         self._kinematics.begin_step(poses, near)
-        watched = [robot for robot, is_exposed in zip(robots, exposed, strict=True) if is_exposed]
-        if not watched and not forces:
+        watched = [index for index, is_exposed in enumerate(exposed) if is_exposed]
+        if watched or forces:
+            self._step_watching(count, watched, forces, near)
+        else:
             self.step_passive(count)
-            self._kinematics.end_step()
-            return
+        self._kinematics.end_step()
+
+    def _step_watching(
+        self,
+        count: int,
+        watched: Sequence[int],
+        forces: Mapping[int, Sequence[float]],
+        near: Sequence[int],
+    ) -> None:
+        """Advance by `count` physics steps and read the contacts of the `watched` robots after each.
+
+        `forces` [N] act on the robots with these indices, and the kinematic bodies `near` move.
+        """
+        robots, kinematics = self.robots, self._kinematics
+        touchable = [(robots[index], self._touchable(index, near)) for index in watched]
         for substep in range(1, count + 1):
             for body in near:
-                self._kinematics.move(body, substep / count)
+                kinematics.move(body, substep / count)
             for index, force in forces.items():
                 robots[index].act_force(force)
             self.step_passive(1)
-            for robot in watched:
-                contacts = robot.record_contacts()
-                if near:
-                    self._kinematics.record_contacts(contacts, robot)
-            if near:
-                self._kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
-        self._kinematics.end_step()
+            for robot, handles in touchable:
+                contacts = robot.record_contacts(handles)
+                if contacts and near:
+                    kinematics.record_contacts(contacts, robot)
+            if kinematics.are_pushing:
+                kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
+
+    def _touchable(self, robot: int, near: Sequence[int]) -> list[int]:
+        """Handles of all bodies that a robot can touch in this control step, or that of any body.
+
+        `near` are the kinematic bodies that robots can touch.
+        """
+        if len(self.robots) > 1:
+            return [ANY_BODY]
+        handles = [self._kinematics.handles[index] for index in near]
+        for number in self._gate.statics_near(robot):
+            handles += self._static_handles[number]
+        return handles if len(handles) <= _FEW_BODIES else [ANY_BODY]
 
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics
@@ -180,12 +206,7 @@ class BulletScene:
                         robot.add_work()
 
     def close(self) -> None:
-        self._disconnect()
+        self._release_client()
         for robot in self.robots:
             robot.release()
         self._client = None
-
-
-def _disconnect(client: int) -> None:
-    if pybullet.isConnected(client):
-        pybullet.disconnect(client)

@@ -216,7 +216,7 @@ class DartRobot:
                     middle = pose.multiply(0.5 * (box.getMin() + box.getMax()))
                     half = 0.5 * np.linalg.norm(box.getMax() - box.getMin())
                     reach = max(reach, distance + float(np.linalg.norm(middle) + half))
-        return reach
+        return max([reach, *(distances[tyre.link] + tyre.reach_m for tyre in self.spec.tyres)])
 
     @property
     def base_mass_kg(self) -> float:

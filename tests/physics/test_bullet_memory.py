@@ -1,0 +1,180 @@
+"""PyBullet's clients: what is given back of their memory changes nothing, nor does using one again."""
+
+import mmap
+import threading
+from contextlib import nullcontext
+
+import numpy as np
+import pybullet
+import pytest
+from scenes import SUBSTEPS, Company, box, plane, rover_body, walker
+
+import dune_rl.physics.bullet.clients as clients
+import dune_rl.physics.bullet.memory as memory
+from dune_rl.physics.bullet.memory import returned_zero_pages
+from dune_rl.physics.bullet.scene import BulletScene
+
+MIB = 2**20
+on_linux = pytest.mark.skipif(not memory._IS_SUPPORTED, reason="other systems keep all memory")
+
+
+def allocate(size: int) -> tuple[mmap.mmap, np.ndarray]:
+    """Private memory of so many bytes that is resident, all zeros."""
+    block = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    array = np.frombuffer(block, np.uint8)
+    array[:] = 0
+    return block, array
+
+
+def resident(array: np.ndarray) -> np.ndarray:
+    """Which of the pages of an array are resident."""
+    start = array.ctypes.data
+    return memory._resident(start, start + array.nbytes)
+
+
+@pytest.fixture
+def no_spare_client():
+    """No client waits to be used again."""
+    while clients._spare:
+        pybullet.disconnect(clients._spare.pop())
+
+
+# -- pages of zeros ----------------------------------------------------------------------------------
+
+
+@on_linux
+def test_pages_of_zeros_are_returned_and_read_and_take_values_as_before():
+    assert threading.active_count() == 1
+    with returned_zero_pages():
+        _block, array = allocate(8 * MIB)
+        array[3 * MIB : 3 * MIB + 5] = [1, 2, 3, 4, 5]
+        assert resident(array).all()
+    kept = resident(array)
+    assert kept[3 * MIB // mmap.PAGESIZE]
+    assert kept.sum() < 0.1 * len(kept)
+    assert array[3 * MIB : 3 * MIB + 5].tolist() == [1, 2, 3, 4, 5]
+    assert array.sum() == 15
+    array[:] = 7
+    assert (array == 7).all()
+
+
+@on_linux
+def test_memory_from_before_and_shared_memory_are_left_alone():
+    _block, array = allocate(8 * MIB)
+    with returned_zero_pages():
+        shared = np.frombuffer(mmap.mmap(-1, 8 * MIB), np.uint8)
+        shared[:] = 0
+    assert resident(array).all()
+    assert resident(shared).all()
+
+
+@on_linux
+def test_nothing_is_returned_while_other_threads_run():
+    stop = threading.Event()
+    other = threading.Thread(target=stop.wait)
+    with returned_zero_pages():
+        _block, late = allocate(8 * MIB)
+        other.start()
+    with returned_zero_pages():
+        _block_too, early = allocate(8 * MIB)
+    stop.set()
+    other.join()
+    assert resident(late).all() and resident(early).all()
+
+
+@on_linux
+def test_a_system_without_the_means_returns_nothing(monkeypatch):
+    monkeypatch.setattr(memory, "_IS_SUPPORTED", False)
+    with returned_zero_pages():
+        _block, array = allocate(8 * MIB)
+    memory.return_free_memory()
+    assert resident(array).all()
+
+    def refuse(*_given):
+        raise PermissionError
+
+    monkeypatch.setattr(memory, "_IS_SUPPORTED", True)
+    for part in ("_regions", "_resident"):
+        with monkeypatch.context() as patch:
+            patch.setattr(memory, part, refuse)
+            with returned_zero_pages():
+                _block, array = allocate(8 * MIB)
+        assert resident(array).all()
+
+
+def test_an_error_in_the_block_comes_through():
+    with pytest.raises(KeyError), returned_zero_pages():
+        raise KeyError
+
+
+def test_what_regions_have_beyond_known_ones():
+    least = memory._LEAST_REGION
+    known = [(2 * least, 3 * least), (5 * least, 6 * least)]
+    found = memory._subtract([(0, 8 * least), (9 * least, 9 * least + 10)], known)
+    assert list(found) == [(0, 2 * least), (3 * least, 5 * least), (6 * least, 8 * least)]
+    assert not list(memory._subtract(known, known))
+    # One that has grown upward and downward.
+    grown = memory._subtract([(0, 9 * least)], [(2 * least, 3 * least)])
+    assert list(grown) == [(0, 2 * least), (3 * least, 9 * least)]
+    assert list(memory._subtract([(0, 9 * least)], [])) == [(0, 9 * least)]
+
+
+def test_runs_of_pages():
+    flags = np.zeros(100, bool)
+    flags[5:30] = flags[40:43] = flags[80:] = True
+    assert list(memory._runs(flags)) == [(5, 25), (80, 20)]
+
+
+# -- simulations -------------------------------------------------------------------------------------
+
+
+def drive(size_m: float = 0.4) -> tuple[bytes, int]:
+    """States of a rover that drives into a box, and the client that it did so in."""
+    walls = [plane(), box((1.0, 0.1), size_m, 2.0, 1.0)]
+    company = Company(BulletScene, [rover_body()], walls, [walker()])
+    company.place([0.0, 0.0, 0.13], actors=[[0.0, 0.9, 0.0, 0.0]])
+    states = []
+    for step in range(40):
+        company.robots[0].set_command([4.0, 5.0, 4.0, 5.0])
+        company.step(SUBSTEPS, [[0.0, 0.9 - 0.02 * step, 0.0, 0.0]])
+        states.append(company.states.tobytes())
+    client = company.scene._client
+    company.scene.close()
+    return b"".join(states), client
+
+
+def test_a_scene_in_a_used_client_gives_the_same_bytes_as_in_a_fresh_one(no_spare_client):
+    fresh, client = drive()
+    # It was kept, and others were in it in the meantime.
+    different, same = drive(size_m=0.9)
+    assert same == client and different != fresh
+    again, same = drive()
+    assert same == client
+    assert again == fresh
+
+
+def test_returned_memory_changes_no_simulation(no_spare_client, monkeypatch):
+    returned, _ = drive()
+    pybullet.disconnect(clients._spare.pop())
+    monkeypatch.setattr(clients, "returned_zero_pages", nullcontext)
+    assert drive()[0] == returned
+
+
+def test_one_client_is_kept_and_others_are_closed(no_spare_client):
+    opened = [clients.open_client() for _ in range(3)]
+    for client in opened:
+        clients.release_client(client)
+        clients.release_client(client)
+    assert clients._spare == opened[:1]
+    assert [bool(pybullet.isConnected(client)) for client in opened] == [True, False, False]
+    assert clients.open_client() == opened[0]
+    pybullet.disconnect(opened[0])
+
+
+def test_a_spare_client_that_was_closed_elsewhere_is_not_used(no_spare_client):
+    client = clients.open_client()
+    clients.release_client(client)
+    pybullet.disconnect(client)
+    other = clients.open_client()
+    assert pybullet.isConnected(other)
+    pybullet.disconnect(other)
