@@ -16,7 +16,7 @@ Values = tuple[float, ...]
 class DomainRandomizer:
     """Draws the properties that `randomisation` names, and says what they make of an episode.
 
-    `world_of` builds a world of settings like `world_conf`; equal settings
+    `make_world` builds a world of settings like `world_conf`; equal settings
     should give the same object while that is in use. `prepare` is told the
     settings that will be asked for next, and may build them meanwhile.
     `names` are the properties drawn, in the order of `Values`.
@@ -27,12 +27,12 @@ class DomainRandomizer:
         world_conf: Any,
         weather: WeatherConf,
         randomisation: RandomisationConf,
-        world_of: Callable[[Any], World],
+        make_world: Callable[[Any], World],
         prepare: Callable[[Sequence[Any]], None] | None = None,
     ) -> None:
         self._world_conf, self._weather = world_conf, weather
         self._distributions = randomisation.drawn
-        self._world_of, self._prepare = world_of, prepare
+        self._make_world, self._prepare = make_world, prepare
         self.names = tuple(self._distributions)
 
     @classmethod
@@ -64,7 +64,7 @@ class DomainRandomizer:
 
     def world(self, conf: Any) -> World:
         """The world of such settings; raises WorldError where there is none."""
-        return self._world_of(conf)
+        return self._make_world(conf)
 
     def weather(self, values: Values) -> WeatherConf:
         """The weather of drawn `values`."""
