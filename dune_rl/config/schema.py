@@ -70,7 +70,7 @@ class EnvConf(Settings):
     def _some_group_is_external(self) -> Self:
         if not self.external_groups:
             raise ValueError(
-                "no agent group is driven from outside; set the controller of one to external, such as "
+                "no agent group is external; set the controller of one to external, such as "
                 f"agents.{self.groups[0].name}.controller=external"
             )
         return self

@@ -88,7 +88,7 @@ class RunLog:
             for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
                 if name.startswith(("reward/", "randomisation/")):
                     self.scalars(group, {name: value}, frames)
-            statistics = recent.averages()
+            statistics = recent.average_metrics()
             self._log_statistics(group, "train", statistics, frames)
             if complete:
                 self._record(group, "train", len(recent), statistics, frames, updates[group])

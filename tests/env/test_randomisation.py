@@ -331,7 +331,7 @@ def test_a_run_log_shows_the_mean_of_what_was_drawn(tmp_path: Path) -> None:
     done = torch.ones(1, 2, 1, dtype=torch.bool)
     rover = TensorDict({"metrics": metrics}, (1, 2, 1))
     collected = TensorDict({"next": TensorDict({"done": done, "rover": rover}, (1, 2))}, (1, 2))
-    log.collected(collected, 64, {"rover": 0})
+    log.log_batch(collected, 64, {"rover": 0})
     log.close()
     events = EventAccumulator(str(tmp_path)).Reload()
     (scalar,) = events.Scalars("randomisation/friction")

@@ -15,7 +15,7 @@ from dune_rl.worlds.cache.store import WorldStore
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.registry import build
+from dune_rl.worlds.registry import build_uncached
 
 CONFS = [IslandConf(seed=seed) for seed in range(3)]
 PATIENCE_S = 60.0
@@ -51,7 +51,7 @@ def test_another_process_fills_the_cache_and_ends_with_the_store(tmp_path: Path)
     assert store.builder_pid == child
     wait_for(lambda: kept(store) == len(CONFS))
     assert os.getpriority(os.PRIO_PROCESS, child) > os.getpriority(os.PRIO_PROCESS, 0)
-    assert [digest(store.get(conf)) for conf in CONFS] == [digest(build(conf)) for conf in CONFS]
+    assert [digest(store.get(conf)) for conf in CONFS] == [digest(build_uncached(conf)) for conf in CONFS]
     store.close()
     assert not alive(child) and store.builder_pid is None
     # With all there, none is started.

@@ -31,7 +31,7 @@ from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.registry import build
+from dune_rl.worlds.registry import build_uncached
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
@@ -91,9 +91,9 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
 
     def counting(conf: WorldSettings) -> World:
         built.append(conf)
-        return build(conf)
+        return build_uncached(conf)
 
-    monkeypatch.setattr(module, "build", counting)
+    monkeypatch.setattr(module, "build_uncached", counting)
     return built
 
 
@@ -102,7 +102,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
 )
 def test_a_kept_world_is_the_built_one(tmp_path: Path, name: str, counted: list[WorldSettings]) -> None:
     conf = family(name, tmp_path)
-    fresh = build(conf)
+    fresh = build_uncached(conf)
     _ = fresh.clearance_field
     store = WorldStore(tmp_path / "cache")
     first, second = store.get(conf), WorldStore(tmp_path / "cache").get(conf)
@@ -123,7 +123,7 @@ def test_looks_are_kept_beside_worlds(
     tmp_path: Path, conf: WorldSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     light = LightConf(sun_bearing_rad=1.0)
-    fresh = bake_world(build(conf), light)
+    fresh = bake_world(build_uncached(conf), light)
     store = WorldStore(tmp_path)
     assert not store.is_cached(conf, with_appearance=True)
     precompute_appearance(store.get(conf))
@@ -331,6 +331,6 @@ def test_two_processes_may_keep_the_same_world(tmp_path: Path) -> None:
     both = [subprocess.Popen(command, stdout=subprocess.PIPE, env=environ) for _ in range(2)]
     told = [process.communicate()[0].split() for process in both]
     assert all(process.returncode == 0 for process in both)
-    truth = {digest(build(QUICK.model_copy(update={"seed": seed}))) for seed in range(3)}
+    truth = {digest(build_uncached(QUICK.model_copy(update={"seed": seed}))) for seed in range(3)}
     assert [set(map(bytes.decode, words)) for words in told] == [truth, truth]
     assert len(list(tmp_path.rglob("*.npz"))) == 3 and not list(tmp_path.rglob("*.tmp"))

@@ -27,7 +27,7 @@ from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.registry import build, own_settings
+from dune_rl.worlds.registry import build_uncached, parse_built_in_settings
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
@@ -61,10 +61,10 @@ class WorldStore:
     def get(self, conf: WorldSettings) -> World:
         """The world of `conf`, read from the cache or built; warns and raises as building it does."""
         if self.cache is None or not isinstance(conf, _APPEARANCE_CACHED):
-            return build(conf)
+            return build_uncached(conf)
         key = world_key(conf)
         if not isinstance(conf, _CACHED):
-            world = build(conf)
+            world = build_uncached(conf)
             world.disk_cache = _appearance_cache(self.cache, key, {}, [])
             return world
         return self._load(self.cache, key) or self._build_and_cache(self.cache, key, conf)
@@ -130,7 +130,7 @@ class WorldStore:
     def _build_and_cache(self, cache: CacheFolder, key: str, conf: WorldSettings) -> World:
         with warnings.catch_warnings(record=True) as caught, record_dependencies() as sources:
             warnings.simplefilter("always")
-            world = build(conf)
+            world = build_uncached(conf)
             # Computed now so that it is cached: every spawn needs it, and it may take longer than all else.
             _ = world.clearance_field
         messages = [str(w.message) for w in caught if issubclass(w.category, WorldWarning)]
@@ -181,7 +181,7 @@ def encode_request(conf: WorldSettings, with_appearance: bool) -> str:
 def decode_request(line: bytes) -> tuple[WorldSettings, bool]:
     """Settings and `with_appearance` of a request; raises ValueError or KeyError for an invalid line."""
     request = json.loads(line)
-    return own_settings(request["world"]), bool(request["with_appearance"])
+    return parse_built_in_settings(request["world"]), bool(request["with_appearance"])
 
 
 def shared_store() -> WorldStore:
