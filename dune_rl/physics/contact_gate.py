@@ -1,7 +1,7 @@
 """Conservative test of whether robots can touch anything but ground within a control step.
 
-To read contacts after every physics step costs some 6 % of the step. Most of
-the time the test shows that there cannot be any.
+Reading contacts after every physics step costs about 6 % of a control step;
+most of the time this test shows that there cannot be any.
 """
 
 import math
@@ -22,7 +22,7 @@ _MARGIN_M = 0.3
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
 # velocity and do not increase it.
 _MAX_ACCELERATION_MPS2 = 40.0
-# Distance below which engines begin to treat two shapes as in contact, and more.
+# Upper bound of the distance below which engines treat two shapes as in contact.
 _CONTACT_MARGIN_M = 0.1
 _CELL_M, _MOST_CELLS = 0.25, 512
 # Triangles with larger bounding boxes are split before they are drawn into the grid.
@@ -31,13 +31,13 @@ _MOST_SPLITS = 12
 
 
 class ObstacleGrid:
-    """Grid over the ground of where a robot with horizontal reach `reach_m` is near a static obstacle.
+    """Grid of positions at which a robot with horizontal reach `reach_m` is near a static obstacle.
 
-    Each triangle counts with its bounding box, at any height.
+    Each triangle is replaced by its bounding box in plan view, at any height.
     """
 
     def __init__(self, statics: Sequence[StaticBody], reach_m: float) -> None:
-        # Keeps the statics, and so their id, which `load_shared_grid` looks up.
+        # The reference keeps the id of the statics, which `load_shared_grid` uses as key, from being reused.
         self.statics = statics
         obstacles = [body.vertices[body.faces][..., :2] for body in statics if not body.ground]
         triangles = np.concatenate([np.zeros((0, 3, 2)), *obstacles])

@@ -417,4 +417,4 @@ def test_lists_are_short_for_distributions() -> None:
         layout_seed=Choice(values=(1.0, 5.0, 9.0)),
         brightness=LogUniform(low=0.5, high=2.0),
     )
-    assert list(conf.drawn) == ["world_seed", "layout_seed", "friction", "brightness"]
+    assert list(conf.distributions) == ["world_seed", "layout_seed", "friction", "brightness"]
