@@ -390,8 +390,8 @@ def test_without_randomisation_nothing_more_is_told() -> None:
         (
             "island",
             ["randomisation.sun_bearing_rad=[0,1]", "weather.time_of_day_h=9"],
-            "randomisation.sun_bearing_rad: weather.time_of_day_h=9 says where the sun stands; set one of "
-            "them to null",
+            "randomisation.sun_bearing_rad: weather.time_of_day_h=9 determines the position of the sun; "
+            "set one of them to null",
         ),
     ],
 )
