@@ -22,7 +22,12 @@ from dune_rl.config.compose import override_value
 from dune_rl.config.options import REGISTRIES
 from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneError, DuneWarning
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
+from dune_rl.learning.checkpoint import (
+    BEST_POLICY_FILE,
+    CHECKPOINT_FILE,
+    find_checkpoint_file,
+    read_checkpoint_file,
+)
 from dune_rl.paths import conf_folder
 
 _SHOW_WARNING = warnings.showwarning
@@ -157,8 +162,8 @@ def compose_with_checkpoint(
     checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None
     if checkpoint is not None:
-        file = find(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
-        saved = adapt(read(file, "policy", "checkpoint")["config"])
+        file = find_checkpoint_file(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+        saved = adapt(read_checkpoint_file(file, "policy", "checkpoint")["config"])
     conf = compose(parsed.overrides, config_folders(parsed), saved)
     if not parsed.cfg:
         return conf

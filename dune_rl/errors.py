@@ -1,16 +1,16 @@
-"""The one family of errors that a user can cause and mend."""
+"""Exceptions and warnings for faults that a user can correct."""
 
 
 class DuneError(Exception):
-    """A fault whose message says what to do about it; command lines print it and exit with 2."""
+    """Base of errors whose message states a remedy; command lines print it and exit with code 2."""
 
 
 class ConfigError(DuneError):
-    """Settings that cannot be: every fault found, one per line."""
+    """Invalid settings; the message lists every fault, one per line."""
 
 
 class WorldError(DuneError):
-    """A world that cannot give what is asked of it, such as a spawn with a path to a goal."""
+    """A world that cannot be built, or has no room for the task."""
 
 
 class RegistryError(DuneError):
@@ -30,4 +30,4 @@ class PhysicsError(DuneError):
 
 
 class DuneWarning(UserWarning):
-    """Base of what users are warned of, in words that need no place in our code."""
+    """Base of warnings for users, which are printed without a source location."""

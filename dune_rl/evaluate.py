@@ -18,7 +18,7 @@ from dune_rl.errors import ConfigError
 if TYPE_CHECKING:
     from dune_rl.env.torchrl import DuneEnv
     from dune_rl.learning.group_policy import Policy
-    from dune_rl.learning.measures import Row
+    from dune_rl.learning.measures import MetricsRow
 
 USAGE = (
     ("python -m dune_rl.evaluate checkpoint=runs/NAME", "a trained policy"),
@@ -62,7 +62,7 @@ def _evaluate(conf: EvaluateConf) -> None:
     console = command.make_console()
     env = make_learning_env(conf, min(conf.scenes, conf.episodes), conf.seed)
     agents: dict[str, list[str]] = env.group_map
-    results: dict[str, dict[str, list[Row]]] = {}
+    results: dict[str, dict[str, list[MetricsRow]]] = {}
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
         for name, policy in _policies(conf, env).items():
             task = bar.add_task(name, total=conf.episodes)
@@ -89,14 +89,14 @@ def _advance(bar: Progress, task: TaskID, done: int) -> None:
 
 
 def _show(
-    console: Console, conf: EvaluateConf, title: str, results: dict[str, list["Row"]], num_agents: int
+    console: Console, conf: EvaluateConf, title: str, results: dict[str, list["MetricsRow"]], num_agents: int
 ) -> None:
     """Print the table of one group, and the paired test where two policies are compared."""
-    from dune_rl.learning.measures import summary
+    from dune_rl.learning.measures import estimate_metrics
     from dune_rl.learning.table import paired_line, results_table
 
     title = f"{title}: {conf.episodes} episodes of seed {conf.seed}"
-    estimates = {name: summary(rows) for name, rows in results.items()}
+    estimates = {name: estimate_metrics(rows) for name, rows in results.items()}
     console.print(results_table(estimates, title, num_agents=num_agents))
     if len(results) == 2 and all("success" in rows[0] for rows in results.values()):
         console.print(paired_line(*results.items()))
@@ -117,7 +117,7 @@ def _policies(conf: EvaluateConf, env: "DuneEnv") -> dict[str, "Policy"]:
     return policies
 
 
-def _record(policy: str, conf: EvaluateConf, agents: list[str], row: "Row") -> dict[str, object]:
+def _record(policy: str, conf: EvaluateConf, agents: list[str], row: "MetricsRow") -> dict[str, object]:
     metrics = {key: int(value) if float(value).is_integer() else value for key, value in row.items()}
     agent = agents[int(metrics.pop("agent"))]
     return {"policy": policy, "world": conf.world.name, "seed": conf.seed, "agent": agent, **metrics}

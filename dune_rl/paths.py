@@ -1,4 +1,4 @@
-"""Where the packaged configurations and assets lie, in a checkout and in a wheel, and the cache."""
+"""Paths of the packaged configuration and assets, in a checkout and in a wheel, and of the cache."""
 
 import os
 from pathlib import Path
@@ -27,7 +27,7 @@ def assets_folder() -> Path:
 
 
 def cache_folder() -> Path | None:
-    """Where what can be made anew is kept: $DUNE_RL_CACHE (None for "off" or nothing), or ~/.cache/dune_rl.
+    """Folder of the disk cache: $DUNE_RL_CACHE (None for "off" or an empty value), or ~/.cache/dune_rl.
 
     As the XDG base directory specification has it, $XDG_CACHE_HOME stands for ~/.cache if it is absolute.
     """

@@ -1,8 +1,8 @@
-"""The parts that can be added from outside: worlds, robots, sensors, behaviours, terms and algorithms.
+"""Plugin registry of worlds, robots, sensors, behaviours, terms and algorithms ("parts").
 
-There is one registry for each kind. A part is a function or a class. A registry knows our own parts by their
-place (`"module:attribute"`, imported when one is used), those of installed packages by entry point (group
-`dune_rl.worlds`, `dune_rl.rewards`, ...; listed without importing them), and those that a program registers.
+There is one registry for each kind. A part is a function or a class. A registry has three sources: built-in
+parts, by import path (`"module:attribute"`, imported on first use); entry points of installed packages (group
+`dune_rl.worlds`, `dune_rl.rewards`, ...; listed without importing them); and parts registered at run time.
 """
 
 import importlib
@@ -24,9 +24,9 @@ Target = TypeVar("Target", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class RegisteredPart:
-    """A part: the function or class, its settings class, how it is called, and where it comes from.
+    """A registered function or class with its settings class, signature and origin.
 
-    `origin` opens every sentence about what is wrong with it. `is_own` marks ours.
+    Error messages about the part start with `origin`. `is_own` marks built-in parts.
     """
 
     target: Callable[..., Any]
@@ -37,10 +37,10 @@ class RegisteredPart:
 
 
 class DerivedSettings(Settings):
-    """Settings of a class that was made at run time from the parameters of a part.
+    """Base of settings classes that are created at run time from the parameters of a part.
 
-    Such a class cannot be imported by its name. A worker process gets the part's name, and the function or
-    class of a user along.
+    Such a class cannot be pickled by name. A pickle has the part's name and, for a user's part, its function
+    or class.
     """
 
     _part: ClassVar[RegisteredPart]
@@ -53,25 +53,25 @@ class DerivedSettings(Settings):
         return _restore_settings, (registry.location, values[registry.tag], target, values)
 
     def __hash__(self) -> int:
-        # Settings may be lists.
+        # Settings may be unhashable lists.
         return hash((type(self), self.model_dump_json()))
 
 
 class Registry(Generic[ProductT]):
-    """The parts of one kind by name, and their settings.
+    """The registered parts of one kind by name, and their settings classes.
 
     A part's settings are its parameters with their types, defaults and ranges
     (`Annotated[float, pydantic.Field(gt=0)]`), or one parameter whose type is
-    a `Settings` class. Some parameters are no settings but come from the
+    a `Settings` class. Some parameters are not settings but are passed by the
     caller, such as `state, group`: `function_leading` names those of a
-    function, which stand first in it, and `class_leading` those of a class,
-    in any place. Either is None where a part cannot be one.
+    function, which must come first, and `class_leading` those of a class, in
+    any position. Either is None if parts cannot be functions, or classes.
 
     The settings class of each part derives from `base`, whose field `tag`
-    holds the part's name. `product` is the class, or the protocol, of what
-    `build` makes, and of what a function returns, unless `returned` is; `form`
-    says in words what a part must be. `location` is where the registry itself
-    can be imported from.
+    holds the part's name. `product` is the class or protocol of the objects
+    that `build` returns; `returned` is that of a function's return value, if it
+    differs. `form` describes a valid part, for messages. `location` is the
+    import path of the registry object.
     """
 
     def __init__(
@@ -99,19 +99,19 @@ class Registry(Generic[ProductT]):
         self._loaded: dict[str, RegisteredPart] = {}
         self._user_parts: dict[str, RegisteredPart] = {}
 
-    # -- what there is ----------------------------------------------------------------------------
+    # -- listing ----------------------------------------------------------------------------------
 
     @property
     def entry_point_group(self) -> str:
-        """The group of entry points that packages add parts by."""
+        """The entry-point group in which packages add parts."""
         return f"dune_rl.{self.kind}s"
 
     def names(self) -> list[str]:
-        """The name of every part, sorted; no package of a user is imported for it."""
+        """Names of all parts, sorted, without importing users' packages."""
         return sorted({*self.own, *self.user_names()})
 
     def user_names(self) -> list[str]:
-        """The names of the parts that are not ours. One that takes the name of ours is warned of."""
+        """Names of users' parts, sorted. Warns of entry points with the name of a built-in part."""
         by_name = plugins.entry_points_by_name(self.entry_point_group)
         for name in self.own:
             for point in by_name.pop(name, ()):
@@ -125,26 +125,28 @@ class Registry(Generic[ProductT]):
         return sorted({*by_name, *self._user_parts})
 
     def is_loaded(self, name: str) -> bool:
-        """Whether the settings of a part are known without importing a user's package."""
+        """Whether `settings_class` imports no user's package for this name."""
         return name in self.own or name in self._user_parts
 
     def settings_class(self, name: str) -> Any | None:
-        """The settings class of the part `name`, None where there is none; an error for a broken package."""
+        """The settings class of the part `name`; see `find`."""
         part = self.find(name)
         return None if part is None else part.settings
 
     # -- settings ---------------------------------------------------------------------------------
 
     def parse_settings(self, value: Any) -> Any:
-        """The settings that a mapping stands for, by its tag; anything else as it is.
+        """Parse a mapping as the settings of the part that its tag names; return other values unchanged.
 
-        For pydantic's `BeforeValidator`: what is wrong raises `ValueError`.
+        For pydantic's `BeforeValidator`: raises `ValueError` for invalid values.
         """
         if not isinstance(value, Mapping):
             return value
         name = value.get(self.tag)
         if not isinstance(name, str):
-            raise ValueError(f"{self.tag} must say which {self.kind} it is: {one_of(self.names())}")
+            raise ValueError(
+                f"{self.tag} must be the name of {with_article(self.kind)}: {one_of(self.names())}"
+            )
         try:
             settings = self.settings_class(name)
         except DuneError as error:
@@ -154,9 +156,9 @@ class Registry(Generic[ProductT]):
         return settings.model_validate(value)
 
     def tag_entries(self, value: Any) -> Any:
-        """A mapping of named entries, in which an entry without a tag is the part of its own name.
+        """Add the entry's name as tag to entries of a mapping that have none, and drop null entries.
 
-        Entries that are null are left out. For a `BeforeValidator` of a dictionary of settings.
+        For a `BeforeValidator` of a dictionary of settings.
         """
         if not isinstance(value, Mapping):
             return value
@@ -167,7 +169,7 @@ class Registry(Generic[ProductT]):
         }
 
     def unknown(self, name: str) -> str:
-        """What to write instead of the name of a part that there is not."""
+        """Error message for an unknown name, with a suggestion."""
         known = self.names()
         near = closest(name, known)
         remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
@@ -180,14 +182,14 @@ class Registry(Generic[ProductT]):
     # -- registering and building -----------------------------------------------------------------
 
     def register(self, target: Target, name: str | None = None) -> Target:
-        """Make a part known in this process as `name`, else by its own name; gives it back.
+        """Register a part in this process as `name` (default: its `__name__`), and return it.
 
-        To register it again replaces it, as when a notebook's cell runs twice.
-        Raises an error for a name that is taken, and for parameters that
-        cannot be settings.
+        Registering it again replaces it, as when a notebook's cell runs twice.
+        Raises an error if the name is taken, or a parameter cannot be a
+        setting.
         """
         name = name if name is not None else str(getattr(target, "__name__", target))
-        where = _place(target)
+        where = _import_path(target)
         if not plugins.VALID_NAME.fullmatch(name):
             raise self._error(
                 f"{with_article(self.kind)} cannot be called {name!r}: take letters, digits and _, "
@@ -198,16 +200,16 @@ class Registry(Generic[ProductT]):
                 f"{where} cannot be the {self.kind} {name!r}, which dune_rl has: choose another name."
             )
         before = self._user_parts.get(name)
-        if before is not None and _place(before.target) != where:
+        if before is not None and _import_path(before.target) != where:
             raise self._error(
-                f"{where} cannot be the {self.kind} {name!r}, which {_place(before.target)} is: "
+                f"{where} cannot be the {self.kind} {name!r}, which {_import_path(before.target)} is: "
                 "choose another name."
             )
         self._remember(name, target, f"the {self.kind} {name!r} is {where}")
         return target
 
     def build(self, conf: Settings, *leading: Any) -> ProductT:
-        """What the part of `conf` makes of the leading arguments and its settings."""
+        """Call the part of `conf` with the leading arguments and its settings, and check the result."""
         part = self.part_of(conf)
         names = self._leading["class" if part.signature.is_class else "function"] or ()
         arguments = dict(zip(names, leading, strict=True)) | part.signature.arguments(conf)
@@ -223,7 +225,7 @@ class Registry(Generic[ProductT]):
         return product
 
     def part_of(self, conf: Settings) -> RegisteredPart:
-        """The part that settings are of."""
+        """The part that settings belong to."""
         if isinstance(conf, DerivedSettings):
             return type(conf)._part
         part = self.find(getattr(conf, self.tag))
@@ -231,7 +233,7 @@ class Registry(Generic[ProductT]):
         return part
 
     def find(self, name: str) -> RegisteredPart | None:
-        """The part `name`, None where there is none; an error for a broken package."""
+        """The part `name`, None if it does not exist; raises an error for a broken package."""
         if name in self.own:
             if name not in self._loaded:
                 self._loaded[name] = self._read_own(name)
@@ -256,7 +258,7 @@ class Registry(Generic[ProductT]):
             self._remember(name, target, origin)
         return self._user_parts[name]
 
-    # -- inside -----------------------------------------------------------------------------------
+    # -- loading ----------------------------------------------------------------------------------
 
     def _read_own(self, name: str) -> RegisteredPart:
         module, _, attribute = self.own[name].partition(":")
@@ -298,10 +300,10 @@ class Registry(Generic[ProductT]):
         missing = missing_members(self._product, product)
         if missing is None:
             return
-        wanted = with_article(self._product.__name__)
+        expected = with_article(self._product.__name__)
         lacking = f" without {', '.join(missing)}" if missing else ""
         raise self._error(
-            f"{part.origin}, which must return {wanted}, and returned {product!r:.80}{lacking}."
+            f"{part.origin}, which must return {expected}, but returned {product!r:.80}{lacking}."
         )
 
     def _origin_of(self, name: str, point: EntryPoint) -> str:
@@ -309,16 +311,16 @@ class Registry(Generic[ProductT]):
 
 
 def missing_members(product: Any, value: Any) -> list[str] | None:
-    """What `value` lacks of a protocol, sorted; empty where it is no instance of a class; None: it fits."""
+    """Members of a protocol that `value` lacks; [] if it is no instance of a class; None if it fits."""
     if getattr(product, "_is_protocol", False):
         members = {name for base in product.__mro__ for name in (*vars(base), *_annotations(base))}
-        wanted = (name for name in members if name == "__call__" or not name.startswith("_"))
-        return sorted(name for name in wanted if not _has(value, name)) or None
+        public = (name for name in members if name == "__call__" or not name.startswith("_"))
+        return sorted(name for name in public if not _has(value, name)) or None
     return None if isinstance(value, product) else []
 
 
 def _has(value: Any, name: str) -> bool:
-    # Not `hasattr` first, which would compute properties.
+    # The type first: `hasattr` of the object would compute properties.
     return hasattr(type(value), name) or hasattr(value, name)
 
 
@@ -337,5 +339,5 @@ def _restore_settings(location: str, name: str, target: Any, values: dict[str, A
     return settings.model_validate(values)
 
 
-def _place(target: Any) -> str:
+def _import_path(target: Any) -> str:
     return f"{getattr(target, '__module__', '?')}:{getattr(target, '__qualname__', target)}"

@@ -21,7 +21,7 @@ Counts = NDArray[np.int64]
 
 
 class GroundQueries(Protocol):
-    """What a term may ask about the worlds of the M scenes; points have the leading axis M."""
+    """Queries of the ground and static obstacles of M scenes; points have the leading axis M."""
 
     @property
     def extents(self) -> Array:
@@ -38,21 +38,22 @@ class GroundQueries(Protocol):
 
 
 class ProximityQueries(Protocol):
-    """What is near the agents of each group at one control step, computed when it is first read."""
+    """Clearances and neighbours of each group's agents at one control step, computed on first access."""
 
     def clearance(self, group: str) -> Array:
-        """Distance [m], (N,), of each agent's outline from the nearest obstacle or other agent; a new
-        array.
+        """Distance [m], (N,), of each agent's outline from the nearest obstacle or other agent.
+
+        The array is new at every call.
         """
         ...
 
     def neighbours(self, group: str) -> Array:
-        """Poses (N, K, 4) of the other moving bodies of each agent's scene."""
+        """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
         ...
 
 
 class BatteryModel(Protocol):
-    """The battery of a robot: what terms read of its settings."""
+    """The battery of a robot, for the terms that measure energy."""
 
     @property
     def capacity_wh(self) -> float:
@@ -60,7 +61,7 @@ class BatteryModel(Protocol):
         ...
 
     def drawn_wh(self, work_j: Array, time_s: float) -> Array:
-        """Energy drawn [W h], (N,), while motors have done `work_j` (N,) [J] in `time_s`."""
+        """Energy [W h], (N,), drawn from the battery for motor work `work_j` (N,) [J] in `time_s` [s]."""
         ...
 
 
@@ -76,8 +77,8 @@ class EnergyState:
 class JointState:
     """Angle [rad], speed [rad/s] and torque [N m] of the motors' joints, each (N, J).
 
-    Positive rolls a wheel forward. Wheel angles count whole turns; torques are the motors' own, of the last
-    physics step.
+    Positive values roll a wheel forward. Wheel angles are not wrapped. Torques are those of the motors in
+    the last physics step.
     """
 
     angle: Array
@@ -91,10 +92,11 @@ class Motion:
     `position_w` (N, 3) is the origin's [m]; `roll_pitch_yaw` (N, 3) [rad]; `rotation` (N, 3, 3) turns body
     to world; `velocity_w`, `angular_w` (N, 3) [m/s, rad/s] and the same in the body frame as `velocity_b`,
     `angular_b`; `acceleration_b` (N, 3) [m/s²] is the mean acceleration of the origin over the last control
-    step without gravity; `joints` are the motors' joints where something reads them; `diverged` (N,) marks
-    bodies whose physics gave an impossible state: they keep their last good one.
+    step without gravity; `joints` are the motors' joints, None if nothing reads them. `diverged` (N,) marks
+    bodies whose physics gave an invalid state: they keep their last valid one.
 
-    What is not given is derived when it is first read: of bodies that only turn about the world's z.
+    Quantities that are not passed are computed on first access, for bodies that rotate about the world's z
+    axis only.
     """
 
     def __init__(
@@ -156,8 +158,8 @@ class GoalState:
 class ContactState:
     """Contacts with anything but the ground in any physics step of this control step, each (N,).
 
-    `touching` tells whether there is one, `new` how many collisions began (one for each body, however long
-    it is touched), `total` how many there have been in the episode.
+    `touching` marks agents in contact, `new` is the number of collisions that began (one per body touched,
+    for however long), `total` the number of collisions in the episode.
     """
 
     touching: Flags
@@ -167,11 +169,11 @@ class ContactState:
 
 @dataclass(frozen=True)
 class EpisodeState:
-    """Which episode each agent is in, and since how many control steps.
+    """Episode id and number of control steps of each agent.
 
-    `ids` (N,) number the episodes and `steps` (N,) the control steps of `step_s` seconds that they have
-    had. Random draws of an agent depend on (`seed`, name, `streams` (N,), `steps`) alone: `streams` differ
-    between the agents of a scene, and equal the ids for its first agent.
+    `ids` (N,) are the episodes' numbers, `steps` (N,) the control steps since their start, each of `step_s`
+    [s]. Random draws of an agent depend on (`seed`, name, `streams` (N,), `steps`) alone: `streams` differ
+    between the agents of a scene, and equal `ids` for agent 0.
     """
 
     seed: int
@@ -185,10 +187,10 @@ class EpisodeState:
 class GroupState:
     """One agent group after a control step; every array has the leading axis N = M * G.
 
-    `done` (N,) marks agents whose episode ended in an earlier step and who wait for the others. `radius_m` is
-    the radius of the circle that stands for an agent where distances between agents are rewarded: half the
-    width of a robot, the radius of a person. `energy` is there where it is measured. `endings` has the flags
-    (N,) of each termination term by name once these are evaluated, for rewards and metrics.
+    `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
+    `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
+    half the width of a robot, the radius of a person. `energy` is None unless a metric needs it. `endings`
+    has the flags (N,) of each termination term by name; rewards and metrics are evaluated after these.
     """
 
     name: str
@@ -218,24 +220,24 @@ class GroupState:
         return self.proximity.neighbours(self.name)
 
     def ended_by(self, termination: str) -> Flags:
-        """Flags (N,) of the termination term of this name; all false where the task has none so called."""
+        """Flags (N,) of the termination term of this name; all False if the task has no such term."""
         flags = self.endings.get(termination)
         return np.zeros(len(self.done), bool) if flags is None else flags
 
     def by_scene(self, values: Array) -> Array:
-        """`values` (N, ...) with an axis for scenes and one for agents: (M, G, ...)."""
+        """`values` (N, ...) reshaped to (M, G, ...)."""
         return values.reshape(-1, self.count, *values.shape[1:])
 
 
 @dataclass(frozen=True)
 class State:
-    """The groups of M scenes by name, and the ground that they are on."""
+    """State of all agent groups of M scenes by name, and queries of the ground."""
 
     groups: Mapping[str, GroupState]
     ground: GroundQueries
     num_scenes: int
 
     def extents(self, group: GroupState) -> Array:
-        """Rectangle (xmin, xmax, ymin, ymax) [m] of the terrain that each agent of `group` is on, (N, 4)."""
+        """Rectangle (xmin, xmax, ymin, ymax) [m] of the terrain of each agent of `group`, (N, 4)."""
         extents = self.ground.extents
         return extents if group.count == 1 else np.repeat(extents, group.count, axis=0)

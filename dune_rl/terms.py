@@ -1,4 +1,4 @@
-"""The registry of terms: rewards, terminations and metrics, which are functions of the state."""
+"""Registries of terms: rewards, terminations and metrics, which are functions of the state."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -18,10 +18,10 @@ Term = Callable[["State", "GroupState"], NDArray[Any]]
 
 
 class StatefulTerm(Protocol):
-    """A term that remembers something of each of N agents; it is made with N, as `num_rows`."""
+    """A term with memory for each of N agents; its constructor takes N as `num_rows`."""
 
     def reset(self, mask: NDArray[np.bool_], group: "GroupState") -> None:
-        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
+        """Clear the memory of the agents in `mask` (N,), whose episodes begin."""
         ...
 
     def __call__(self, state: "State", group: "GroupState") -> NDArray[Any]:
@@ -30,7 +30,7 @@ class StatefulTerm(Protocol):
 
 
 class TermConf(Settings):
-    """Settings of a term: `term` is the name it is registered by; its parameters are fields of a subclass."""
+    """Settings of a term: `term` is its registered name; its parameters are fields of a subclass."""
 
     term: str
 
@@ -40,7 +40,7 @@ class TermConf(Settings):
 
 
 class TermRegistry(Registry[StatefulTerm]):
-    """Terms of one kind: functions `f(state, group, *, SETTINGS) -> (N,)`, and classes for those with a past.
+    """Terms of one kind: functions `f(state, group, *, SETTINGS) -> (N,)`, or classes for terms with memory.
 
     A class has `__init__(self, num_rows, *, SETTINGS)`, `reset(mask, group)` and `__call__(state, group)`.
     """
@@ -62,7 +62,7 @@ class TermRegistry(Registry[StatefulTerm]):
     def bind(self, conf: Settings, num_rows: int) -> Term:
         """The term with its settings, for a group of `num_rows` agents in all scenes.
 
-        A user's raises `RegistryError` where it does not give one value for each agent.
+        A user's term raises `RegistryError` if it does not return one value for each agent.
         """
         part = self.part_of(conf)
         if part.signature.is_class:
@@ -73,7 +73,7 @@ class TermRegistry(Registry[StatefulTerm]):
 
 
 class _CheckedTerm:
-    """A user's term, whose every value must be an array (N,)."""
+    """Wraps a user's term, and checks the shape (N,) of the arrays that it returns."""
 
     def __init__(self, term: Term, origin: str, num_rows: int) -> None:
         self._term, self._origin, self._shape = term, origin, (num_rows,)
@@ -86,7 +86,7 @@ class _CheckedTerm:
             what = f"one of shape {values.shape}" if hasattr(values, "shape") else f"{values!r:.80}"
             raise RegistryError(
                 f"{self._origin}, which must return an array of shape {self._shape}, one value for each "
-                f"agent, and returned {what}."
+                f"agent, but returned {what}."
             )
         return values
 

@@ -22,7 +22,7 @@ from dune_rl.command import HelpPage
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find, read
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
@@ -43,7 +43,7 @@ SETTINGS = (
     ("seed=N", "of everything drawn at random"),
     ("total_frames=N", "control steps in all"),
     ("device=cpu|cuda", "of the learner"),
-    ("run_dir=FOLDER", "where the run is kept"),
+    ("run_dir=FOLDER", "folder of the run"),
     ("task.terminations.time_limit.max_steps=N", "length of an episode"),
     ("learning.collector.workers=N", "processes that step environments"),
     ("learning.collector.scenes=N", "scenes in each process"),
@@ -103,8 +103,8 @@ def _job(config: DictConfig) -> None:
 
 
 def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
-    checkpoint = find(Path(source), CHECKPOINT_FILE)
-    saved = dict(read(checkpoint, "checkpoint")["config"])
+    checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
+    saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
     conf = compose_resumed(overrides, folders, saved)
@@ -121,15 +121,15 @@ def _refuse_used_folder(run_dir: Path) -> None:
 
 def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
-    # Only now: these load PyTorch, the physics engine and more, which other commands and collector
-    # processes, which import this module too, do without.
+    # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
+    # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
-    from dune_rl.learning.progress import Bar, Lines
+    from dune_rl.learning.progress import BarReporter, LineReporter
     from dune_rl.learning.trainer import Trainer
 
     _check_machine(conf)
     console = command.make_console()
-    reporter = Bar(console) if console.is_terminal else Lines(partial(print, flush=True))
+    reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
     trainer = Trainer(
@@ -168,7 +168,7 @@ def _check_machine(conf: Conf) -> None:
 
 
 def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
-    from dune_rl.learning.measures import summary
+    from dune_rl.learning.measures import estimate_metrics
     from dune_rl.learning.policies import go_to_goal_fault
     from dune_rl.learning.table import results_table
 
@@ -176,9 +176,9 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
         episodes = conf.learning.evaluation.episodes
         title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
-        table = results_table({"trained": summary(rows)}, title, num_agents=len(rows) // episodes)
+        table = results_table({"trained": estimate_metrics(rows)}, title, num_agents=len(rows) // episodes)
         console.print(table)
-    lines = [f"Kept in {result.run_dir}:"]
+    lines = [f"Files in {result.run_dir}:"]
     lines += [
         f"  {path.name}"
         for path in sorted(result.run_dir.iterdir())

@@ -1,4 +1,4 @@
-"""The behaviour `go_to_goal`: turn toward the goal, then drive at it, whatever lies between."""
+"""The behaviour `go_to_goal`: turn toward the goal, then drive straight at it, without avoiding obstacles."""
 
 from typing import Annotated
 

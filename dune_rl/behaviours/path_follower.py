@@ -1,4 +1,4 @@
-"""Agents that walk there and back on smooth paths: where they start, where they go, and the scripted walk."""
+"""Path following: start poses, goals and scripted motion of agents on smooth paths, there and back."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 SamplePoints = Callable[[np.random.Generator, int, float], Array]
 
-# Random paths that are kept for the agents of a group in a world.
+# Number of random paths stored for each group and world.
 _BANK_SIZE = 128
 _MIN_PATHS = 8
 _MAX_PATHS = 64
@@ -28,11 +28,14 @@ _START_TRIES = 50
 
 
 class PathConf(Settings):
-    """The path of each agent: through `waypoints`, or without any a random one, drawn at every reset."""
+    """Settings of the paths: a spline through `waypoints`, or random paths, drawn at every reset.
+
+    `waypoints` are (x, y) [m]; `length_range_m` bounds the length of random paths.
+    """
 
     waypoints: tuple[tuple[float, float], ...] = ()
     length_range_m: tuple[float, float] = (6.0, 16.0)
-    # Distance to the robots at which an episode may start, where the path reaches that far.
+    # Distance from the robots' starts at which agents start, if the path reaches that far [m].
     start_distance_m: float = Field(2.0, ge=0.0)
 
     @model_validator(mode="after")
@@ -40,14 +43,14 @@ class PathConf(Settings):
         if len(self.waypoints) == 1:
             raise ValueError("waypoints needs at least two points, or none for a random path (got 1)")
         if any(math.dist(a, b) < 0.1 for a, b in pairwise(self.waypoints)):
-            raise ValueError("waypoints must lie at least 0.1 m apart, each from the next")
+            raise ValueError("consecutive waypoints must be at least 0.1 m apart")
         if not 1.0 <= self.length_range_m[0] < self.length_range_m[1]:
             raise ValueError(f"length_range_m must rise from at least 1.0 (got {list(self.length_range_m)})")
         return self
 
 
 class _WorldPaths(NamedTuple):
-    """Paths of one world: the loops of all agents of a scene, and which of them each may walk."""
+    """Paths of one world: the loops of all agents of a scene, and the indices of each agent's loops."""
 
     bank: PathBank
     choices: tuple[NDArray[np.int64], ...]
@@ -56,9 +59,9 @@ class _WorldPaths(NamedTuple):
 class PathFollower:
     """Start poses, goals and scripted poses of N = M * G agents on paths, rows scene after scene.
 
-    Each agent walks a closed loop: a path to its far end and back. `goals_w` (N, 2) [m] is the end that an
-    agent which is driven from outside goes to; it changes to the other end by `renew`. A scripted agent moves
-    along the loop at constant speed by `advance`.
+    Each agent has a closed loop: a path to its far end and back. `goals_w` (N, 2) [m] are the ends of the
+    paths that external agents go to; `renew` sets the other end. `advance` moves scripted agents along their
+    loops at constant speed.
     """
 
     def __init__(
@@ -67,13 +70,13 @@ class PathFollower:
         self.conf, self.count = conf, count
         self._radius_m, self._kind, self._worlds = radius_m, kind, worlds
         rows = len(worlds) * count
-        # Kept for as long as a world is used.
+        # Entries live as long as their worlds.
         self._paths: WeakKeyDictionary[World, _WorldPaths] = WeakKeyDictionary()
         self.goals_w = np.zeros((rows, 2))
         self._loop = np.zeros((len(worlds), count), np.int64)
         self._travelled = np.zeros((len(worlds), count))
         self._outbound = np.ones(rows, bool)
-        # How far agents are off their paths [m], and by how much they moved along them last.
+        # Offsets of agents from their paths, and their last steps along them [m].
         self._offsets = np.zeros((len(worlds), count, 2))
         self._step = np.zeros((len(worlds), count))
         # Where they would be on their paths after the last `advance`.
@@ -82,13 +85,13 @@ class PathFollower:
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
         """Find the paths of `world` unless they are known.
 
-        `sample_points(rng, n, radius_m)` draws free points (n, 2). Raises `WorldError` where no path fits.
+        `sample_points(rng, n, radius_m)` draws free points (n, 2). Raises `WorldError` if no path fits.
         """
         if world not in self._paths:
             self._paths[world] = self._make_paths(world, sample_points, rng)
 
-    def forget_paths(self) -> None:
-        """Forget the paths of all worlds."""
+    def clear_paths(self) -> None:
+        """Drop the paths of all worlds."""
         self._paths.clear()
 
     def _make_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> _WorldPaths:
@@ -112,7 +115,7 @@ class PathFollower:
         return _WorldPaths(PathBank.of(loops), tuple(choices))
 
     def paths(self, agent: int, scene: int = 0) -> list[Array]:
-        """The paths, one way, that an agent of a scene may walk, each (P, 2) [m]."""
+        """One-way paths of an agent of a scene, each (P, 2) [m]."""
         bank, choices = self._paths[self._worlds[scene]]
         starts, counts = bank.starts[choices[agent]], bank.lengths[choices[agent]] // 2 + 1
         return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
@@ -120,8 +123,8 @@ class PathFollower:
     def reset(self, scene: int, rng: np.random.Generator, avoid_xy: Array) -> Array:
         """Start poses (G, 4: x, y, z, yaw) of a scene's agents, each on a path drawn with `rng`.
 
-        They keep `start_distance_m` from the points `avoid_xy` (R, 2); where no place on an agent's paths is
-        that far away, it takes the farthest that was tried.
+        They are `start_distance_m` away from the points `avoid_xy` (R, 2); if no sampled point of an agent's
+        paths is that far away, the farthest one is used.
         """
         bank, choices = self._paths[self._worlds[scene]]
         poses = np.zeros((self.count, 4))
@@ -145,7 +148,7 @@ class PathFollower:
         return poses
 
     def advance(self, distance_m: float) -> Array:
-        """Poses (N, 4) after another `distance_m` along each agent's loop; who is off it goes back first."""
+        """Move each agent by `distance_m` along its loop, after returning to it; returns the poses (N, 4)."""
         self._step[:] = distance_m
         is_off = self._offsets.any()
         if is_off:
@@ -163,9 +166,9 @@ class PathFollower:
         return poses.reshape(-1, 4)
 
     def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Take note that the agents of `scenes` (S) have come to `poses` (S, G, 4) by the last `advance`.
+        """Set the agents of `scenes` (S) to `poses` (S, G, 4), which robots limited after the last `advance`.
 
-        What an agent lacks of its step it walks again; what it is off its path beyond that it walks back.
+        An agent repeats the missing part of its step, and returns from a lateral offset to its path.
         """
         rows = list(scenes)
         targets, xy = self._targets[rows], poses[..., :2]
@@ -176,7 +179,7 @@ class PathFollower:
         self._offsets[rows] = xy - reached[rows, :, :2]
 
     def renew(self, mask: Flags) -> None:
-        """Send the agents in `mask` (N,) to the other end of their path."""
+        """Set the other end of the path as goal of the agents in `mask` (N,)."""
         outbound = self._outbound ^ mask
         groups = self._worlds.groups
         far = query_grouped(groups, self._far_end, self._loop)[..., :2].reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The behaviours there are: ours, those of installed packages, and those that a program registers."""
+"""Registry of behaviours: built-in ones, those of installed packages, and those registered at run time."""
 
 from typing import Any, Protocol
 
@@ -14,7 +14,7 @@ class Behaviour(Protocol):
     """What decides for N agents of a group that no policy of the user drives."""
 
     def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
-        """Forget the past of the agents in `mask` (N,), whose episodes begin."""
+        """Clear the history of the agents in `mask` (N,), whose episodes begin."""
         ...
 
     def act(self, state: State, group: GroupState) -> NDArray[Any]:
@@ -23,7 +23,7 @@ class Behaviour(Protocol):
 
 
 class BehaviourSettings(Settings):
-    """Settings of a behaviour; `name` says of which, so that settings read from a file find their class."""
+    """Settings of a behaviour; `name` selects the settings class when a file is read."""
 
     name: str
 

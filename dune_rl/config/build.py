@@ -29,23 +29,27 @@ def make_simulation(
     num_scenes: int,
     seed: int,
     *,
-    world_of: Callable[[WorldSettings], World] | None = None,
+    make_world: Callable[[WorldSettings], World] | None = None,
     prepare: Callable[[Sequence[WorldSettings]], None] | None = None,
 ) -> VectorSimulation:
-    """The core of `num_scenes` scenes; raises `WorldError` where no start or goal can be found.
+    """The simulation of `num_scenes` scenes; raises `WorldError` if no start or goal can be found.
 
-    `world_of` gives the worlds instead of `build_world`, and `prepare`, instead of `prepare_worlds`, is
-    given the settings of those that the next episodes will be in.
+    `make_world` replaces `build_world`. `prepare` replaces `prepare_worlds`: it gets the settings of the
+    worlds of the next episodes.
     """
-    world_of = build_world if world_of is None else world_of
-    prepare = partial(prepare_worlds, seen="camera" in conf.sensors.enabled) if prepare is None else prepare
+    make_world = build_world if make_world is None else make_world
+    prepare = (
+        partial(prepare_worlds, with_appearance="camera" in conf.sensors.enabled)
+        if prepare is None
+        else prepare
+    )
     return VectorSimulation(
-        world=world_of(conf.world),
+        world=make_world(conf.world),
         groups=group_setups(conf),
         make_scene=scene_class(conf.physics.backend),
         physics=conf.physics,
         weather=conf.weather,
-        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, world_of, prepare),
+        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, make_world, prepare),
         num_scenes=num_scenes,
         seed=seed,
     )
@@ -70,8 +74,8 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
 
 
 def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
-    """What makes scenes of the engine of this name; raises `PhysicsError` if it is not installed."""
-    # An engine is loaded when it is asked for: one may be missing.
+    """The scene class of a physics engine; raises `PhysicsError` if the engine is not installed."""
+    # Imported on demand: DART may not be installed.
     match backend:
         case "bullet":
             from dune_rl.physics.bullet.scene import BulletScene
@@ -84,19 +88,19 @@ def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
 
 
 def build_robot(conf: RobotSettings, num_robots: int) -> Robot:
-    """`num_robots` robots of the kind that `conf` is of."""
+    """A robot model of `num_robots` robots."""
     return ROBOTS.build(conf, num_robots)
 
 
 @lru_cache(maxsize=4)
 def build_world(conf: WorldSettings) -> World:
-    """The world; equal settings share one, which nothing ever changes."""
+    """The world; equal settings share one immutable object."""
     return shared_store().get(conf)
 
 
-def prepare_worlds(confs: Iterable[WorldSettings], *, seen: bool = False) -> None:
-    """Have worlds built in the background that `build_world` will be asked for (`WorldStore.prepare`)."""
-    shared_store().prepare(confs, seen=seen)
+def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = False) -> None:
+    """Start to build worlds in the background, for later calls of `build_world` (`WorldStore.prepare`)."""
+    shared_store().prepare(confs, with_appearance=with_appearance)
 
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
@@ -115,5 +119,5 @@ def make_parallel_env(conf: EnvConf, seed: int, render_mode: RenderMode = None) 
 
 
 def make_gymnasium_env(conf: SingleAgentConf, seed: int, render_mode: RenderMode = None) -> GymnasiumEnv:
-    """A Gymnasium environment of one scene's rover."""
+    """A Gymnasium environment of one scene with one external agent."""
     return GymnasiumEnv(make_simulation(conf, 1, seed), render_mode)

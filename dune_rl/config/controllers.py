@@ -15,7 +15,7 @@ from dune_rl.sensors.sensor import Reading
 
 
 def controller_factory(conf: ControllerConf) -> MakeController | None:
-    """What makes the controller of a group; None for one that is driven from outside or walks its paths."""
+    """Factory of a group's controller; None for external groups and groups that walk paths."""
     if isinstance(conf, BehaviourSettings):
         return partial(_behaviour, conf)
     if isinstance(conf, FrozenPolicyConf):

@@ -70,7 +70,7 @@ class EnvConf(Settings):
     def _some_group_is_external(self) -> Self:
         if not self.external_groups:
             raise ValueError(
-                "no agent group is driven from outside; set the controller of one to external, such as "
+                "no agent group is external; set the controller of one to external, such as "
                 f"agents.{self.groups[0].name}.controller=external"
             )
         return self
@@ -194,7 +194,7 @@ class ViewConf(EnvConf):
 
     @model_validator(mode="after")
     def _a_map_is_of_one_world(self) -> Self:
-        drawn = [name for name in ("world_seed", "layout_seed") if name in self.randomisation.drawn]
+        drawn = [name for name in ("world_seed", "layout_seed") if name in self.randomisation.distributions]
         if self.view == "map" and drawn and (self.checkpoint or self.policy):
             raise ValueError(
                 f"view=map shows one world, and randomisation.{drawn[0]} draws another for each episode: "

@@ -1,4 +1,4 @@
-"""Every action of the episodes under way: with the seed, all that is needed to restore a moment."""
+"""Log of all actions of the running episodes, which with the seed suffices to restore a simulation."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ class ActionLog:
         self._scenes = np.arange(num_scenes)
 
     def add(self, steps: NDArray[np.int64], actions: Sequence[NDArray[np.floating]]) -> None:
-        """Note the `actions` of each group, (M, ...), at each scene's step `steps` (M,)."""
+        """Record the `actions` of each group, (M, ...), at each scene's step `steps` (M,)."""
         if int(steps.max()) >= self._rows.shape[1]:
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
         scenes, first = self._scenes, 0

@@ -36,12 +36,12 @@ MakeController = Callable[["AgentGroup"], Controller]
 
 @dataclass(frozen=True)
 class GroupSetup:
-    """What a group is made of.
+    """Configuration of an agent group: body, controller, sensors, task and metrics.
 
-    `body` is a factory of N robots or the settings of a kinematic body, `controller` drives it, None from
-    outside. `paths` are those that kinematic agents start on and walk between; `follows_paths` has them
-    walk there as scripted. A group without `task` has no goals of its own, earns nothing and never ends an
-    episode.
+    `body` is a factory of a model of N robots, or the settings of a kinematic body. A group without
+    `controller` and `follows_paths` is external: its actions come from a user or a learner. `paths` are the
+    paths of kinematic agents; with `follows_paths` the agents walk along them. A group without `task` has
+    rewards of 0 and never ends an episode.
     """
 
     name: str
@@ -56,16 +56,16 @@ class GroupSetup:
 
     @property
     def is_external(self) -> bool:
-        """Whether its actions come from outside."""
+        """Whether a user or a learner gives the actions."""
         return self.controller is None and not self.follows_paths
 
 
 @dataclass(frozen=True)
 class GroupStep:
-    """What a control step gives each agent of a group, rows (N,).
+    """Rewards and ends of a group's agents after a control step, each (N,).
 
-    `terminated` and `truncated` are the agent's own ends: set in the step in which they happen, and from
-    then on until its scene is reset.
+    `terminated` and `truncated` are the ends of each agent's own episode: they are set from the step in
+    which it ends until its scene is reset.
     """
 
     reward: Floats
@@ -75,7 +75,7 @@ class GroupStep:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The rewards (N,) of a control step, and the group's state with the goals that were renewed after it."""
+    """The rewards (N,) of a control step, and the group's state with renewed goals."""
 
     reward: Floats
     state: GroupState
@@ -84,8 +84,8 @@ class Evaluation:
 class AgentGroup:
     """The agents of one group in M scenes, rows scene after scene: N = M * G.
 
-    An agent that is done before the others of its scene waits: it stands still, earns nothing, and its
-    metrics are final.
+    An agent that is done before its scene's episode ends stays in the scene: it stands still, its rewards
+    are 0, and its metrics do not change.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class AgentGroup:
         self._controller: Controller | None = None
 
     def equip(self, suite: SensorSuite | None) -> None:
-        """Give the agents their sensors and their controller; called once, when all groups are known."""
+        """Set the sensors and create the controller; called once, after all groups have been built."""
         self.suite = suite
         if suite is not None and isinstance(self.body, ArticulatedBody):
             self.body.reads_joints = suite.needs_joints
@@ -126,7 +126,7 @@ class AgentGroup:
             self._controller = self.setup.controller(self)
 
     def _shape(self) -> tuple[Outline, float]:
-        """The outline seen from above, and half its width [m]."""
+        """The outline in plan view, and half its width [m]."""
         body = self.body
         if isinstance(body, KinematicBody):
             return Outline.disc(body.conf.radius_m), body.conf.radius_m
@@ -144,7 +144,7 @@ class AgentGroup:
 
     @property
     def is_external(self) -> bool:
-        """Whether its actions come from outside: then it is learned or driven by a user."""
+        """Whether a user or a learner gives the actions."""
         return self.setup.is_external
 
     @property
@@ -158,13 +158,13 @@ class AgentGroup:
 
     @property
     def observation_bounds(self) -> Mapping[str, Bounds]:
-        """(low, high) of each part of the observation by name, in order."""
+        """(low, high) of each observation by name, in order."""
         return {} if self.suite is None else self.suite.bounds
 
     # -- a new episode ----------------------------------------------------------------------------
 
     def reset(self, mask: Flags) -> None:
-        """Forget the past of the agents in `mask` (N,)."""
+        """Clear the history of the agents in `mask` (N,)."""
         if isinstance(self.body, ArticulatedBody):
             self.body.reset(mask)
         self.collisions.reset(mask)
@@ -172,7 +172,7 @@ class AgentGroup:
             flags[mask] = False
 
     def read_start(self, mask: Flags, engines: Sequence[PhysicsRobot], bodies: int) -> None:
-        """Read the bodies in `mask` (N,) after they have settled, in scenes of at most `bodies` bodies."""
+        """Read the start states in `mask` (N,) from physics; a scene has at most `bodies` bodies."""
         self.collisions.make_room(bodies)
         if isinstance(self.body, ArticulatedBody):
             self.body.read_start(mask, engines)
@@ -180,7 +180,7 @@ class AgentGroup:
             self.body.read_start(mask)
 
     def begin(self, mask: Flags, state: State) -> None:
-        """Begin the episodes of the agents in `mask` (N,) in the present `state`."""
+        """Start task, metrics, sensors and controller of the agents in `mask` (N,) at `state`."""
         now = state.groups[self.name]
         if self.task is not None:
             self.task.reset(mask, now)
@@ -194,8 +194,8 @@ class AgentGroup:
     # -- a step -----------------------------------------------------------------------------------
 
     def act(self, actions: Array | None, state: State, engines: Sequence[PhysicsRobot]) -> None:
-        """Command the bodies for a control step: by `actions` (N, A), or as the group's controller
-        decides.
+        """Command the bodies for a control step, by `actions` (N, A) of an external group or by the
+        controller.
         """
         now = state.groups[self.name]
         if self.setup.follows_paths and isinstance(self.body, KinematicBody):
@@ -209,14 +209,14 @@ class AgentGroup:
         if self.done.any():
             actions = np.where(self.done[:, None], self._rest, actions)
         if isinstance(self.body, KinematicBody):
-            self.body.drive(actions)
+            self.body.apply_actions(actions)
             return
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
     def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Put the kinematic bodies of `scenes` (S) at `poses` (S, G, 4), where robots held them back in this
-        step.
+        """Correct the poses of the kinematic bodies of `scenes` (S) to `poses` (S, G, 4), where robots blocked
+        them.
         """
         assert isinstance(self.body, KinematicBody)
         self.body.hold_back(scenes, poses)
@@ -225,19 +225,19 @@ class AgentGroup:
             self.goals.source.follower.hold_back(scenes, poses)
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
-        """Read the bodies' states after a step of physics; gives contacts as pairs of row and body number."""
+        """Read the bodies' states after a physics step; returns contacts as pairs of row and body number."""
         return self.body.read(engines) if isinstance(self.body, ArticulatedBody) else []
 
     @property
     def energy(self) -> EnergyState | None:
-        """The motors' work in the last control step and their battery, where that is measured."""
+        """Motor work in the last control step, and the battery; None unless it is measured."""
         body = self.body
         if not isinstance(body, ArticulatedBody) or body.work_j is None:
             return None
         return EnergyState(body.work_j, body.robot.battery)
 
     def measure_goals(self) -> GoalState:
-        """Distances and bearings of the goals after a step; those of nobody's interest stay as they were."""
+        """Distances and bearings of the goals after a step; not updated if nothing reads them."""
         return self.goals.measure(self.body.motion) if self._reads_goals else self.goals.latest
 
     def evaluate(self, state: State) -> Evaluation:
@@ -260,7 +260,7 @@ class AgentGroup:
         return Evaluation(reward.astype(np.float32), now)
 
     def truncate(self, mask: Flags) -> None:
-        """End the episodes of the agents in `mask` (N,) with their scene's, where they are not done."""
+        """Truncate the agents in `mask` (N,) that are not done, because their scene's episode ends."""
         self.truncated |= mask & ~self.terminated
         self.done |= mask
 
@@ -269,10 +269,10 @@ class AgentGroup:
         if self.suite is not None:
             self.suite.measure(state.groups[self.name], state)
 
-    # -- what is read from outside ----------------------------------------------------------------
+    # -- observations and metrics -----------------------------------------------------------------
 
     def observe(self) -> dict[str, Reading]:
-        """The observation, each part (N, ...); reading it twice gives the same."""
+        """Observations by sensor name, each (N, ...). Repeated calls return the same values."""
         return {} if self.suite is None else self.suite.observe()
 
     @property
@@ -283,8 +283,8 @@ class AgentGroup:
         return (*self._metrics.names, *self.task.reward_names)
 
     def metrics(self) -> list[Array]:
-        """Running values of the present episodes, (N, n) when put side by side; final where an agent is
-        done.
+        """Metrics of the present episodes so far: arrays (N, ...) whose concatenation has the columns
+        `metric_names`; final for agents that are done.
         """
         if self._metrics is None or self.task is None:
             return []

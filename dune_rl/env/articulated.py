@@ -19,17 +19,16 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Engines = Sequence[PhysicsRobot]
 
-# No robot of ours moves or falls this fast, no world reaches so far, and no component of a unit quaternion is
-# above 1: beyond these limits of position, quaternion, velocity and angular velocity physics has diverged.
+# Limits of position, quaternion, velocity and angular velocity [SI] beyond which physics has diverged: robots
+# are slower, worlds are smaller, and components of unit quaternions are at most 1.
 _STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
 
 class ArticulatedBody:
-    """N robots of one kind in physics, rows scene after scene.
+    """The bodies of N robots of one kind, rows scene after scene: commands them and reads their motion.
 
-    Where `latency` is, commands reach the motors as late as each row's delay says. Engines are passed to
-    each call that needs them, one for each row: scenes, and with them their robots, may be built anew
-    between episodes.
+    `latency` delays the commands, if it is not None. The physics robots (`engines`, one per row) are passed
+    to each call, because scenes may be rebuilt between episodes.
     """
 
     def __init__(
@@ -60,11 +59,11 @@ class ArticulatedBody:
     # -- a new episode ----------------------------------------------------------------------------
 
     def reset(self, mask: Flags) -> None:
-        """Forget the past of the robots in `mask` (N,)."""
+        """Reset the controllers of the robots in `mask` (N,)."""
         self.robot.reset(mask)
 
-    def place(self, row: int, engine: PhysicsRobot, world: World, pose: tuple[Array, Array]) -> None:
-        """Set the ground contacts of a robot that was just put down at `pose` in `world`."""
+    def reset_contacts(self, row: int, engine: PhysicsRobot, world: World, pose: tuple[Array, Array]) -> None:
+        """Reset latency and wheel contacts of a robot at its start `pose` (position, quaternion)."""
         if self.latency is not None:
             self.latency.reset(row)
         self.traction.begin(row, world, engine, *pose)
@@ -90,10 +89,9 @@ class ArticulatedBody:
     # -- a step -----------------------------------------------------------------------------------
 
     def command(self, actions: Array, known: BodyMotion, engines: Engines) -> None:
-        """Command the motors for `actions` (N, A); `known` is what the robots' controllers know of their
-        motion.
+        """Command the motors for `actions` (N, A), and apply the resistance of grass and soft ground.
 
-        Forces of grass and soft ground are applied too.
+        `known` is the motion that the robots' controllers measure; with realism it differs from the truth.
         """
         commands = self.robot.commands(actions, known, self._step_s)
         if self.latency is not None:
@@ -102,11 +100,11 @@ class ArticulatedBody:
             engine.set_command(command)
         force = self._resistance(engines)
         if force is not None:
-            for engine, pushed in zip(engines, force.tolist(), strict=True):
-                engine.apply_force(pushed)
+            for engine, force_w in zip(engines, force.tolist(), strict=True):
+                engine.apply_force(force_w)
 
     def _resistance(self, engines: Engines) -> Array | None:
-        """Force [N] of grass and soft ground on the robots, (N, 3), world frame; None where there is none."""
+        """Resistance [N] of grass and soft ground, (N, 3), world frame; None if there are neither."""
         rolling = self.traction.update(engines, self.motion)
         grass = drag_forces(self._worlds, self.motion, self.robot, self.count)
         if rolling is None or grass is None:
@@ -114,23 +112,23 @@ class ArticulatedBody:
         return rolling + grass
 
     def read(self, engines: Engines) -> list[tuple[int, int]]:
-        """Read the states after a step of physics; gives the contacts as pairs of row and body number."""
+        """Read the states after a physics step; returns contacts as pairs of row and body number."""
         reads_joints = self._reads_joints
         states, drives, contacts = [], [], []
         for row, engine in enumerate(engines):
             states.append(engine.body_state())
             if reads_joints:
                 drives.append(engine.drive_state())
-            touched = engine.contacts()
-            if touched:
-                contacts += [(row, body) for body in touched]
+            bodies = engine.contacts()
+            if bodies:
+                contacts += [(row, body) for body in bodies]
         before = self._states[:, 7:10]
-        diverged = self._take(np.array(states), np.array(drives) if reads_joints else None)
+        diverged = self._store_valid(np.array(states), np.array(drives) if reads_joints else None)
         acceleration_w = (self._states[:, 7:10] - before) / self._step_s
         self.motion = self._derive(diverged, None, acceleration_w)
         if self._measures_work:
             work = np.array([engine.work_j() for engine in engines])
-            # Diverged physics may give anything.
+            # Work of diverged physics is meaningless.
             work[diverged] = 0.0
             self.work_j = work
         return contacts
@@ -139,16 +137,16 @@ class ArticulatedBody:
     def _reads_joints(self) -> bool:
         return self.reads_joints or self.traction.needs_wheels
 
-    def _take(self, states: Array, drives: Array | None) -> Flags:
-        """Keep what is possible of new `states` (N, 13) and `drives`; gives which rows have diverged."""
-        # Written so that NaN, which compares false, counts as bad.
-        good: Flags = np.logical_and.reduce(np.abs(states) < _STATE_LIMITS, axis=1)
-        self._states = states if good.all() else np.where(good[:, None], states, self._states)
+    def _store_valid(self, states: Array, drives: Array | None) -> Flags:
+        """Store valid rows of `states` (N, 13) and `drives` (N, 3 J); returns flags (N,) of diverged rows."""
+        # Written so that NaN, which compares false, counts as invalid.
+        valid: Flags = np.logical_and.reduce(np.abs(states) < _STATE_LIMITS, axis=1)
+        self._states = states if valid.all() else np.where(valid[:, None], states, self._states)
         if drives is not None:
-            sound = good & np.isfinite(drives).all(axis=1)
+            finite = valid & np.isfinite(drives).all(axis=1)
             before = np.zeros_like(drives) if self._drives is None else self._drives
-            self._drives = drives if sound.all() else np.where(sound[:, None], drives, before)
-        return ~good
+            self._drives = drives if finite.all() else np.where(finite[:, None], drives, before)
+        return ~valid
 
     def _derive(
         self, diverged: Flags, acceleration_b: Array | None, acceleration_w: Array | None = None
@@ -178,15 +176,15 @@ class ArticulatedBody:
             acceleration_b=acceleration_b,
         )
 
-    # -- what others read -------------------------------------------------------------------------
+    # -- poses and joints -------------------------------------------------------------------------
 
     @property
     def poses(self) -> Array:
-        """Place [m] and yaw [rad] of the origins, (N, 4)."""
+        """Poses (N, 4: x, y, z, yaw) [m, rad] of the origins."""
         return np.column_stack([self.motion.position_w, self.motion.yaw])
 
     def joint_angles(self, row: int, engines: Engines) -> dict[str, float]:
-        """Angles [rad] of a robot's joints by name: its motors' and the passive ones."""
+        """Angles [rad] of the motors' and the passive joints of a robot, by name."""
         body = self.robot.body
         names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
         return dict(zip(names, engines[row].joint_angles(names), strict=True))

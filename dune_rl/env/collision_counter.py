@@ -1,4 +1,4 @@
-"""Collisions counted once for each body: however long an agent pushes against a thing, it hit it once."""
+"""Counts collisions: a continuous contact with a body is one collision."""
 
 from collections.abc import Iterable
 
@@ -26,14 +26,14 @@ class CollisionCounter:
             constant.flags.writeable = False
 
     def make_room(self, bodies: int) -> None:
-        """Count `bodies` bodies or more: scenes may hold different numbers."""
+        """Enlarge the table to `bodies` bodies per scene."""
         more = bodies - self._last.shape[1]
         if more > 0:
             unseen = np.full((len(self._last), more), -self._gap - 1, np.int64)
             self._last = np.concatenate([self._last, unseen], axis=1)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Forget every contact of the agents in `mask` (N,)."""
+        """Clear all contacts of the agents in `mask` (N,)."""
         self._last[mask] = -self._gap - 1
         self._total = np.where(mask, 0, self._total)
 

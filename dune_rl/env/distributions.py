@@ -1,4 +1,4 @@
-"""Distributions that a setting may be drawn from, as settings themselves."""
+"""Settings of probability distributions."""
 
 from typing import Annotated, Any, Literal, Self
 
@@ -9,7 +9,7 @@ from dune_rl.settings import Settings
 
 
 class Uniform(Settings):
-    """Evenly between two numbers."""
+    """Uniform distribution on [low, high]."""
 
     name: Literal["uniform"] = "uniform"
     low: float
@@ -20,17 +20,17 @@ class Uniform(Settings):
         return _risen(self, self.low, self.high)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number of it."""
+        """Draw a sample."""
         return float(rng.uniform(self.low, self.high))
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest that it gives."""
+        """Smallest and largest possible values."""
         return self.low, self.high
 
 
 class LogUniform(Settings):
-    """Between two numbers above 0, so that a half of one is as likely as its double."""
+    """Log-uniform distribution on [low, high], both positive."""
 
     name: Literal["log_uniform"] = "log_uniform"
     low: float = Field(gt=0.0)
@@ -41,19 +41,19 @@ class LogUniform(Settings):
         return _risen(self, self.low, self.high)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number of it."""
-        drawn = float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
+        """Draw a sample."""
+        sampled = float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
         # Rounding may leave the limits.
-        return min(max(drawn, self.low), self.high)
+        return min(max(sampled, self.low), self.high)
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest that it gives."""
+        """Smallest and largest possible values."""
         return self.low, self.high
 
 
 class Normal(Settings):
-    """Normal about `mean`; what falls outside `low` and `high` becomes these."""
+    """Normal distribution, clipped to [low, high]."""
 
     name: Literal["normal"] = "normal"
     mean: float
@@ -66,12 +66,12 @@ class Normal(Settings):
         return _risen(self, self.low, self.high)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number of it."""
+        """Draw a sample."""
         return min(max(float(rng.normal(self.mean, self.deviation)), self.low), self.high)
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest that it gives."""
+        """Smallest and largest possible values."""
         return self.low, self.high
 
 
@@ -82,12 +82,12 @@ class Choice(Settings):
     values: tuple[float, ...] = Field(min_length=1)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number of it."""
+        """Draw a sample."""
         return self.values[int(rng.integers(len(self.values)))]
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest that it gives."""
+        """Smallest and largest possible values."""
         return min(self.values), max(self.values)
 
 
@@ -103,12 +103,12 @@ class Integers(Settings):
         return _risen(self, self.low, self.high)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number of it."""
+        """Draw a sample."""
         return float(rng.integers(self.low, self.high, endpoint=True))
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest that it gives."""
+        """Smallest and largest possible values."""
         return float(self.low), float(self.high)
 
 

@@ -1,4 +1,4 @@
-"""Domain randomisation: the world, weather, contacts and body of each episode, by (seed, episode) alone."""
+"""Domain randomisation: world, weather, contacts and body of each episode, from (seed, episode) alone."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,12 +14,12 @@ Values = tuple[float, ...]
 
 
 class DomainRandomizer:
-    """Draws the properties that `randomisation` names, and says what they make of an episode.
+    """Samples the properties of `randomisation` for an episode, and applies them.
 
-    `world_of` builds a world of settings like `world_conf`; equal settings
-    should give the same object while that is in use. `prepare` is told the
-    settings that will be asked for next, and may build them meanwhile.
-    `names` are the properties drawn, in the order of `Values`.
+    `make_world` builds a world from settings such as `world_conf`; equal settings
+    should give the same object while it is in use. `prepare` gets the settings
+    of the next worlds, and may build these in the background. `names` are the
+    sampled properties, in the order of `Values`.
     """
 
     def __init__(
@@ -27,12 +27,12 @@ class DomainRandomizer:
         world_conf: Any,
         weather: WeatherConf,
         randomisation: RandomisationConf,
-        world_of: Callable[[Any], World],
+        make_world: Callable[[Any], World],
         prepare: Callable[[Sequence[Any]], None] | None = None,
     ) -> None:
         self._world_conf, self._weather = world_conf, weather
-        self._distributions = randomisation.drawn
-        self._world_of, self._prepare = world_of, prepare
+        self._distributions = randomisation.distributions
+        self._make_world, self._prepare = make_world, prepare
         self.names = tuple(self._distributions)
 
     @classmethod
@@ -56,7 +56,7 @@ class DomainRandomizer:
         return tuple(values)
 
     def world_conf(self, values: Values) -> Any:
-        """The settings of the world of drawn `values`."""
+        """World settings with sampled `values`."""
         conf = self._world_conf
         for name, value in zip(self.names, values, strict=True):
             change = PROPERTIES[name].world
@@ -64,11 +64,11 @@ class DomainRandomizer:
         return conf
 
     def world(self, conf: Any) -> World:
-        """The world of such settings; raises WorldError where there is none."""
-        return self._world_of(conf)
+        """The world of `conf`; raises WorldError if it cannot be built."""
+        return self._make_world(conf)
 
     def weather(self, values: Values) -> WeatherConf:
-        """The weather of drawn `values`."""
+        """Weather with sampled `values`."""
         weather = self._weather
         for name, value in zip(self.names, values, strict=True):
             change = PROPERTIES[name].weather
@@ -76,7 +76,7 @@ class DomainRandomizer:
         return weather
 
     def apply_to_contacts(self, traction: Traction, row: int, values: Sequence[float]) -> None:
-        """Set the contact factors of a robot's wheels, before it is put down."""
+        """Set the contact factors of a robot's wheels, before its start."""
         for name, value in zip(self.names, values, strict=True):
             change = PROPERTIES[name].traction
             if change is not None:
@@ -89,11 +89,11 @@ class DomainRandomizer:
 
     @property
     def randomizes_latency(self) -> bool:
-        """Whether commands come late."""
+        """Whether commands are delayed."""
         return any(PROPERTIES[name].latency for name in self.names)
 
     def body(self, values: Sequence[float]) -> BodyVariation:
-        """The robot of drawn `values`."""
+        """Masses and motor strength of the robot with sampled `values`."""
         body = AS_DESCRIBED
         for name, value in zip(self.names, values, strict=True):
             change = PROPERTIES[name].body
@@ -101,11 +101,11 @@ class DomainRandomizer:
         return body
 
     def latency_s(self, values: Sequence[float]) -> float:
-        """How late commands reach the motors [s]."""
-        drawn = zip(self.names, values, strict=True)
-        return float(sum(value for name, value in drawn if PROPERTIES[name].latency))
+        """Delay of motor commands [s]."""
+        sampled = zip(self.names, values, strict=True)
+        return float(sum(value for name, value in sampled if PROPERTIES[name].latency))
 
     def prepare(self, seed: int, episodes: Sequence[int]) -> None:
-        """Say that these episodes are to come."""
+        """Announce the next episodes, so that their worlds can be built in the background."""
         if self.randomizes_worlds and self._prepare is not None:
             self._prepare([self.world_conf(self.draw(seed, episode)) for episode in episodes])

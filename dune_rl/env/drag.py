@@ -1,4 +1,4 @@
-"""What tall grass does to robots that drive in it."""
+"""Drag of tall grass on robots."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,9 @@ def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot, count: int =
 def grass_force(grass: Grass, motion: Motion, robot: Robot, rows: Rows = _ALL) -> Array:
     """Force [N] on each robot of `rows`, world frame: against its velocity, and proportional to it.
 
-    Besides, it is proportional to the density of the grass at the robot's
-    centre and to the share of its height that stands in it. It is meant to act
-    over one control step, which is too short for it to turn a robot round.
+    It is also proportional to the density of the grass at the robot's centre and
+    to the share of the robot's height in the grass. It acts for one control
+    step, which is too short to reverse the velocity.
     """
     bottom = motion.position_w[rows] - robot.standing_height_m * motion.rotation[rows, :, 2]
     force: Array = -grass.drag(bottom, robot.height_m)[:, None] * motion.velocity_w[rows]

@@ -1,4 +1,4 @@
-"""Puts a scene at the start of an episode: world, start poses, goals, and robots that have settled."""
+"""Starts an episode in a scene: world, start poses, goals, and settling of the robots."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -21,9 +21,7 @@ Array = NDArray[np.float64]
 
 
 class EpisodeStart:
-    """Draws and places all agents of a scene for an episode: robots first, then those on paths, away
-    from them.
-    """
+    """Samples start poses of all agents of a scene: first robots, then agents on paths, away from them."""
 
     def __init__(self, groups: Sequence[AgentGroup], scenes: SceneManager) -> None:
         self._groups, self._scenes = groups, scenes
@@ -31,33 +29,31 @@ class EpisodeStart:
         self._kinematic = [group for group in groups if isinstance(group.body, KinematicBody)]
 
     def check_room(self, seed: int, world: World) -> None:
-        """Raise `WorldError` where a robot or a path finds no room in `world`; the first use finds the
-        paths.
-        """
+        """Raise `WorldError` if `world` has no room for a robot or a path. This also finds the paths."""
         for group in self._robots:
             group.spawners.of(world)
         self.find_paths(seed, world)
 
     def find_paths(self, seed: int, world: World) -> None:
-        """Find the paths of `world` for all groups that walk on paths."""
+        """Find the paths of `world` for all groups on paths."""
         for index, group in enumerate(self._on_paths()):
             sample_points = (self._robots[0] if self._robots else group).spawners.of(world).sample_points
             draws = stream(seed, f"paths {group.name}" if index else "paths")
             assert isinstance(group.goals.source, PathGoals)
             group.goals.source.follower.find_paths(world, sample_points, draws)
 
-    def find_paths_anew(self, seed: int, world: World) -> None:
-        """Forget all paths and find those of `world` by another `seed`."""
+    def replan_paths(self, seed: int, world: World) -> None:
+        """Drop all paths and find those of `world` with another `seed`."""
         for group in self._on_paths():
             assert isinstance(group.goals.source, PathGoals)
-            group.goals.source.follower.forget_paths()
+            group.goals.source.follower.clear_paths()
         self.find_paths(seed, world)
 
     def _on_paths(self) -> list[AgentGroup]:
         return [group for group in self._kinematic if isinstance(group.goals.source, PathGoals)]
 
     def start(self, scene: int, seed: int, episode: int) -> None:
-        """Put a scene at the start of an episode."""
+        """Start an episode in a scene; raises `WorldError` if there is no room."""
         scenes = self._scenes
         world = scenes.enter(scene, seed, episode, partial(self.check_room, seed))
         if scenes.randomizer.randomizes_worlds:
@@ -74,13 +70,13 @@ class EpisodeStart:
                 draws = stream(seed, f"actors {group.name}", episode)
             group.body.place(scene, group.goals.source.follower.reset(scene, draws, avoid))
         scenes.reset(scene, self.kinematic_poses()[scene])
-        self._place_contacts(scene, world, starts)
+        self._reset_contacts(scene, world, starts)
         scenes.settle(scene)
 
     def _place_robots(
         self, scene: int, world: World, seed: int, episode: int
     ) -> list[list[tuple[Array, Array]]]:
-        """Start poses of the robots of each group; each group's goals are drawn with them."""
+        """Sample start poses, by group, and goals of the robots."""
         taken: list[tuple[Placement, float]] = []
         found = []
         for group, engines in zip(self._robots, self._engines_of(scene), strict=True):
@@ -95,7 +91,7 @@ class EpisodeStart:
             found.append(poses)
         return found
 
-    def _place_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:
+    def _reset_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:
         randomizer, values = self._scenes.randomizer, self._scenes.values[scene]
         for group, engines, poses in zip(self._robots, self._engines_of(scene), starts, strict=True):
             body = group.body
@@ -105,14 +101,14 @@ class EpisodeStart:
                 randomizer.apply_to_contacts(body.traction, row, values)
                 if body.latency is not None:
                     body.latency.set_delay(row, randomizer.latency_s(values))
-                body.place(row, engine, world, pose)
+                body.reset_contacts(row, engine, world, pose)
 
     def _engines_of(self, scene: int) -> list[list[PhysicsRobot]]:
         robots = iter(self._scenes.robots(scene))
         return [[next(robots) for _ in range(group.count)] for group in self._robots]
 
     def engines(self) -> dict[str, list[PhysicsRobot]]:
-        """The robots in physics of each group, rows scene after scene; anew after each start."""
+        """The physics robots of each group, rows scene after scene; `start` may replace them."""
         found: dict[str, list[PhysicsRobot]] = {group.name: [] for group in self._groups}
         for scene in range(len(self._scenes.worlds)):
             if self._scenes.is_built(scene):
@@ -121,9 +117,7 @@ class EpisodeStart:
         return found
 
     def hold_back(self, held: Mapping[int, Array]) -> None:
-        """Put the kinematic bodies of the scenes in which robots have held any back at `held` (K, 4), by
-        scene.
-        """
+        """Correct the poses of kinematic bodies to `held` (K, 4), by scene, where robots have blocked them."""
         if not held:
             return
         scenes, poses = list(held), np.stack(list(held.values()))

@@ -19,7 +19,7 @@ Flags = NDArray[np.bool_]
 
 
 class GoalSource(Protocol):
-    """Gives each of N agents a goal, and another one when it is reached."""
+    """Goals of N agents, which are replaced when they are reached."""
 
     @property
     def goals_w(self) -> Array:
@@ -27,39 +27,39 @@ class GoalSource(Protocol):
         ...
 
     def renew(self, mask: Flags) -> None:
-        """Give the agents in `mask` (N,) another goal."""
+        """Set new goals for the agents in `mask` (N,)."""
         ...
 
 
 class Spawners:
-    """The `Spawner` of a footprint of `radius_m` in each world."""
+    """Cache of one `Spawner` per world, for a footprint of `radius_m`."""
 
     def __init__(self, conf: SpawnConf, radius_m: float, worlds: SharedPerScene[World]) -> None:
         self._conf, self._radius_m, self._worlds = conf, radius_m, worlds
-        # Not by weak references: a spawner keeps its world.
-        self._known: dict[World, Spawner] = {}
+        # Weak references would not work, because a spawner refers to its world.
+        self._by_world: dict[World, Spawner] = {}
 
     def of(self, world: World) -> Spawner:
-        """The spawner of a world; raises `WorldError` where it has no room."""
-        if world not in self._known:
-            self._known[world] = Spawner(world, self._conf, self._radius_m)
-        return self._known[world]
+        """The spawner of a world; raises `WorldError` if the world has no room."""
+        if world not in self._by_world:
+            self._by_world[world] = Spawner(world, self._conf, self._radius_m)
+        return self._by_world[world]
 
     def of_scene(self, scene: int) -> Spawner:
-        """The spawner of the world that a scene is in."""
+        """The spawner of a scene's present world."""
         return self.of(self._worlds[scene])
 
     def keep(self, worlds: Collection[World]) -> None:
-        """Forget the spawners of all worlds but these."""
-        self._known = {world: spawner for world, spawner in self._known.items() if world in worlds}
+        """Drop the spawners of all other worlds."""
+        self._by_world = {world: spawner for world, spawner in self._by_world.items() if world in worlds}
 
 
 class RegionGoals:
-    """Starts and goals in a region of the world, drawn by a `Spawner` for each of M * G robots.
+    """Start poses and goals of M * G robots, sampled by a `Spawner` in a region of the world.
 
-    `position` gives the robots' positions (N, 3). `robots` lists the goals of all groups of robots so far, in
-    the order of the groups; this one is added. A robot's number among all robots of a scene names its own
-    stream of draws, so that robots behind it leave its starts and goals as they are.
+    `position` returns the robots' positions (N, 3). `robots` lists the goals of the groups of robots before
+    this one; the new object is appended. A robot's number among all robots of a scene selects its random
+    stream, so that further robots do not change its starts and goals.
     """
 
     def __init__(
@@ -83,9 +83,10 @@ class RegionGoals:
     def place(
         self, scene: int, seed: int, episode: int, taken: Sequence[tuple[Placement, float]]
     ) -> list[Placement]:
-        """Starts and goals of a scene's agents for an episode, apart from those `taken` by others.
+        """Sample starts and goals of a scene's agents for an episode, at a distance from those `taken`.
 
-        `taken` has placements with the footprint radii [m] of their robots.
+        `taken` has the placements of other robots and their footprint radii [m]. Raises WorldError if there
+        is no room.
         """
         found = list(taken)
         for agent in range(self._count):
@@ -100,8 +101,8 @@ class RegionGoals:
         return [placement for placement, _ in found[len(taken) :]]
 
     def renew(self, mask: Flags) -> None:
-        """Draw new goals for the agents in `mask` (N,): away from where they are, from the other robots and
-        from their goals.
+        """Sample new goals for the agents in `mask` (N,), at a distance from their positions, from the other
+        robots and from these robots' goals.
         """
         self.goals_w = self.goals_w.copy()
         position_w = self._position()
@@ -126,7 +127,7 @@ class RegionGoals:
 
 
 class PathGoals:
-    """Goals of agents on paths: the end of the path that an agent goes to, and then the other end."""
+    """Goals of agents on paths: the far end of an agent's path, then its start, and so on."""
 
     def __init__(self, follower: PathFollower) -> None:
         self.follower = follower
@@ -137,12 +138,12 @@ class PathGoals:
         return self.follower.goals_w
 
     def renew(self, mask: Flags) -> None:
-        """Send the agents in `mask` (N,) to the other end of their path."""
+        """Set the other end of the path as goal of the agents in `mask` (N,)."""
         self.follower.renew(mask)
 
 
 class GoalTracker:
-    """Distance and bearing of N agents' goals, from step to step."""
+    """Tracks the distance and bearing of N agents' goals from step to step."""
 
     def __init__(self, source: GoalSource, num_rows: int) -> None:
         self.source = source
@@ -164,7 +165,7 @@ class GoalTracker:
         return self.latest
 
     def renew(self, mask: Flags, motion: Motion, now: GoalState) -> GoalState:
-        """Draw new goals for the agents in `mask` (N,); the goals as they are then."""
+        """Renew the goals of the agents in `mask` (N,) and return the updated state."""
         if not mask.any():
             return now
         self.source.renew(mask)

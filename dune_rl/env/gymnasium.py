@@ -1,4 +1,4 @@
-"""The Gymnasium environment: the one agent that is driven from outside."""
+"""The Gymnasium environment of a single external agent."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""Kinematic agents: N = M * G bodies that move as they are told, over the ground and not through
-obstacles.
-"""
+"""Kinematic bodies: N = M * G agents that follow prescribed motions on the ground, without dynamics."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -21,7 +19,7 @@ _EDGE_M = 1.0
 
 
 class KinematicConf(Protocol):
-    """What the motion of a body depends on: its settings."""
+    """Settings of a body that limit its motion."""
 
     speed_mps: float
     max_turn_radps: float
@@ -29,10 +27,10 @@ class KinematicConf(Protocol):
 
 
 class KinematicBody:
-    """N equal bodies that move as unicycles do, rows scene after scene.
+    """N equal bodies with unicycle kinematics, rows scene after scene.
 
-    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad]; `blocked` (N,) tells which bodies stood
-    still in the last step because an obstacle or the world's edge was in their way.
+    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad]; `blocked` (N,) marks bodies
+    that stopped in the last step in front of an obstacle or the world's edge.
     """
 
     def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
@@ -47,13 +45,11 @@ class KinematicBody:
         self.motion = self._at_rest()
 
     def action_bounds(self) -> tuple[Array, Array]:
-        """Bounds, each (2,), of speed [m/s], never backwards, and heading relative to the present one
-        [rad].
-        """
+        """Lower and upper bounds, each (2,), of speed [m/s] (never backwards) and relative heading [rad]."""
         return np.array([0.0, -np.pi]), np.array([self.conf.speed_mps, np.pi])
 
     def rest_action(self) -> Array:
-        """No speed and no turn, (2,)."""
+        """Action (2,) at which the body stands still."""
         return np.zeros(2)
 
     def place(self, scene: int, poses: Array) -> None:
@@ -64,19 +60,19 @@ class KinematicBody:
         self.blocked[rows] = False
 
     def read_start(self, mask: Flags) -> None:
-        """Begin at rest in the rows in `mask` (N,)."""
+        """Set the motion in the rows in `mask` (N,) to rest."""
         moving = np.where(mask[:, None], 0.0, self.motion.velocity_w)
         turning = np.where(mask[:, None], 0.0, self.motion.angular_w)
         self.motion = self._moving(moving, turning)
 
     def move_to(self, poses: Array) -> None:
-        """Be at `poses` (N, 4) at the end of the control step."""
+        """Move to `poses` (N, 4) by the end of the control step."""
         self._arrive(poses)
 
-    def drive(self, actions: Array) -> None:
-        """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad], within limits.
+    def apply_actions(self, actions: Array) -> None:
+        """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
 
-        A body whose way is blocked stands still and turns.
+        Both are clipped to the limits of the body. A body in front of an obstacle turns in place.
         """
         conf, poses = self.conf, self.poses.copy()
         most = conf.max_turn_radps * self._step_s
@@ -100,8 +96,8 @@ class KinematicBody:
         self.blocked = ~free
 
     def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Be at `poses` (S, G, 4), on the ground, in `scenes` (S) where robots were in the way in this
-        step.
+        """Set x and y of the bodies of `scenes` (S) to those of `poses` (S, G, 4), after robots blocked
+        bodies.
         """
         reached = self.poses.copy()
         reached.reshape(-1, self.count, 4)[list(scenes), :, :2] = poses[..., :2]

@@ -1,4 +1,4 @@
-"""Commands that reach the motors late."""
+"""Latency of motor commands."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,10 @@ LONGEST_S = 1.0
 
 
 class Latency:
-    """A delay line for the commands of N robots, each with a delay of its own in whole control steps.
+    """A delay line for the commands of N robots, with one delay per robot, in whole control steps.
 
-    Until the first command arrives the motors have `rest` (J), the commands
-    under which a robot stands.
+    Until the first command arrives, the motors get `rest` (J), the commands of a
+    standing robot.
     """
 
     def __init__(self, num_rows: int, rest: list[float], control_hz: int) -> None:
@@ -29,7 +29,7 @@ class Latency:
             self._lengthen(steps + 1)
 
     def reset(self, row: int) -> None:
-        """Forget a row's commands: until its first one arrives the motors have the rest commands."""
+        """Fill a row's delay line with the rest commands."""
         self._line[:, row] = self._rest
 
     def _lengthen(self, length: int) -> None:
@@ -39,7 +39,7 @@ class Latency:
         self._line, self._now = np.concatenate([more, old]), length - 1
 
     def delayed(self, commands: Array) -> Array:
-        """What reaches the motors, (M, J), in the step in which `commands` (M, J) are given."""
+        """Push `commands` (N, J) and return the delayed ones, (N, J), that reach the motors in this step."""
         self._now = (self._now + 1) % len(self._line)
         self._line[self._now] = commands
         arrived: Array = self._line[(self._now - self.delays) % len(self._line), self._rows]

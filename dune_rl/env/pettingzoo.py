@@ -1,4 +1,4 @@
-"""The PettingZoo environment: a simulation of one scene, whose external agents act."""
+"""The PettingZoo parallel environment of one scene's external agents."""
 
 from typing import Any, Literal
 
@@ -22,14 +22,16 @@ def _box(bounds: Bounds) -> gymnasium.spaces.Box:
 
 
 class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
-    """The agents GROUP_0, GROUP_1, ... of every group that is driven from outside.
+    """PettingZoo `ParallelEnv` of the agents GROUP_0, GROUP_1, ... of every external group.
 
-    Agents of a group have equal spaces. All act at every step until the episode ends, which it does when
-    all agents of the groups whose task has ends are done. An agent that is done before the others stays,
-    stands still whatever its action and earns 0; it is terminated or truncated in the episode's last step,
-    as it was when it was done. Agents whose task has no end of its own are truncated then. Observations are
-    dicts of boxes; `infos` hold the episode's running metrics of each agent that has any, under the same
-    keys at every step, -1 where a value is not defined yet.
+    Agents of a group have equal spaces. All agents act at every step until the episode ends, when all agents
+    of the groups with terminations are done. An agent that is done before the others stays in the scene and
+    in `agents`: its actions have no effect and its rewards are 0. All agents are terminated or truncated in
+    the episode's last step: those that were done as they were then, the others are truncated. Observations
+    are dicts of boxes. `infos` hold each agent's metrics so far, under the same keys at every step; a value
+    that is not defined yet is -1.
+
+    Raises ValueError if the simulation has several scenes, and ConfigError if no group is external.
     """
 
     metadata = {  # noqa: RUF012
@@ -47,7 +49,7 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode must be 'rgb_array' or None (got {render_mode!r})")
         if not simulation.external:
-            raise ConfigError("no agent is driven from outside: give a group controller=external")
+            raise ConfigError("there is no external agent: give a group controller=external")
         self.simulation = simulation
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": simulation.physics.control_hz}
@@ -67,17 +69,17 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         }
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Dict:
-        """The agent's observation space; the same object at every call."""
+        """Observation space of an agent; the same object at every call."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> gymnasium.spaces.Box:
-        """The agent's action space, in physical units; the same object at every call."""
+        """Action space of an agent, in physical units; the same object at every call."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, float]]]:
-        """Start the next episode; with `seed` the first of that seed."""
+        """Start the next episode, or the first one of `seed`; `options` are ignored."""
         if seed is not None:
             self.simulation.reseed(seed)
         self.simulation.reset()
@@ -93,15 +95,18 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         dict[str, bool],
         dict[str, dict[str, float]],
     ]:
-        """Advance 1 / control_hz seconds; actions of agents that are not in the episode are ignored."""
+        """Advance by a control step of 1 / control_hz seconds.
+
+        Raises ValueError if an agent has no action; actions of unknown agents are ignored.
+        """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        taken = self.simulation.step(
+        result = self.simulation.step(
             {group.name: self._actions(group, actions) for group in self.simulation.external}
         )
-        rewards, terminations, truncations = self._outcomes(taken)
+        rewards, terminations, truncations = self._outcomes(result)
         observations, infos = self._observations(), self._infos()
-        if taken.done[0]:
+        if result.done[0]:
             self.agents = []
         return observations, rewards, terminations, truncations, infos
 
@@ -109,20 +114,20 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         """The actions of a group's agents, (1, G, A)."""
         absent = [name for name in group.names if name not in actions]
         if absent:
-            raise ValueError(f"step needs an action of every agent; {', '.join(absent)} has none")
+            raise ValueError(f"step needs an action for every agent; missing: {', '.join(absent)}")
         each = [np.asarray(actions[name], np.float32) for name in group.names]
         return (each[0] if len(each) == 1 else np.stack(each)).reshape(1, group.count, -1)
 
-    def _outcomes(self, taken: SimulationStep) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
+    def _outcomes(self, result: SimulationStep) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
         rewards: dict[str, float] = {}
         terminations: dict[str, bool] = {}
         truncations: dict[str, bool] = {}
-        over = bool(taken.done[0])
+        over = bool(result.done[0])
         for group in self.simulation.external:
-            step = taken.groups[group.name]
+            step = result.groups[group.name]
             for row, name in enumerate(group.names):
                 rewards[name] = float(step.reward[row])
-                # All end in the same step.
+                # The ends of all agents are reported in the same step.
                 terminations[name] = over and bool(step.terminated[row])
                 truncations[name] = over and not terminations[name]
         return rewards, terminations, truncations
@@ -142,16 +147,16 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
             if not names:
                 infos |= {name: {} for name in group.names}
                 continue
-            # Wrappers compare infos and freeze their keys, which NaN and missing ones would break.
+            # Wrappers compare infos and rely on constant keys, so NaN and missing keys would break them.
             values = np.nan_to_num(self.simulation.metrics(group.name)[0], nan=-1.0)
             for name, row in zip(group.names, values.tolist(), strict=True):
                 infos[name] = dict(zip(names, row, strict=True))
         return infos
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB (480, 640, 3) of the first agent from behind, where `render_mode` is "rgb_array"."""
+        """RGB image (480, 640, 3) from behind the first agent; None unless `render_mode` is "rgb_array"."""
         return self._pictures.from_behind() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Free the physics engine's memory."""
+        """Release the physics engine."""
         self.simulation.close()

@@ -162,8 +162,8 @@ class Pictures:
             start[None].astype(np.float32), ways.astype(np.float32), reach
         )
         free = np.maximum(reach - np.float32(_CLEAR_OF_WALLS_M), 0.0)
-        roomy = np.flatnonzero(free >= _NEAREST_EYE_M)
-        chosen = int(roomy[0]) if len(roomy) else int(free.argmax())
+        has_room = np.flatnonzero(free >= _NEAREST_EYE_M)
+        chosen = int(has_room[0]) if len(has_room) else int(free.argmax())
         eye = start + ways[chosen] * float(free[chosen])
         eye[2] = max(eye[2], self._ground(scene, eye[:2]) + _CLEAR_OF_GROUND_M)
         return eye

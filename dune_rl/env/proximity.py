@@ -14,10 +14,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outline:
-    """The shape of a group's bodies seen from above: a rectangle or a disc about the origin.
+    """The shape of a group's bodies in plan view: a rectangle or a disc, centred at the origin.
 
-    `points_b` (P, 2) [m] go round a rectangle of `half_size` (2,) [m]; a disc has its centre alone, and
-    `radius_m`, which is 0 of a rectangle.
+    `points_b` (P, 2) [m] sample the outline of a rectangle of `half_size` (2,) [m]. A disc has one point, its
+    centre, and `radius_m`, which is 0 for a rectangle.
     """
 
     points_b: Array
@@ -32,10 +32,10 @@ class Outline:
 
 @dataclass(frozen=True)
 class GroupLayout:
-    """What does not change of a group in a scene.
+    """The constant data of a group in each scene.
 
-    `index` counts the groups, `count` its agents; `neighbours` (G, K) are the columns, among the moving
-    bodies of a scene in the order of their numbers, of each agent's neighbours.
+    `index` is the group's number, `count` its number of agents G. `neighbours` (G, K) has each agent's
+    neighbours, as indices of the moving bodies of a scene in the order of body numbers.
     """
 
     index: int
@@ -45,10 +45,10 @@ class GroupLayout:
 
 
 class Proximity:
-    """How far agents of M scenes are from static obstacles and from each other, in one control step.
+    """Distances of agents of M scenes from static obstacles and from each other, at one control step.
 
-    `layouts` and `motions` are of the groups in their order; `movers` are the indices of the groups in the
-    order of their bodies' numbers.
+    `layouts` and `motions` are in the order of the groups; `movers` are the indices of the groups in the
+    order of body numbers.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Proximity:
         return by_scene if count == 1 else np.repeat(by_scene, count, axis=0)
 
     def _points(self, group: int) -> Array:
-        """Points (N, P, 2) round each outline [m] in the world."""
+        """Sample points (N, P, 2) [m] of each outline, world frame."""
         motion, outline = self._motions[group], self._each[group].outline
         position = motion.position_w[:, None, :2]
         if outline.radius_m:
@@ -141,9 +141,7 @@ class Proximity:
         return position + outline.points_b @ motion.rotation[:, :2, :2].transpose(0, 2, 1)
 
     def _from_outline(self, group: int, points_w: Array) -> Array:
-        """Distance [m], (N, K), of points (N, K, 2) from each agent's rectangle or disc's centre; 0
-        inside.
-        """
+        """Distance [m], (N, K), of points (N, K, 2) from each agent's rectangle (0 inside) or disc centre."""
         motion = self._motions[group]
         offset = points_w - motion.position_w[:, None, :2]
         if self._each[group].outline.radius_m:
@@ -156,8 +154,9 @@ class Proximity:
 
 
 def _without(poses: Array, layout: GroupLayout) -> Array:
-    """The poses (M, T, 4) without those of the one agent of a group, who is the first or the last mover."""
+    """`poses` (M, T, 4) without those of the single agent of a group, (M, T - 1, 4)."""
     columns = layout.neighbours[0]
+    # Slices, which copy nothing, if the agent is the first or the last of the bodies.
     if not len(columns) or columns[0] == 1:
         return poses[:, 1:]
     return poses[:, :-1] if columns[-1] == len(columns) - 1 else poses[:, columns]

@@ -1,6 +1,6 @@
-"""What may differ from episode to episode, by which distribution, and what a drawn value does.
+"""Domain-randomisation settings: which properties vary, their distributions, and how values are applied.
 
-A property is a setting of `RandomisationConf` and an entry of `PROPERTIES`, under the same name.
+A property is a setting of `RandomisationConf` and an entry of `PROPERTIES` of the same name.
 """
 
 from collections.abc import Callable
@@ -21,13 +21,13 @@ _LARGEST_SEED = 2**24 - 1
 
 
 @dataclass(frozen=True)
-class Property:
-    """What a drawn value does to an episode, and the `limits` that it may have.
+class RandomizedProperty:
+    """How a sampled value is applied to an episode, and the `limits` of its distribution.
 
-    `world` and `weather` change settings, `traction` a scene's wheels before
-    its robot is put down, and `body` the robot itself. `latency` is how late its
-    motors' commands are [s]. `stream` names its random numbers, by its former name where it had another, so
-    that a seed keeps its episodes; None: its own name.
+    `world` and `weather` change settings, `traction` the wheel contacts of a
+    robot before its start, and `body` its masses and motors. `latency` marks
+    the delay of its motor commands [s]. `stream` names its random stream, by a
+    former name of the property, so that a seed keeps its episodes; None: its own name.
     """
 
     limits: tuple[float, float]
@@ -82,33 +82,33 @@ def _centre(axis: int) -> Callable[[BodyVariation, float], BodyVariation]:
     return change
 
 
-PROPERTIES: dict[str, Property] = {
-    "world_seed": Property((0, _LARGEST_SEED), world=_world_setting("seed")),
-    "layout_seed": Property((0, _LARGEST_SEED), world=_world_setting("layout_seed")),
-    "friction": Property((0.01, 10.0), traction=_scale_friction),
-    "stiffness": Property((0.01, 100.0), traction=_scale_stiffness),
-    "sun_bearing_deg": Property(
+PROPERTIES: dict[str, RandomizedProperty] = {
+    "world_seed": RandomizedProperty((0, _LARGEST_SEED), world=_world_setting("seed")),
+    "layout_seed": RandomizedProperty((0, _LARGEST_SEED), world=_world_setting("layout_seed")),
+    "friction": RandomizedProperty((0.01, 10.0), traction=_scale_friction),
+    "stiffness": RandomizedProperty((0.01, 100.0), traction=_scale_stiffness),
+    "sun_bearing_deg": RandomizedProperty(
         (-360.0, 360.0), weather=_light_setting("sun_bearing_deg"), stream="sun_bearing_rad"
     ),
-    "sun_elevation_deg": Property(
+    "sun_elevation_deg": RandomizedProperty(
         (1.0, 90.0), weather=_light_setting("sun_elevation_deg"), stream="sun_elevation_rad"
     ),
-    "brightness": Property((0.01, 10.0), weather=_light_setting("brightness")),
-    "mass": Property((0.1, 10.0), traction=_scale_load, body=_weigh),
-    "centre_x_m": Property((-0.5, 0.5), body=_centre(0)),
-    "centre_y_m": Property((-0.5, 0.5), body=_centre(1)),
-    "centre_z_m": Property((-0.5, 0.5), body=_centre(2)),
-    "motor_strength": Property((0.05, 5.0), body=_strengthen),
-    "wheel_friction": Property((0.01, 10.0), traction=_scale_tyres),
-    "action_latency_s": Property((0.0, LONGEST_S), latency=True),
+    "brightness": RandomizedProperty((0.01, 10.0), weather=_light_setting("brightness")),
+    "mass": RandomizedProperty((0.1, 10.0), traction=_scale_load, body=_weigh),
+    "centre_x_m": RandomizedProperty((-0.5, 0.5), body=_centre(0)),
+    "centre_y_m": RandomizedProperty((-0.5, 0.5), body=_centre(1)),
+    "centre_z_m": RandomizedProperty((-0.5, 0.5), body=_centre(2)),
+    "motor_strength": RandomizedProperty((0.05, 5.0), body=_strengthen),
+    "wheel_friction": RandomizedProperty((0.01, 10.0), traction=_scale_tyres),
+    "action_latency_s": RandomizedProperty((0.0, LONGEST_S), latency=True),
 }
 
 
 class RandomisationConf(Settings):
-    """What is drawn anew for each episode; null is what stays as the world and the weather have it.
+    """Distributions that are sampled for each episode; null properties keep the configured values.
 
-    `world_seed` is the world's `seed`: another of its family. `layout_seed` is
-    of what stands there alone, on the same ground. `friction` is a factor on
+    `world_seed` replaces the world's `seed`, and so terrain and props;
+    `layout_seed` only the props, on the same terrain. `friction` is a factor on
     that of the world under the wheels, and `stiffness` on that of its surfaces,
     which a world without a map of them has not. The sun's place and the `brightness` take the place of
     those in `weather.light`.
@@ -138,14 +138,14 @@ class RandomisationConf(Settings):
     action_latency_s: Distribution | None = None
 
     @property
-    def drawn(self) -> dict[str, Any]:
-        """The distributions of the properties that have one, by name."""
+    def distributions(self) -> dict[str, Any]:
+        """The distributions that are not null, by property name."""
         found = ((name, getattr(self, name)) for name in PROPERTIES)
         return {name: distribution for name, distribution in found if distribution is not None}
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
-        for name, distribution in self.drawn.items():
+        for name, distribution in self.distributions.items():
             low, high = PROPERTIES[name].limits
             least, most = distribution.limits
             if least < low or most > high:
@@ -155,24 +155,24 @@ class RandomisationConf(Settings):
         return self
 
     def check(self, world: Settings, weather: WeatherConf) -> None:
-        """Raise ValueError where something is drawn that `world` and `weather` do not have."""
+        """Raise ValueError if a property is drawn that `world` or `weather` does not have."""
         known = type(world).model_fields
         for name, needed in (("world_seed", "seed"), ("layout_seed", "layout_seed")):
-            if name in self.drawn and needed not in known:
+            if name in self.distributions and needed not in known:
                 raise ValueError(
                     f"randomisation.{name}: the world {getattr(world, 'name', '')!r} has no {needed}; "
                     "leave it null, or choose a world that is made from a seed"
                 )
         if self.stiffness is not None and not _has_surfaces(world):
             raise ValueError(
-                "randomisation.stiffness: the world's ground is rigid; say what it is made of "
+                "randomisation.stiffness: the world's ground is rigid; set its surfaces "
                 "(world.surfaces=natural, or world.surface_map), or leave it null"
             )
         for name in ("sun_bearing_deg", "sun_elevation_deg"):
-            if name in self.drawn and weather.time_of_day_h is not None:
+            if name in self.distributions and weather.time_of_day_h is not None:
                 raise ValueError(
-                    f"randomisation.{name}: weather.time_of_day_h={weather.time_of_day_h:g} says where the "
-                    "sun stands; set one of them to null"
+                    f"randomisation.{name}: weather.time_of_day_h={weather.time_of_day_h:g} determines the "
+                    "position of the sun; set one of them to null"
                 )
 
 

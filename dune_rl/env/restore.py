@@ -1,4 +1,4 @@
-"""The check that a restored simulation has arrived where it was saved."""
+"""Check that a restored simulation has the state that was saved."""
 
 import hashlib
 
@@ -7,11 +7,11 @@ from dune_rl.state import State
 
 
 class RestoreError(DuneError):
-    """Episodes that were played again did not arrive at the state that was saved."""
+    """Repeating the saved episodes did not reproduce the saved state."""
 
 
 def state_digest(state: State | None) -> str:
-    """A digest of the poses, velocities and goals of all agents, byte for byte."""
+    """Hash of the bytes of the poses, velocities and goals of all agents."""
     digest = hashlib.sha256()
     for name, group in () if state is None else sorted(state.groups.items()):
         digest.update(name.encode())

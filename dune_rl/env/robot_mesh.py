@@ -1,4 +1,4 @@
-"""Robots as other robots see them."""
+"""Meshes of robots, for the sensors of other agents."""
 
 from functools import lru_cache
 
@@ -12,9 +12,9 @@ from dune_rl.robots.visual import RobotVisual
 
 @lru_cache(maxsize=8)
 def robot_mesh(body: RobotBody) -> MovingMesh:
-    """What the robot looks like with its joints at zero, in the base link's frame; robots of a kind share it.
+    """Mesh of a robot with its joints at zero, in the base link's frame; cached by robot description.
 
-    As every `MovingMesh` it stands upright: other robots do not see it roll and pitch.
+    Like every `MovingMesh` it is posed by position and yaw: sensors do not see it roll and pitch.
     """
     parts = RobotVisual(body.look or body.urdf).posed_meshes(np.zeros(3), np.eye(3))
     shapes = [

@@ -1,4 +1,4 @@
-"""The scenes of a simulation: the world, the weather and the physics of each, from episode to episode."""
+"""Manages the world, weather and physics of each scene of a simulation over its episodes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
-# A world without room for the agents is passed over for another draw, at most so many times.
-_TRIES = 8
+# Number of draws of a world: one without room for the agents is replaced by another.
+_MAX_DRAWS = 8
 _SETTLE_S = 0.1
 
 MakeScene = Callable[[SceneSpec], PhysicsScene]
@@ -32,7 +32,7 @@ MakeScene = Callable[[SceneSpec], PhysicsScene]
 
 @dataclass(frozen=True)
 class SceneBodies:
-    """What the groups put into each scene: robots and kinematic bodies, each in the order of its group."""
+    """Robots and kinematic bodies of each scene, both in the order of the groups."""
 
     robots: tuple[RobotBody, ...]
     kinematics: tuple[KinematicCapsule, ...]
@@ -47,11 +47,11 @@ class RoomCheck(Protocol):
 
 
 class SceneManager:
-    """The world, weather and physics of each of M scenes.
+    """Manages the world, weather and physics of each of M scenes.
 
-    All begin in `world`; where worlds differ, a scene has no physics before it enters its first. `worlds`
-    answers for all scenes, and `values` (M, n) are the sampled ones of the present episodes, named by the
-    randomizer.
+    All scenes start with `world`. If the randomizer draws worlds, a scene has no physics until it enters its
+    first one. `worlds` has the present worlds of all scenes; `values` (M, n) are the sampled values of the
+    present episodes, in the order of `randomizer.names`.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class SceneManager:
         self._kinematic_poses = np.zeros((num_scenes, 0, 4))
 
     def build(self, bodies: SceneBodies) -> None:
-        """Build the scenes that hold `bodies`, where their worlds are known already."""
+        """Build the physics of the scenes with `bodies`, unless the first reset draws their worlds."""
         self._bodies = bodies
         self._kinematic_poses = np.zeros((len(self.worlds), len(bodies.kinematics), 4))
         if not self.randomizer.randomizes_worlds:
@@ -87,7 +87,7 @@ class SceneManager:
                 self._build_scene(scene, self._world)
 
     def _build_scene(self, scene: int, world: World) -> None:
-        # Scenes of one world share their bodies, which DART then reads once.
+        # Scenes of one world share its static bodies, which DART then reads once.
         if world not in self._specs:
             self._specs[world] = scene_spec(
                 world, self._bodies.robots, self._bodies.kinematics, self.conf, self._measures_work
@@ -103,9 +103,9 @@ class SceneManager:
     # -- a new episode ----------------------------------------------------------------------------
 
     def enter(self, scene: int, seed: int, episode: int, check_room: RoomCheck) -> World:
-        """Bring a scene to where an episode of `seed` takes place; gives its world.
+        """Set world, weather and robot bodies of a scene for an episode; returns the world.
 
-        Raises `WorldError` where no world that was drawn has room.
+        Raises `WorldError` if none of the drawn worlds has room.
         """
         values = self.randomizer.draw(seed, episode)
         if self.randomizer.randomizes_worlds:
@@ -119,16 +119,16 @@ class SceneManager:
         return self.worlds.worlds[scene]
 
     def _enter_world(self, scene: int, seed: int, episode: int, check_room: RoomCheck) -> Values:
-        for attempt in range(_TRIES):
+        for attempt in range(_MAX_DRAWS):
             values = self.randomizer.draw(seed, episode, attempt)
             conf = self.randomizer.world_conf(values)
             try:
                 world = self._world_with_room(conf, check_room)
                 break
             except WorldError as error:
-                # Not the error itself, which would keep the world.
+                # Only the message: the error's traceback would keep the world in memory.
                 self._rejected[conf] = str(error)
-                if attempt == _TRIES - 1:
+                if attempt == _MAX_DRAWS - 1:
                     raise
         if self._confs[scene] is None or self.worlds.worlds[scene] is not world:
             self._build_scene(scene, world)
@@ -139,38 +139,37 @@ class SceneManager:
     def _world_with_room(self, conf: Any, check_room: RoomCheck) -> World:
         if conf in self._rejected:
             raise WorldError(self._rejected[conf])
-        # Another scene may be there, and a world takes a moment to build.
+        # Another scene may have this world, which takes long to build.
         known = (self.worlds.worlds[scene] for scene, other in enumerate(self._confs) if other == conf)
         world = next(known, None) or self.randomizer.world(conf)
         if world.extent != self._world.extent:
             raise ValueError(
-                f"the worlds of {world.name!r} cover different ground ({world.extent} and "
-                f"{self._world.extent}): observations would have no common bounds"
+                f"the worlds of {world.name!r} differ in extent ({world.extent} and {self._world.extent}), "
+                "but observations need the same bounds in all of them"
             )
         check_room(world)
         return world
 
     def used_worlds(self) -> set[World]:
-        """The worlds that scenes are in now, and the first one."""
+        """The present worlds of the scenes, and the first one."""
         return {world for world, _ in self.worlds.worlds.groups} | {self._world}
 
     def reset(self, scene: int, kinematic_poses: NDArray[np.float64]) -> None:
-        """Put the robots down at their start poses, and the kinematic bodies at `kinematic_poses` (K, 4)."""
+        """Reset a scene: robots to their start poses, kinematic bodies to `kinematic_poses` (K, 4)."""
         self._kinematic_poses[scene] = kinematic_poses
         self._scene(scene).reset(kinematic_poses)
 
     def settle(self, scene: int) -> None:
-        """Let the robots of a scene come to rest under the commands that they were put down with."""
+        """Simulate until the robots of a scene have settled on the ground, under their rest commands."""
         count = round(_SETTLE_S * self.conf.physics_hz)
         self._scene(scene).step(count, self._kinematic_poses[scene])
 
     # -- a step -----------------------------------------------------------------------------------
 
     def step(self, kinematic_poses: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
-        """Advance the physics of all scenes by a control step, at whose end bodies are at the poses (M,
-        K, 4).
+        """Advance the physics of all scenes by a control step; kinematic bodies move to poses (M, K, 4).
 
-        Returns by scene where the bodies (K, 4) are instead, if a robot held any of them back.
+        Returns, by scene, the poses (K, 4) reached where a robot blocked any of the bodies.
         """
         substeps = self.conf.substeps
         held_back = {}
@@ -182,25 +181,25 @@ class SceneManager:
         return held_back
 
     def step_passive(self) -> None:
-        """Advance physics alone by a control step, with the last commands and nothing moved."""
+        """Advance physics by a control step, with the last commands and without moving kinematic bodies."""
         for scene in range(len(self.worlds)):
             self._scene(scene).step_passive(self.conf.substeps)
 
     def robots(self, scene: int) -> Sequence[PhysicsRobot]:
-        """The robots of a scene that is built."""
+        """The robots of a scene, whose physics must have been built."""
         return self._scene(scene).robots
 
     @property
     def built(self) -> list[PhysicsScene]:
-        """The physics of the scenes that have any, in their order."""
+        """The physics of all scenes that have been built, in order."""
         return [scene for scene in self._physics if scene is not None]
 
     def is_built(self, scene: int) -> bool:
-        """Whether a scene has physics: where worlds differ, it has none before its first episode."""
+        """Whether the physics of a scene has been built; see `SceneManager`."""
         return self._physics[scene] is not None
 
     def count_statics(self, scene: int) -> int:
-        """How many static bodies a scene has that is built."""
+        """Number of static bodies of a scene, whose physics must have been built."""
         return len(self._specs[self.worlds.worlds[scene]].statics)
 
     def _scene(self, scene: int) -> PhysicsScene:
@@ -209,12 +208,12 @@ class SceneManager:
         return physics
 
     def close(self) -> None:
-        """Free the physics engine's memory."""
+        """Release the physics engine."""
         for physics in self._physics:
             if physics is not None:
                 physics.close()
 
 
 def scene_rows(mask: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """`mask` (M,) of scenes as one of rows (M * count,)."""
+    """`mask` (M,) of scenes, repeated for the `count` agents of each: (M * count,)."""
     return mask if count == 1 else np.repeat(mask, count)

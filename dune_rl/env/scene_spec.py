@@ -1,4 +1,4 @@
-"""From a world, robots and kinematic bodies to what the physics engine builds."""
+"""Builds the physics engine's `SceneSpec` from a world, robots and kinematic bodies."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,12 @@ def scene_spec(
 ) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, kinematic bodies and robots."""
     vertices, faces = world.terrain.mesh()
-    # Where surfaces differ, it is the wheels that have their figures, which multiply with the ground's.
+    # With a surface map, the contact parameters are set on the wheels, and multiply with the ground's.
     neutral = world.surfaces is not None
     friction, restitution = (1.0, 1.0) if neutral else (world.friction, 0.0)
     statics = [StaticBody("terrain", vertices, faces, friction, ground=True, restitution=restitution)]
-    # Every static body costs the engine a third of a microsecond a step; what is ground needs no name.
+    # Every static body costs a third of a microsecond per step, so all decks, whose contacts are not
+    # reported, become one body.
     decks = [(prop.vertices, prop.faces) for prop in world.props if prop.solid and prop.drivable]
     if decks:
         deck = merge_meshes(decks)
@@ -55,6 +56,6 @@ def standing_pose(world: World, robot: Robot, x: float, y: float, yaw: float) ->
     quaternion = quaternion_on_slope(normal, np.asarray(yaw))
     wheels = robot.contact_centres_b @ rotation_matrices(quaternion).T
     ground, normals = world.terrain.height_and_normal(wheels[:, :2] + [x, y])
-    # The lowest point of a round wheel or foot over sloping ground lies radius / cos(slope) below its centre.
+    # The lowest point of a round wheel or foot over sloping ground is radius / cos(slope) below its centre.
     lift = ground + robot.contact_radius_m / normals[:, 2] - wheels[:, 2]
     return np.array([x, y, lift.max() + _DROP_M]), quaternion

@@ -32,7 +32,7 @@ _CLEAR = WeatherConf()
 
 @dataclass(frozen=True)
 class SimulationStep:
-    """What a control step gives: each group's rewards and ends, and which scenes' episodes end, (M,)."""
+    """Result of a control step: rewards and ends of each external group, and flags (M,) of ended episodes."""
 
     groups: dict[str, GroupStep]
     terminated: Flags
@@ -45,12 +45,12 @@ class SimulationStep:
 
 
 class VectorSimulation:
-    """The core that every environment wraps: M scenes of equal agent groups.
+    """M scenes with the same agent groups, stepped together; every environment wraps one.
 
-    Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All that is random in an
-    episode depends on (seed, episode id) alone, so any two simulations of equal seed start an episode
-    alike. A scene's episode ends when all agents of the groups whose task has ends are done, or when
-    physics diverges.
+    Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All random
+    draws of an episode depend on (seed, episode id) alone, so simulations of the same seed start an episode
+    in the same state. A scene's episode ends when all agents of the groups with terminations are done, or
+    when physics diverges. `world` is the world of all scenes, unless `randomizer` draws worlds.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class VectorSimulation:
         self.seed = seed
         self.reseed(seed, first_episode)
 
-    # -- what is in it ----------------------------------------------------------------------------
+    # -- contents ---------------------------------------------------------------------------------
 
     def group(self, name: str | None = None) -> AgentGroup:
-        """The group of this name; without one the first that is driven from outside, or the first of all."""
+        """The group of this name; None: the first external group, or the first group if none is external."""
         if name is None:
             return self.external[0] if self.external else self.groups[0]
         return next(group for group in self.groups if group.name == name)
@@ -104,32 +104,32 @@ class VectorSimulation:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Names of the agents that are driven from outside."""
+        """Names of the agents of external groups, whose actions `step` takes."""
         return tuple(name for group in self.external for name in group.names)
 
     @property
     def randomized(self) -> dict[str, Array]:
-        """The values that were drawn for the present episodes, (M,) each, by property."""
+        """Sampled values of the present episodes, (M,) each, by name of the randomised property."""
         return dict(zip(self.randomizer.names, self.scenes.values.T, strict=True))
 
     # -- episodes ---------------------------------------------------------------------------------
 
     def reseed(self, seed: int, first_episode: int = 0) -> None:
-        """Begin again at episode `first_episode` of `seed`; the next `reset` must be of all scenes."""
+        """Let the next `reset`, which must be of all scenes, start at episode `first_episode` of `seed`."""
         if seed != self.seed:
-            self._starter.find_paths_anew(seed, self._first_world)
+            self._starter.replan_paths(seed, self._first_world)
         self.seed = seed
         self.episodes = first_episode + np.arange(self.num_scenes) - self.num_scenes
 
     def reset(self, mask: Flags | None = None) -> None:
-        """Start the next episode in the scenes in `mask` (M,), in all without one."""
+        """Start the next episode in the scenes in `mask` (M,); None: in all."""
         if mask is None:
             mask = np.ones(self.num_scenes, bool)
         self.episodes = np.where(mask, self.episodes + self.num_scenes, self.episodes)
         self._start(mask)
 
     def _start(self, mask: Flags) -> None:
-        """Put the scenes in `mask` (M,) at the beginning of their present episodes."""
+        """Start the present episodes of the scenes in `mask` (M,)."""
         for group in self.groups:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)
@@ -151,13 +151,14 @@ class VectorSimulation:
     def step(self, actions: Mapping[str, NDArray[np.floating]]) -> SimulationStep:
         """Advance all scenes by one control step.
 
-        `actions` has (M, G, A) for each group that is driven from outside, by name.
+        `actions` has an array (M, G, A) for each external group, by name, in physical units. Raises KeyError
+        if a group is missing.
         """
-        given = {group.name: self._rows(group, actions) for group in self.external}
-        self._log.add(self.steps, [given[group.name] for group in self.external])
+        commands = {group.name: self._rows(group, actions) for group in self.external}
+        self._log.add(self.steps, [commands[group.name] for group in self.external])
         before = self.state
         for group in self.groups:
-            group.act(given.get(group.name), before, self._engines[group.name])
+            group.act(commands.get(group.name), before, self._engines[group.name])
         self._starter.hold_back(self.scenes.step(self._starter.kinematic_poses()))
         self.steps = self.steps + 1
         contacts = {group.name: group.read(self._engines[group.name]) for group in self.groups}
@@ -177,13 +178,13 @@ class VectorSimulation:
         return SimulationStep(steps, terminated, truncated)
 
     def _rows(self, group: AgentGroup, actions: Mapping[str, NDArray[np.floating]]) -> Array:
-        """A group's actions (N, A) of those (M, G, A) that `actions` has."""
+        """A group's actions, (N, A)."""
         if group.name not in actions:
             raise KeyError(f"step needs actions of the group {group.name!r}; it got {sorted(actions)}")
         return np.asarray(actions[group.name], np.float64).reshape(-1, group.action_size)
 
     def _scene_ends(self, state: State) -> tuple[Flags, Flags]:
-        """Which scenes' episodes end by all agents' own ends, and which otherwise, (M,)."""
+        """Flags (M,) of scenes whose episodes terminate, and of those whose episodes are truncated."""
         over, terminated = self._nobody, self._nobody
         for index, group in enumerate(self._ending):
             done, own = self._all(group, group.done), self._all(group, group.terminated)
@@ -191,7 +192,7 @@ class VectorSimulation:
         for group in self.groups:
             diverged = state.groups[group.name].motion.diverged
             if diverged.any():
-                # Where one body has diverged nothing in its scene can be believed.
+                # One diverged body may have corrupted the states of all others in its scene.
                 over = over | diverged.reshape(self.num_scenes, -1).any(axis=1)
         if not over.any():
             return self._nobody.copy(), self._nobody.copy()
@@ -201,22 +202,20 @@ class VectorSimulation:
         return terminated, over & ~terminated
 
     def _all(self, group: AgentGroup, flags: Flags) -> Flags:
-        """Which scenes have the flag (N,) set for all of a group's agents, (M,)."""
+        """Flags (M,) of scenes in which `flags` (N,) are True for all of a group's agents."""
         if group.count == 1:
             return flags
         every: Flags = np.logical_and.reduce(flags.reshape(self.num_scenes, -1), axis=1)
         return every
 
     def step_passive(self) -> None:
-        """Advance physics alone by a control step, with the last commands and nothing moved; for
-        benchmarks.
-        """
+        """Advance only physics by a control step, with the last commands; for benchmarks."""
         self.scenes.step_passive()
 
-    # -- what is read from outside ----------------------------------------------------------------
+    # -- observations and metrics -----------------------------------------------------------------
 
     def observe(self, group: str | None = None) -> dict[str, Reading]:
-        """The observation of a group's agents, each part (M, G, ...); reading it twice gives the same."""
+        """Observations of a group by sensor name, each (M, G, ...). Repeated calls return the same values."""
         found = self.group(group)
         readings = found.observe()
         return {name: value.reshape(-1, found.count, *value.shape[1:]) for name, value in readings.items()}
@@ -227,7 +226,7 @@ class VectorSimulation:
         return (*self.group(group).metric_names, *sampled)
 
     def metrics(self, group: str | None = None) -> Floats:
-        """Running values of the present episodes, (M, G, n), final where an agent's episode has ended."""
+        """Metrics of the present episodes so far, (M, G, n); final for agents that are done."""
         found = self.group(group)
         values = found.metrics()
         if self.randomizer.names:
@@ -237,12 +236,12 @@ class VectorSimulation:
         return np.concatenate(values, axis=1).astype(np.float32).reshape(self.num_scenes, found.count, -1)
 
     def joint_angles(self, group: str, row: int) -> dict[str, float]:
-        """Angles [rad] of the joints of a group's robot in `row` by name; none of a kinematic body."""
+        """Joint angles [rad] by name of a group's robot in `row`; empty for a kinematic body."""
         body = self.group(group).body
         return body.joint_angles(row, self._engines[group]) if isinstance(body, ArticulatedBody) else {}
 
     def save_state(self) -> dict[str, Any]:
-        """All that restores this moment, as plain containers: each episode's id and actions so far."""
+        """Plain data from which `restore` rebuilds the state: each episode's id and actions so far."""
         return {
             "seed": self.seed,
             "episodes": self.episodes.tolist(),
@@ -251,9 +250,9 @@ class VectorSimulation:
         }
 
     def restore(self, saved: dict[str, Any]) -> None:
-        """Restore what `save_state` gave, bit for bit, by playing its episodes again from their starts.
+        """Restore a saved state bit for bit, by repeating its episodes' actions from their starts.
 
-        Raises `RestoreError` where that does not arrive at the same state, as on another processor.
+        Raises `RestoreError` if the resulting state differs, as it may on another processor.
         """
         self.reseed(int(saved["seed"]))
         self.episodes = np.array(saved["episodes"], np.int64)
@@ -261,10 +260,10 @@ class VectorSimulation:
         rows = self._log.aligned(saved["actions"])
         self._start(np.ones(self.num_scenes, bool))
         for turn, row in enumerate(rows):
-            # The shorter episodes begin later, so that all arrive together.
-            late = lengths == len(rows) - turn
-            if late.any():
-                self._start(late)
+            # Shorter episodes start later, so that all end at the same step.
+            starting = lengths == len(rows) - turn
+            if starting.any():
+                self._start(starting)
             parts = np.split(row, self._ends[:-1], axis=1)
             shapes = ((self.num_scenes, group.count, group.action_size) for group in self.external)
             actions = {
@@ -277,5 +276,5 @@ class VectorSimulation:
         check_arrival(saved.get("digest"), self.state)
 
     def close(self) -> None:
-        """Free the physics engine's memory."""
+        """Release the physics engine."""
         self.scenes.close()

@@ -23,17 +23,17 @@ _STREAM_STRIDE = 1 << 40
 
 
 class StateBuilder:
-    """Builds `State`s of M scenes of `groups`, whose bodies have been read.
+    """Builds the `State` of M scenes from the bodies of `groups`, after these have been read from physics.
 
-    Bodies of a scene are numbered: static ones first, then kinematic bodies, then robots, in the order of
-    the groups. `neighbours` are in the order of kinematic bodies, then robots.
+    Body numbers of a scene count static bodies, then kinematic bodies, then robots, in the order of the
+    groups. `neighbours` are in the order of body numbers.
     """
 
     def __init__(self, groups: Sequence[AgentGroup], worlds: BatchedWorlds, step_s: float) -> None:
         self._groups, self._worlds, self._step_s = groups, worlds, step_s
         kinematic = [group for group in groups if isinstance(group.body, KinematicBody)]
         robots = [group for group in groups if isinstance(group.body, ArticulatedBody)]
-        # Groups in the order of their bodies' numbers, and the first number of each behind the statics.
+        # Groups in the order of body numbers, and the first number of each after the static bodies.
         self._movers = [*kinematic, *robots]
         firsts = np.cumsum([0, *(group.count for group in self._movers)]).tolist()
         self._first = {group.name: first for group, first in zip(self._movers, firsts[:-1], strict=True)}
@@ -46,20 +46,20 @@ class StateBuilder:
         self._identity: dict[str, tuple[Counts, Counts]] = {}
 
     def _columns(self, group: AgentGroup, total: int) -> NDArray[np.int64]:
-        """Columns (G, K) of all movers that are neighbours of each agent of a group."""
+        """Indices (G, K) of the moving bodies that are neighbours of each agent of a group."""
         first = self._first[group.name]
         others = [np.delete(np.arange(total), first + agent) for agent in range(group.count)]
         return np.stack(others)
 
     def mesh_order(self, group: AgentGroup) -> list[AgentGroup]:
-        """The group that each neighbour of an agent of `group` is of, in the order of `neighbours`."""
+        """The group of each neighbour of an agent of `group`, in the order of `neighbours`."""
         owners = [mover for mover in self._movers for _ in range(mover.count)]
         return [owners[column] for column in self._layouts[group.name].neighbours[0].tolist()]
 
     # -- states -----------------------------------------------------------------------------------
 
     def begin_episodes(self, episodes: Counts) -> None:
-        """Take the ids (M,) of the episodes that the scenes are in."""
+        """Set the ids (M,) of the scenes' present episodes."""
         for group in self._groups:
             ids = episodes if group.count == 1 else np.repeat(episodes, group.count)
             agents = np.tile(np.arange(group.count), len(episodes)) + self._first_agent[group.name]
@@ -79,16 +79,16 @@ class StateBuilder:
     ) -> State:
         """The state after a control step.
 
-        `contacts` are pairs of row and body number of each group of robots, `count_statics` tells how many
-        static bodies a scene has.
+        `contacts` are pairs of row and body number for each group of robots; `count_statics(scene)` is the
+        number of static bodies.
         """
         goals = [group.measure_goals() for group in self._groups]
         rows = [self._rows(steps, group) for group in self._groups]
-        touched = any(contacts.values())
+        has_contacts = any(contacts.values())
         found = []
         for group, row_steps in zip(self._groups, rows, strict=True):
             pairs = contacts.get(group.name, [])
-            if touched and isinstance(group.body, KinematicBody):
+            if has_contacts and isinstance(group.body, KinematicBody):
                 pairs = self._contacts_of_kinematic(group, contacts, count_statics)
             found.append(group.collisions.update(pairs, row_steps))
         return self._build(seed, steps, goals, found)
@@ -96,7 +96,7 @@ class StateBuilder:
     def _contacts_of_kinematic(
         self, group: AgentGroup, contacts: dict[str, Contacts], count_statics: Callable[[int], int]
     ) -> Contacts:
-        """Contacts of robots with a group's bodies, as seen from these."""
+        """Contacts of a group's kinematic bodies with robots, as pairs of row and body number."""
         pairs: Contacts = []
         first = self._first[group.name]
         for mover in self._movers:

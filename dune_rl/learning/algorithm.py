@@ -1,4 +1,4 @@
-"""The interface of a learning algorithm: what the trainer needs to know of one group's learner."""
+"""The interface of a learning algorithm: the trainer calls one learner for each agent group."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -18,9 +18,10 @@ from dune_rl.learning.policy_spec import PolicySpec
 
 @dataclass(frozen=True)
 class LearnerContext:
-    """What a learner is made for: its group of `num_agents` agents a scene, and the run of `total_frames`.
+    """The group, observation and action sizes, and run that a learner is built for.
 
-    `algorithm` is the algorithm's name. `folder` is where it may keep data while it runs.
+    The group has `num_agents` agents in each scene; the run takes `total_frames`. `algorithm` is the
+    registered name of the algorithm. The learner may write temporary data to `folder`.
     """
 
     group: str
@@ -33,17 +34,17 @@ class LearnerContext:
 
 
 class Algorithm(ABC):
-    """The learner of one agent group: its networks, its losses, and what it keeps of the collected data.
+    """The learner of one agent group: networks, losses, and a buffer of collected data.
 
-    For each collected batch the trainer calls `absorb`, then `update`, and then
-    lets the group act by `policy`. What is kept of a batch, and for how long, is
-    the learner's own matter: an off-policy one fills a replay buffer, an
-    on-policy one holds the batch until it has been learned from. Frames are
-    control steps, counted over all scenes, however many agents there are.
+    For each collected batch the trainer calls `absorb`, then `update`; then the
+    group acts by `policy`. The learner decides how long it stores a batch: an
+    off-policy one fills a replay buffer, an on-policy one stores a batch until
+    it has been used. Frames are control steps, counted over all scenes; they do
+    not depend on the number of agents.
 
     A subclass implements `absorb` and `update`; it sets `architecture` before it
     calls `super().__init__`, or overrides `make_network` and `network_settings`.
-    It adds what else it changes to `state_dict`.
+    It adds all further state to `state_dict`.
     """
 
     architecture = Architecture((256, 256))
@@ -57,19 +58,19 @@ class Algorithm(ABC):
 
     @abstractmethod
     def absorb(self, batch: TensorDictBase, frames: int) -> None:
-        """Take a batch (M, T, G) of the group, as `select_group` gives it, on the CPU.
+        """Store a batch (M, T, G) of the group from `select_group`, on the CPU; do not change it.
 
-        `frames` have been collected in all by now. It must not be changed.
+        `frames` is the number of frames collected so far, including this batch.
         """
 
     @abstractmethod
     def update(self) -> dict[str, float]:
-        """Do the updates that are due, counted in `updates`, and return figures to log by name."""
+        """Do the gradient updates that are due, counted in `updates`; returns scalars to log by name."""
 
     # -- acting ---------------------------------------------------------------------------------------
 
     def make_policy(self, device: torch.device | str = "cpu") -> GroupPolicy:
-        """A policy with fresh weights, to which those of `policy` can be copied."""
+        """A policy of the same architecture as `policy`, with newly initialised weights."""
         network = self.make_network(self.context.spec, self.network_settings(), device)
         return GroupPolicy(self.context.group, self.context.spec, network)
 
@@ -79,24 +80,24 @@ class Algorithm(ABC):
         return 0
 
     def warmup_policy(self) -> TensorDictModuleBase | None:
-        """Who acts in the first `warmup_frames`; None: uniformly random actions."""
+        """The policy that acts in the first `warmup_frames`; None: uniformly random actions."""
         return None
 
     @classmethod
     def make_network(
         cls, spec: PolicySpec, settings: Mapping[str, Any], device: torch.device | str = "cpu"
     ) -> TensorDictModuleBase:
-        """The policy's network with fresh weights, from what `network_settings` gave."""
+        """The policy's network with newly initialised weights, from the result of `network_settings`."""
         return make_policy_network(spec, Architecture.from_plain(settings), device)
 
     def network_settings(self) -> dict[str, Any]:
-        """What shapes the policy's network beside the spec, as plain containers."""
+        """Settings that, with the spec, determine the policy's network, as plain containers."""
         return self.architecture.plain()
 
     # -- saving ---------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """All that learning has changed, as containers that `torch.load(weights_only=True)` reads."""
+        """All state of the learner, as containers that `torch.load(weights_only=True)` reads."""
         return {"policy": dict(self.policy.network.state_dict()), "updates": self.updates}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -107,7 +108,7 @@ class Algorithm(ABC):
     def save_experience(self, path: Path) -> dict[str, Any] | None:
         """Write collected data that is too large for the checkpoint to a file: `path` with a suffix.
 
-        Returns what `load_experience` needs beside the file, which "file" names; None: there is none.
+        Returns plain data for `load_experience`, with the file's name under "file"; None: nothing was saved.
         """
         return None
 
@@ -116,4 +117,4 @@ class Algorithm(ABC):
         raise NotImplementedError(f"{type(self).__name__} saves no experience")
 
     def close(self) -> None:  # noqa: B027
-        """Free what the learner holds beside memory; it learns no more."""
+        """Release files and processes; the learner must not be used afterwards."""

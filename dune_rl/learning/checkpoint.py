@@ -1,4 +1,4 @@
-"""Checkpoints: written atomically, read without executing anything in them."""
+"""Checkpoint files: written atomically, and read without executing code from them."""
 
 import pickle
 import zipfile
@@ -8,7 +8,7 @@ from typing import Any
 
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
-from dune_rl.learning.checkpoint_migration import MIGRATED_VERSION, migrate
+from dune_rl.learning.checkpoint_migration import MIGRATED_VERSION, migrate_checkpoint
 
 FORMAT = "dune_rl"
 VERSION = 3
@@ -17,9 +17,9 @@ BEST_POLICY_FILE = "policy.pt"
 LAST_POLICY_FILE = "policy_last.pt"
 
 
-def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
+def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> None:
     """Write `content` (plain containers and tensors) as a file of this `kind`; raises CheckpointError."""
-    # Only now: the command lines import this module, and most of them end without PyTorch.
+    # Imported here: the command lines import this module, and many of them do not need PyTorch.
     import torch
 
     try:
@@ -32,7 +32,7 @@ def write(path: Path, kind: str, content: Mapping[str, Any]) -> None:
         ) from error
 
 
-def read(path: Path, *kinds: str) -> dict[str, Any]:
+def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
     """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy.
 
     Files of format 2 are migrated to the present one.
@@ -61,11 +61,11 @@ def read(path: Path, *kinds: str) -> dict[str, Any]:
     if version not in (MIGRATED_VERSION, VERSION):
         raise CheckpointError(
             f"{path} has format {version}; this dune_rl reads {MIGRATED_VERSION} and {VERSION}.\n"
-            "Use the version of dune_rl that wrote it, or train anew."
+            "Use the version of dune_rl that wrote it, or train again."
         )
     if content["kind"] not in kinds:
         raise CheckpointError(f"{path} is a {content['kind']}, but a {' or '.join(kinds)} is needed here.")
-    return migrate(content) if version == MIGRATED_VERSION else content
+    return migrate_checkpoint(content) if version == MIGRATED_VERSION else content
 
 
 def _unreadable(path: Path, error: Exception) -> str:
@@ -77,7 +77,7 @@ def _unreadable(path: Path, error: Exception) -> str:
     )
 
 
-def find(path: Path, *names: str) -> Path:
+def find_checkpoint_file(path: Path, *names: str) -> Path:
     """`path` itself, or the first of the files `names` that it holds as a folder; raises CheckpointError."""
     if not path.is_dir():
         return path

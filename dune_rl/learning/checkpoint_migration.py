@@ -1,4 +1,4 @@
-"""Files of format 2, of one policy with flat keys, as files of format 3, of agent groups."""
+"""Converts checkpoints of format 2 (one policy, flat keys) to format 3 (agent groups)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 MIGRATED_VERSION = 2
 
 
-def migrate(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a policy or a checkpoint of format 2 as format 3 has it; `config` is left as it is.
+def migrate_checkpoint(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a policy or checkpoint of format 2 in format 3; `config` is not changed.
 
-    The group has the name that the robot's group has now. Scenes start new
-    episodes when such a run is resumed, since their state has another form.
+    The policy becomes that of the robot's group. When such a run is resumed,
+    scenes start new episodes, since their saved state is incompatible.
     """
     group = _group_name(content["config"])
     entry: dict[str, Any] = {

@@ -7,8 +7,8 @@ from torchrl.envs import EnvBase
 
 from dune_rl.errors import ConfigError
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.measures import Row
-from dune_rl.learning.random_state import undisturbed
+from dune_rl.learning.measures import MetricsRow
+from dune_rl.learning.random_state import preserve_random_state
 
 
 @torch.no_grad()
@@ -20,7 +20,7 @@ def evaluate(
     *,
     stop: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] = lambda done: None,
-) -> dict[str, list[Row]]:
+) -> dict[str, list[MetricsRow]]:
     """By group, the metrics of each agent in episodes 0 to `episodes` - 1 of `seed`, in that order.
 
     A row has the metrics by name and "agent", the agent's number in its group.
@@ -30,11 +30,11 @@ def evaluate(
     with the number of finished episodes. Groups without metrics are left out;
     raises ConfigError if none has any.
     """
-    finished: dict[str, dict[int, list[Row]]] = {group: {} for group in env.metric_names}
+    finished: dict[str, dict[int, list[MetricsRow]]] = {group: {} for group in env.metric_names}
     if not finished:
         raise ConfigError("no group of agents has metrics, so there is nothing to evaluate: give one a task")
     count = 0
-    with undisturbed():
+    with preserve_random_state():
         env.set_seed(seed)
         observation = env.reset()
         while count < episodes and not stop():

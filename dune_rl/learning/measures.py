@@ -1,4 +1,4 @@
-"""Figures of evaluated episodes: averages, intervals, paired tests, and their CSV file."""
+"""Statistics of evaluated episodes: means, confidence intervals, paired tests, and their CSV file."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -8,12 +8,12 @@ import numpy as np
 
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
-from dune_rl.learning.statistics import Estimate, PairedTest, mcnemar, mean, proportion
+from dune_rl.learning.statistics import Estimate, PairedTest, estimate_mean, estimate_proportion, mcnemar_test
 
 # The metrics of one agent in one episode, by name.
-Row = dict[str, float]
+MetricsRow = dict[str, float]
 
-# The paper's short names and what the battery gives, with meaning and unit.
+# Measures with meaning and unit: the paper's short names, and the battery's.
 MEASURES: dict[str, tuple[str, str]] = {
     "SR": ("goal reached without collision", ""),
     "TR": ("goal reached", ""),
@@ -42,7 +42,7 @@ _METRICS = {
     "range": "range_km",
 }
 _SHARES = ("SR", "TR")
-# Columns of a row that no table shows: what numbers it, what TensorBoard has by itself, and details.
+# Columns that tables leave out: ids, what TensorBoard logs separately, and details.
 _UNLISTED = {
     "agent", "episode", "steps", "return", "goals", "min_clearance",
     "diverged", "stuck", "flipped", "out_of_world", "timeout",
@@ -59,8 +59,8 @@ def measured_columns(names: Sequence[str]) -> dict[str, str]:
     return known | {name: name for name in names if name not in taken and "/" not in name}
 
 
-def averages(rows: Sequence[Mapping[str, float]]) -> Row:
-    """Means over `rows` of what was measured, the return and the steps; NaN where no row has a value."""
+def average_metrics(rows: Sequence[Mapping[str, float]]) -> MetricsRow:
+    """Means over `rows` of the measures, the return and the steps; NaN where no row has a value."""
     if not rows:
         return {}
     columns = {**measured_columns(list(rows[0])), "return": "return", "steps": "steps"}
@@ -71,31 +71,33 @@ def averages(rows: Sequence[Mapping[str, float]]) -> Row:
     }
 
 
-def score(figures: Mapping[str, float]) -> float:
-    """What tells which of two policies is better: the success rate, or where there is none the return."""
-    return figures["SR"] if "SR" in figures else figures["return"]
+def selection_score(statistics: Mapping[str, float]) -> float:
+    """Score by which the best policy is selected: the success rate, or the return if there is none."""
+    return statistics["SR"] if "SR" in statistics else statistics["return"]
 
 
-def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
-    """What was measured in `rows`, each with its 95 % interval.
+def estimate_metrics(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
+    """Each measure over `rows`, with its 95 % confidence interval.
 
     SR and TR are shares of episodes; the rest are means over the episodes
     that have a value: MTT over those that reached the goal, VORT over those
-    that met an uneven section.
+    that crossed uneven ground.
     """
     columns = measured_columns(list(rows[0])) if rows else {}
     return {
-        name: (proportion if name in _SHARES else mean)([row[column] for row in rows])
+        name: (estimate_proportion if name in _SHARES else estimate_mean)([row[column] for row in rows])
         for name, column in columns.items()
     }
 
 
-def compare(rows_a: Sequence[Mapping[str, float]], rows_b: Sequence[Mapping[str, float]]) -> PairedTest:
+def compare_success(
+    rows_a: Sequence[Mapping[str, float]], rows_b: Sequence[Mapping[str, float]]
+) -> PairedTest:
     """Exact paired test of success between two evaluations; raises ValueError unless their episodes agree."""
     ids_a, ids_b = ([(row["episode"], row["agent"]) for row in rows] for rows in (rows_a, rows_b))
     if ids_a != ids_b:
         raise ValueError("the two evaluations ran different episodes, so they do not pair")
-    return mcnemar([row["success"] > 0 for row in rows_a], [row["success"] > 0 for row in rows_b])
+    return mcnemar_test([row["success"] > 0 for row in rows_a], [row["success"] > 0 for row in rows_b])
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:

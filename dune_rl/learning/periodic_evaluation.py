@@ -8,7 +8,7 @@ from torchrl.envs import EnvBase
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_policy import Deterministic, JointPolicy
-from dune_rl.learning.measures import Row, averages, score
+from dune_rl.learning.measures import MetricsRow, average_metrics, selection_score
 from dune_rl.learning.settings import EvaluationConf
 
 
@@ -29,7 +29,7 @@ class PeriodicEvaluation:
         self._best_score = -float("inf")
         self._evaluated_at = -1
         self._next_at = conf.every_frames
-        self.rows: dict[str, list[Row]] = {}
+        self.rows: dict[str, list[MetricsRow]] = {}
 
     def is_due(self, frames: int) -> bool:
         """Whether an evaluation is due after `frames`."""
@@ -54,7 +54,7 @@ class PeriodicEvaluation:
             self._next_at += self._conf.every_frames
         self._evaluated_at = frames
         self.rows = rows
-        scores = [score(averages(episodes)) for episodes in rows.values()]
+        scores = [selection_score(average_metrics(episodes)) for episodes in rows.values()]
         mean = sum(scores) / len(scores)
         is_best = mean >= self._best_score
         if is_best:

@@ -203,7 +203,7 @@ class PolicySpec:
             raise CheckpointError(
                 f"{source} was made for another environment: {'; '.join(faults)}.\n"
                 "Use the robot and sensor settings that it was trained with (its run's folder holds them), "
-                "or train anew."
+                "or train again."
             )
 
     def _extent(self, key: str) -> str | None:

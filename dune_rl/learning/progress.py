@@ -1,4 +1,4 @@
-"""How a run reports on itself while it goes on."""
+"""Progress reports of a training run: a progress bar, plain lines, or none."""
 
 import math
 import time
@@ -10,13 +10,13 @@ from typing import Protocol, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-# Columns that the whole line takes beside a bar that can be read.
+# Width of the terminal [columns] from which the bar also shows counts of frames.
 _WIDE = 120
 
 
 @dataclass(frozen=True)
-class Status:
-    """Where a run is: counts, recent speeds [1/s], and the success rate over recent training episodes."""
+class TrainingStatus:
+    """Progress of a run: counts, recent speeds [1/s], and the success rate over recent training episodes."""
 
     frames: int
     total_frames: int
@@ -33,10 +33,10 @@ class Status:
         return left / self.frames_per_s if self.frames_per_s > 0 else math.nan
 
     def counts(self) -> str:
-        """What is being done, and how far it is."""
+        """The current activity and the number of frames."""
         return f"{self.activity}  {self.frames:,} of {self.total_frames:,} frames"
 
-    def figures(self) -> str:
+    def statistics(self) -> str:
         """Speeds, success rate and time left, in one line."""
         rate = "unknown" if math.isnan(self.success_rate) else f"{100 * self.success_rate:.0f} %"
         return (
@@ -54,7 +54,7 @@ def _clock(seconds: float) -> str:
 
 
 class Reporter(Protocol):
-    """Is entered before the first `update` and left after the last."""
+    """Context manager that shows the progress of a run; `update` is called inside the context."""
 
     def __enter__(self) -> Self: ...
 
@@ -62,11 +62,11 @@ class Reporter(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
 
-    def update(self, status: Status) -> None:
-        """Take note of `status`; called often."""
+    def update(self, status: TrainingStatus) -> None:
+        """Show `status`; called after every batch."""
 
 
-class Silent:
+class SilentReporter:
     """Reports nothing."""
 
     def __enter__(self) -> Self:
@@ -75,11 +75,11 @@ class Silent:
     def __exit__(self, *_: object) -> None:
         return None
 
-    def update(self, status: Status) -> None:
+    def update(self, status: TrainingStatus) -> None:
         """Do nothing."""
 
 
-class Bar:
+class BarReporter:
     """A progress bar on a terminal, with the counts of frames where that is wide enough."""
 
     def __init__(self, console: Console) -> None:
@@ -88,11 +88,11 @@ class Bar:
             TextColumn("{task.description}"),
             BarColumn(bar_width=None),
             TaskProgressColumn(),
-            TextColumn("{task.fields[figures]}"),
+            TextColumn("{task.fields[statistics]}"),
             console=console,
             expand=True,
         )
-        self._task = self._bar.add_task("training", total=None, figures="")
+        self._task = self._bar.add_task("training", total=None, statistics="")
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -101,19 +101,19 @@ class Bar:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def update(self, status: Status) -> None:
+    def update(self, status: TrainingStatus) -> None:
         """Redraw the bar, as often as its console refreshes."""
         self._bar.update(
             self._task,
             completed=status.frames,
             total=status.total_frames,
             description=status.counts() if self._is_wide else status.activity,
-            figures=status.figures(),
+            statistics=status.statistics(),
         )
 
 
-class Lines:
-    """One plain line to `emit` every `interval_s`, for logs and pipes."""
+class LineReporter:
+    """Calls `emit` with one plain line every `interval_s` [s], for logs and pipes."""
 
     def __init__(self, emit: Callable[[str], None], interval_s: float = 15.0) -> None:
         self._emit = emit
@@ -126,9 +126,9 @@ class Lines:
     def __exit__(self, *_: object) -> None:
         return None
 
-    def update(self, status: Status) -> None:
-        """Emit a line if the last is old enough."""
+    def update(self, status: TrainingStatus) -> None:
+        """Emit a line unless the last one is more recent than `interval_s`."""
         now = time.monotonic()
         if now - self._last >= self._interval_s:
             self._last = now
-            self._emit(f"{status.counts()}  {status.figures()}")
+            self._emit(f"{status.counts()}  {status.statistics()}")

@@ -1,4 +1,4 @@
-"""The process's random states: taken, put back, and kept apart."""
+"""Saves and restores the global random states of PyTorch and NumPy."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,7 +20,7 @@ def random_state() -> dict[str, Any]:
 
 
 def set_random_state(state: dict[str, Any]) -> None:
-    """The inverse of `random_state`; the states of CUDA devices are put back where as many are present."""
+    """The inverse of `random_state`; CUDA states are restored if the number of devices is the same."""
     torch.set_rng_state(state["torch"])
     if state["cuda"] and len(state["cuda"]) == torch.cuda.device_count():
         torch.cuda.set_rng_state_all(state["cuda"])
@@ -29,8 +29,8 @@ def set_random_state(state: dict[str, Any]) -> None:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """Whatever is drawn inside leaves the random states as they were."""
+def preserve_random_state() -> Iterator[None]:
+    """Context that restores the random states at its end."""
     state = random_state()
     try:
         yield

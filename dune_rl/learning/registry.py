@@ -1,4 +1,4 @@
-"""The algorithms there are: ours, those of installed packages, and those that a program registers."""
+"""Registry of algorithms: built-in ones, those of installed packages, and those registered at run time."""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ _OWN_SETTINGS = {"sac": "dune_rl.learning.sac.settings:SacConf"}
 
 
 class AlgorithmRegistry(Registry[Any]):
-    """Learning algorithms, with settings of ours that are read, and refused, without loading PyTorch."""
+    """Registry whose built-in settings are parsed and validated without importing PyTorch."""
 
     def settings_class(self, name: str) -> Any | None:
         """The settings class of the algorithm `name`, None where there is none."""

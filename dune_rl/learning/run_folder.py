@@ -7,7 +7,12 @@ from typing import Any
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE, write
+from dune_rl.learning.checkpoint import (
+    BEST_POLICY_FILE,
+    CHECKPOINT_FILE,
+    LAST_POLICY_FILE,
+    write_checkpoint_file,
+)
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import policy_entry
 
@@ -42,7 +47,7 @@ class RunFolder:
         """Write the policies of all groups: as the best ones so far, or as the latest."""
         groups = {group: policy_entry(learner) for group, learner in learners.items()}
         content = {"groups": groups, "config": self._config, "frames": frames}
-        write(self.path / (BEST_POLICY_FILE if best else LAST_POLICY_FILE), "policy", content)
+        write_checkpoint_file(self.path / (BEST_POLICY_FILE if best else LAST_POLICY_FILE), "policy", content)
 
     def save(
         self,
@@ -64,7 +69,7 @@ class RunFolder:
             experience = learner.save_experience(path) if with_experience else None
             groups[group] = {**entry, "learner": learner.state_dict(), "experience": experience}
         content = {"groups": groups, "config": self._config, **progress}
-        write(self.path / CHECKPOINT_FILE, "checkpoint", content)
+        write_checkpoint_file(self.path / CHECKPOINT_FILE, "checkpoint", content)
         self.save_policies(learners, frames, best=False)
         named = {entry["experience"]["file"] for entry in groups.values() if entry["experience"]}
         for file in self.path.glob(f"{_EXPERIENCE}-*.*"):
@@ -80,7 +85,7 @@ def restore_learners(
         raise CheckpointError(
             f"{source} trains {', '.join(sorted(saved))}, and the groups here are "
             f"{', '.join(sorted(learners))}.\n"
-            "Resume with the agents that it was started with, or train anew."
+            "Resume with the agents that it was started with, or train again."
         )
     for group, learner in learners.items():
         entry = saved[group]
@@ -95,12 +100,12 @@ def _check(learner: Algorithm, entry: Mapping[str, Any], source: Path) -> None:
     if entry["algorithm"] != context.algorithm:
         raise CheckpointError(
             f"{source} was trained with {entry['algorithm']}. Resume with learning={entry['algorithm']}, "
-            "or train anew."
+            "or train again."
         )
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
     theirs, ours = entry["network"], learner.network_settings()
     different = [f"learning.{key}={value}" for key, value in theirs.items() if value != ours.get(key)]
     if different:
         raise CheckpointError(
-            f"{source} has networks of another shape. Resume with {' '.join(different)}, or train anew."
+            f"{source} has networks of another shape. Resume with {' '.join(different)}, or train again."
         )

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
 from dune_rl.learning.curve import draw_curve
-from dune_rl.learning.measures import Row, averages, write_csv
+from dune_rl.learning.measures import MetricsRow, average_metrics, write_csv
 
 METRICS_FILE = "metrics.csv"
 CURVE_FILE = "curve.png"
@@ -39,9 +39,9 @@ class RecentEpisodes:
             self._uncounted = 0
         return full
 
-    def averages(self) -> Row:
+    def average_metrics(self) -> MetricsRow:
         """Means over the recent episodes."""
-        return averages([dict(zip(self.names, row, strict=True)) for row in self._rows])
+        return average_metrics([dict(zip(self.names, row, strict=True)) for row in self._rows])
 
     @property
     def success_rate(self) -> float:
@@ -77,7 +77,7 @@ class RunLog:
         # A resumed run repeats the steps after its checkpoint; their first version is dropped.
         self._events = SummaryWriter(str(folder), purge_step=frames or None)
 
-    def collected(self, batch: TensorDictBase, frames: int, updates: Mapping[str, int]) -> None:
+    def log_batch(self, batch: TensorDictBase, frames: int, updates: Mapping[str, int]) -> None:
         """Log the episodes that ended in `batch`; every hundred of a group make a line of metrics.csv."""
         finished = batch["next", "done"].squeeze(-1)
         if not finished.any():
@@ -88,10 +88,10 @@ class RunLog:
             for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
                 if name.startswith(("reward/", "randomisation/")):
                     self.scalars(group, {name: value}, frames)
-            figures = recent.averages()
-            self._measured(group, "train", figures, frames)
+            statistics = recent.average_metrics()
+            self._log_statistics(group, "train", statistics, frames)
             if complete:
-                self._record(group, "train", len(recent), figures, frames, updates[group])
+                self._record(group, "train", len(recent), statistics, frames, updates[group])
 
     @property
     def success_rate(self) -> float:
@@ -101,17 +101,19 @@ class RunLog:
         return sum(known) / len(known) if known else math.nan
 
     def scalars(self, group: str | None, values: Mapping[str, float], frames: int) -> None:
-        """Log figures of a group, or with None of the whole run, under their names."""
+        """Log statistics of a group, or with None of the whole run, under their names."""
         prefix = f"{group}/" if group is not None and self._several else ""
         for name, value in values.items():
             self._events.add_scalar(prefix + name, value, frames)
 
-    def evaluated(self, rows: Mapping[str, Sequence[Row]], frames: int, updates: Mapping[str, int]) -> None:
+    def log_evaluation(
+        self, rows: Mapping[str, Sequence[MetricsRow]], frames: int, updates: Mapping[str, int]
+    ) -> None:
         """Add an evaluation to TensorBoard and metrics.csv, and write both to disk."""
         for group, episodes in rows.items():
-            figures = averages(episodes)
-            self._measured(group, "eval", figures, frames)
-            self._record(group, "eval", len(episodes), figures, frames, updates[group])
+            statistics = average_metrics(episodes)
+            self._log_statistics(group, "eval", statistics, frames)
+            self._record(group, "eval", len(episodes), statistics, frames, updates[group])
         self.write()
 
     def write(self) -> None:
@@ -121,8 +123,10 @@ class RunLog:
             columns = {name: "" for row in self.history for name in row}
             write_csv(self._folder / METRICS_FILE, [columns | row for row in self.history])
 
-    def _record(self, group: str, kind: str, episodes: int, figures: Row, frames: int, updates: int) -> None:
-        row = {"kind": kind, "frames": frames, "updates": updates, "episodes": episodes, **figures}
+    def _record(
+        self, group: str, kind: str, episodes: int, statistics: MetricsRow, frames: int, updates: int
+    ) -> None:
+        row = {"kind": kind, "frames": frames, "updates": updates, "episodes": episodes, **statistics}
         self.history.append({"group": group, **row} if self._several else row)
 
     def draw(self, title: str) -> None:
@@ -130,8 +134,8 @@ class RunLog:
         if self.history:
             draw_curve(self.history, self._folder / CURVE_FILE, title)
 
-    def _measured(self, group: str, kind: str, figures: Row, frames: int) -> None:
-        known = {f"{kind}/{name}": value for name, value in figures.items() if not math.isnan(value)}
+    def _log_statistics(self, group: str, kind: str, statistics: MetricsRow, frames: int) -> None:
+        known = {f"{kind}/{name}": value for name, value in statistics.items() if not math.isnan(value)}
         self.scalars(group, known, frames)
 
     def state(self) -> dict[str, Any]:

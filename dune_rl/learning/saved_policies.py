@@ -9,7 +9,12 @@ from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find, read
+from dune_rl.learning.checkpoint import (
+    BEST_POLICY_FILE,
+    CHECKPOINT_FILE,
+    find_checkpoint_file,
+    read_checkpoint_file,
+)
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import algorithm_class
@@ -36,8 +41,8 @@ def load_group_policy(
     the group, or one for another spec than `here`, which with `allow_more` may
     have further parts in its observation.
     """
-    file = find(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
-    content = read(file, "policy", "checkpoint")
+    file = find_checkpoint_file(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    content = read_checkpoint_file(file, "policy", "checkpoint")
     return _group_policy(content, file, group, here, allow_more), content["config"]
 
 
@@ -45,8 +50,8 @@ def load_policy(
     path: Path, env: EnvBase, *, allow_more: bool = False
 ) -> tuple[Deterministic, dict[str, Any]]:
     """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
-    file = find(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
-    content = read(file, "policy", "checkpoint")
+    file = find_checkpoint_file(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    content = read_checkpoint_file(file, "policy", "checkpoint")
     policies = [
         _group_policy(content, file, group, PolicySpec.of(env, group), allow_more) for group in env.group_map
     ]
@@ -74,5 +79,5 @@ def _entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, An
         return next(iter(groups.values()))
     raise CheckpointError(
         f"{file} has no policy for the group {group}, but for {', '.join(sorted(groups))}.\n"
-        "Use the agents that it was trained with (its run's folder holds its settings), or train anew."
+        "Use the agents that it was trained with (its run's folder holds its settings), or train again."
     )

@@ -1,4 +1,4 @@
-"""Intervals and paired tests for a handful of episodes."""
+"""Confidence intervals and paired tests for small numbers of episodes."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ class Estimate:
     count: int
 
 
-def proportion(successes: ArrayLike) -> Estimate:
+def estimate_proportion(successes: ArrayLike) -> Estimate:
     """The share of true entries, with Wilson's interval, which stays within [0, 1] and suits small n."""
     hits = np.asarray(successes, bool)
     if not len(hits):
@@ -31,7 +31,7 @@ def proportion(successes: ArrayLike) -> Estimate:
     return Estimate(float(hits.mean()), float(interval.low), float(interval.high), len(hits))
 
 
-def mean(values: ArrayLike) -> Estimate:
+def estimate_mean(values: ArrayLike) -> Estimate:
     """The mean of the entries that are not NaN, with a percentile bootstrap interval.
 
     It assumes no distribution: collisions, for one, are mostly zero. One
@@ -56,8 +56,8 @@ class PairedTest:
     p_value: float
 
 
-def mcnemar(a: ArrayLike, b: ArrayLike) -> PairedTest:
-    """Exact two-sided McNemar test of two boolean arrays whose entries pair up."""
+def mcnemar_test(a: ArrayLike, b: ArrayLike) -> PairedTest:
+    """Exact two-sided McNemar test of two boolean arrays with paired entries."""
     first, second = np.asarray(a, bool), np.asarray(b, bool)
     only_a, only_b = int((first & ~second).sum()), int((~first & second).sum())
     p_value = stats.binomtest(only_a, only_a + only_b).pvalue if only_a + only_b else 1.0

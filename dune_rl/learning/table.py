@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from dune_rl.learning.measures import MEASURES, Row, compare
+from dune_rl.learning.measures import MEASURES, MetricsRow, compare_success
 from dune_rl.learning.statistics import Estimate
 
 # Scale, form and unit of what is not printed as a plain number.
@@ -37,9 +37,9 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, 
     return table
 
 
-def paired_line(first: tuple[str, Sequence[Row]], second: tuple[str, Sequence[Row]]) -> str:
+def paired_line(first: tuple[str, Sequence[MetricsRow]], second: tuple[str, Sequence[MetricsRow]]) -> str:
     """One line on which of two policies, (name, episodes) each, succeeds more often on the same episodes."""
-    test = compare(first[1], second[1])
+    test = compare_success(first[1], second[1])
     return (
         f"Paired: {first[0]} alone succeeds in {test.only_a} episodes, {second[0]} alone in {test.only_b}; "
         f"exact McNemar test p = {test.p_value:.2g}"

@@ -13,15 +13,15 @@ from torchrl.envs import EnvBase
 
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.allocation import keep_freed_memory
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find, read
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
 from dune_rl.learning.group_batch import select_group
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.interrupts import StopRequest, stop_on_signals
-from dune_rl.learning.measures import Row
+from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.progress import Reporter, Silent, Status
+from dune_rl.learning.progress import Reporter, SilentReporter, TrainingStatus
 from dune_rl.learning.random_state import random_state, set_random_state
 from dune_rl.learning.registry import build_learner
 from dune_rl.learning.run_folder import RunFolder, restore_learners
@@ -32,7 +32,7 @@ from dune_rl.learning.speed import SpeedMeter
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """How a run ended. `signal` is the number that stopped it early, or None.
+    """Result of a run. `signal` is the number of the signal that stopped it early, or None.
 
     `updates` is the sum over the groups. `specs` are those of the policies, and
     `evaluation` holds the episodes of the last evaluation, by group; `history`
@@ -44,20 +44,19 @@ class TrainingResult:
     updates: int
     signal: int | None
     specs: dict[str, PolicySpec]
-    evaluation: dict[str, list[Row]]
+    evaluation: dict[str, list[MetricsRow]]
     history: list[dict[str, Any]]
 
 
 class Trainer:
-    """Trains the agent groups of an environment in `run_dir`, anew or (with `resume`) from a checkpoint.
+    """Trains the agent groups of an environment in `run_dir`, from scratch or from a checkpoint (`resume`).
 
-    Every group of `env.group_map` has a learner of its own, by the algorithm
-    and settings of `learning`. `make_env(num_scenes, seed)` must be picklable
+    Every group of `env.group_map` has its own learner; `learning` has the
+    algorithm and its settings. `make_env(num_scenes, seed)` must be picklable
     unless the collector is serial. `config` is the resolved configuration as
-    plain containers; it is stored beside the weights. On a serial collector, a
-    run that was stopped and resumed ends with the very weights of an
-    uninterrupted one; with worker processes everything but the episodes under
-    way is continued.
+    plain containers; it is stored with the weights. With a serial collector, a
+    run that was stopped and resumed ends with the same weights as an
+    uninterrupted one; with worker processes, a resumed run starts new episodes.
 
     Raises CheckpointError if the folder cannot be written, already holds a
     run, or the checkpoint does not fit. `train` may be called once.
@@ -77,12 +76,12 @@ class Trainer:
         reporter: Reporter | None = None,
         title: str = "",
     ) -> None:
-        source = find(resume, CHECKPOINT_FILE) if resume else None
-        self._saved = read(source, "checkpoint") if source else None
+        source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
+        self._saved = read_checkpoint_file(source, "checkpoint") if source else None
         self._folder = RunFolder(run_dir, config or {}, fresh=source is None)
         self._make_env, self._conf = make_env, learning
         self._seed, self._total_frames = seed, total_frames
-        self._reporter = reporter or Silent()
+        self._reporter = reporter or SilentReporter()
         self._title = title or run_dir.name
         self._threads = learning.threads or learner_threads(learning.collector)
 
@@ -192,12 +191,12 @@ class Trainer:
         self.frames += batch.numel()
         for group, learner in self._learners.items():
             learner.absorb(select_group(batch, group), self.frames)
-        self._log.collected(batch, self.frames, self._updates)
+        self._log.log_batch(batch, self.frames, self._updates)
         for group, learner in self._learners.items():
             self._log.scalars(group, learner.update(), self.frames)
 
     def _own_policies(self) -> dict[str, GroupPolicy]:
-        """The learners' policies of the groups that do not act by a warm-up policy now."""
+        """The learners' policies of the groups without an active warm-up policy."""
         return {
             group: learner.policy
             for group, learner in self._learners.items()
@@ -205,7 +204,7 @@ class Trainer:
         }
 
     def _warmup_policies(self) -> dict[str, TensorDictModuleBase]:
-        """Those that act now in place of the learners' own, by group."""
+        """The warm-up policies that act at present, by group."""
         policies = {
             group: learner.warmup_policy()
             for group, learner in self._learners.items()
@@ -214,7 +213,7 @@ class Trainer:
         return {group: policy for group, policy in policies.items() if policy is not None}
 
     def _make_collector(self) -> TransitionCollector:
-        """The collector that is due: with warm-up policies in this process, then with the learners' own."""
+        """A collector for the present phase: warm-up policies in this process, then the learners'."""
         policies: dict[str, TensorDictModuleBase] = {
             group: learner.make_policy() for group, learner in self._learners.items()
         }
@@ -224,7 +223,7 @@ class Trainer:
         if self._warming_up:
             conf = conf.model_copy(update={"mode": "serial"})
         random_frames = max(learner.warmup_frames for learner in self._learners.values()) - self.frames
-        # Making networks and first resets must not move the learners' draws: a resumed run makes them anew.
+        # New networks and first resets must not advance the random state: a resumed run repeats them.
         before = random_state() if self._saved is None else self._saved["random"]
         collector = TransitionCollector(
             conf,
@@ -247,7 +246,7 @@ class Trainer:
         self._log.scalars(None, {"speed/frames": frames_per_s, "speed/updates": updates_per_s}, self.frames)
         success = self._log.success_rate
         self._reporter.update(
-            Status(self.frames, self._total_frames, frames_per_s, updates_per_s, success, activity)
+            TrainingStatus(self.frames, self._total_frames, frames_per_s, updates_per_s, success, activity)
         )
 
     def _evaluate(self, stop: StopRequest) -> None:
@@ -256,7 +255,7 @@ class Trainer:
         self._speed.pause()
         if not self._evaluation.is_done(self.frames):
             return
-        self._log.evaluated(self._evaluation.rows, self.frames, self._updates)
+        self._log.log_evaluation(self._evaluation.rows, self.frames, self._updates)
         if is_best:
             self._folder.save_policies(self._learners, self.frames, best=True)
 

@@ -1,7 +1,7 @@
 """Conservative test of whether robots can touch anything but ground within a control step.
 
-To read contacts after every physics step costs some 6 % of the step. Most of
-the time the test shows that there cannot be any.
+Reading contacts after every physics step costs about 6 % of a control step;
+most of the time this test shows that there cannot be any.
 """
 
 import math
@@ -15,7 +15,7 @@ from dune_rl.physics.obstacle_map import load_shared_map
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
 # velocity and do not increase it.
 _MAX_ACCELERATION_MPS2 = 40.0
-# Distance below which engines begin to treat two shapes as in contact, and more.
+# Upper bound of the distance below which engines treat two shapes as in contact.
 _CONTACT_MARGIN_M = 0.05
 
 

@@ -1,4 +1,4 @@
-"""Interface of a physics engine: what a scene is built from, and what can be done with it."""
+"""Interface of a physics engine: the description of a scene (`SceneSpec`), and protocols of its objects."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -82,8 +82,8 @@ class KinematicCapsule:
     """Upright capsule whose motion is prescribed; its origin is on the ground below its centre.
 
     It pushes robots with at most `max_push_n` [N], horizontally, and is held
-    back or pushed away by what resists more. The default is what ISO 11228-2
-    takes for the most that men should start a load with.
+    back or pushed away by larger resistance. The default is the largest initial
+    force for men in ISO 11228-2.
     """
 
     name: str

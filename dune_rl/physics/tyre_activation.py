@@ -7,9 +7,9 @@ from typing import Protocol
 from dune_rl.physics.interface import SceneSpec, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
 
-# A change of the active tyres costs as much as some thirty control steps of two tyres that touch nothing.
-_KEPT_STEPS = 30
-# Distance below which engines begin to treat two shapes as in contact, and the play of suspensions.
+# Control steps for which surplus tyres stay active: a change costs about as much as two unneeded tyres in 30.
+_DEACTIVATION_DELAY_STEPS = 30
+# Distance below which engines begin to treat two shapes as in contact, and travel of suspensions.
 _MARGIN_M = 0.05
 
 Tyres = frozenset[int]
@@ -32,9 +32,9 @@ class TyredRobot(Protocol):
 class TyreActivation:
     """Decides which tyres of a scene's robots have collision shapes in the next control step.
 
-    Each shape is a link more in a robot's equations of motion: four of them cost an engine a sixth of a
-    physics step, whether anything is near or not. So a tyre has one from the control step on in which it can
-    touch anything, until it could not for a while. Robots without exposure (see `ContactGate`) need none.
+    Each shape adds a link to a robot's equations of motion: four of them take a sixth of a physics step even
+    without obstacles. So a tyre has one only from the control step in which it can touch anything until it
+    has been out of reach for a while. Robots that are not exposed (see `ContactGate`) need none.
 
     `active` has the indices of the active tyres of each robot.
     """
@@ -82,9 +82,9 @@ class TyreActivation:
                 self._surplus_steps[index] = 0
                 continue
             self._surplus_steps[index] += 1
-            if needed <= active and self._surplus_steps[index] < _KEPT_STEPS:
+            if needed <= active and self._surplus_steps[index] < _DEACTIVATION_DELAY_STEPS:
                 continue
-            # What is kept while others come saves a change.
+            # Surplus tyres stay active when others are added, which saves a later change.
             self.active[index] = needed if needed <= active else needed | active
             self._surplus_steps[index] = 0
             changed.append(index)

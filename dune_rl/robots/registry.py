@@ -1,4 +1,4 @@
-"""The robots there are: ours, those of installed packages, and those that a program registers."""
+"""Registry of robots: built-in ones, those of installed packages, and those registered at run time."""
 
 from dune_rl.errors import RobotError
 from dune_rl.registry import Registry

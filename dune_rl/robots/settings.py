@@ -4,7 +4,7 @@ from dune_rl.settings import Settings
 
 
 class RobotSettings(Settings):
-    """Settings of a robot; `name` says of which, so that settings read from a file find their class."""
+    """Settings of a robot; `name` selects the settings class when a file is read."""
 
     name: str
 

@@ -36,7 +36,7 @@ class RewardTermConf(TermConf):
 
 
 class TerminationTermConf(TermConf):
-    """A termination term, which ends an agent's episode; with `truncates` as time does.
+    """A termination term, which ends an agent's episode; with `truncates` it is a truncation.
 
     `renew` gives the agent another goal instead of ending its episode.
     """

@@ -1,4 +1,4 @@
-"""A task: where an agent starts and goes, what its steps earn, and when its episode ends."""
+"""A task: spawn settings, reward terms and termination terms of an agent group."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
@@ -21,7 +21,7 @@ POINT_GOAL_REWARDS: dict[str, Any] = {
     "velocity": {**_NAVIGATING},
     "goal": {"term": "ended_by", "termination": "goal_reached", "weight": 100.0},
     "collision": {"weight": -0.5, "unless": ["goal"]},
-    # Ours: with the paper's terms alone a bump costs less than the time it saves. `task=paper` leaves it out.
+    # Not in the paper, whose terms make a collision cheaper than the time that it saves; see `task=paper`.
     "contact": {"weight": -10.0},
     "stuck": {"term": "ended_by", "termination": "stuck", "weight": 0.0},
     "flipped": {"term": "ended_by", "termination": "flipped", "weight": 0.0},
@@ -84,7 +84,7 @@ class TaskConf(Settings):
 
 
 def walking_task() -> TaskConf:
-    """The task of a walker: to go to its way points, clear of the agents of other groups."""
+    """The task of persons: reach the ends of the path, away from agents of other groups."""
     return TaskConf.model_validate(
         {
             "rewards": {"progress": {}, "near_miss": {"weight": -0.1}},
@@ -94,7 +94,7 @@ def walking_task() -> TaskConf:
 
 
 class Endings(NamedTuple):
-    """Whose episode ends in this step, and who gets a new goal instead, each (N,)."""
+    """Flags (N,) of agents whose episode ends in this step, and of those that get a new goal instead."""
 
     terminated: Flags
     truncated: Flags
@@ -121,10 +121,12 @@ class Task:
         self._terminating[0] = False
         names = list(conf.rewards)
         self._weights = np.array([reward.weight for reward in rewards])[:, None]
-        # The rewards that come instead of others, and in each row which of them come instead of that reward.
-        preferred = [name for name in names if any(name in term.unless for term in rewards)]
-        self._preferred = np.array([names.index(name) for name in preferred], np.int64)
-        self._instead = np.array([[name in term.unless for name in preferred] for term in rewards], bool)
+        # Terms that other terms name in `unless`, and in each row which of them suppress that term.
+        suppressing = [name for name in names if any(name in term.unless for term in rewards)]
+        self._suppressing = np.array([names.index(name) for name in suppressing], np.int64)
+        self._suppressed_by = np.array(
+            [[name in term.unless for name in suppressing] for term in rewards], bool
+        )
         self.reward_names = tuple(f"reward/{name}" for name in names)
         self._sums = np.zeros((len(names), num_rows))
         self._values = np.zeros((len(names), num_rows))
@@ -144,8 +146,8 @@ class Task:
     def end(self, state: State, group: GroupState) -> Endings:
         """Which agents' episodes end in this step; it fills `group.endings`.
 
-        Diverged physics truncates whatever else seems to be the case, and what terminates does not
-        truncate also.
+        Diverged physics always truncates and overrides all other terms; a terminated episode is not
+        truncated as well.
         """
         num_rows = len(group.done)
         flags = np.empty((len(self._endings), num_rows), bool)
@@ -169,9 +171,9 @@ class Task:
         values = self._values
         for row, term in zip(self._rows, self._rewards, strict=True):
             row[:] = term(state, group)
-        preferred = values.take(self._preferred, axis=0)
-        if np.count_nonzero(preferred):
-            np.copyto(values, 0.0, where=self._instead @ (preferred != 0.0))
+        suppressing = values.take(self._suppressing, axis=0)
+        if np.count_nonzero(suppressing):
+            np.copyto(values, 0.0, where=self._suppressed_by @ (suppressing != 0.0))
         values *= self._weights
         if np.count_nonzero(group.done):
             values[:, group.done] = 0.0

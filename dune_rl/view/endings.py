@@ -1,4 +1,4 @@
-"""How the episodes of agents ended, in words."""
+"""Describes how agents' episodes ended, for labels."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ _ENDINGS = {
     "out_of_world": "left the world",
     "time_limit": "out of time",
 }
-# Of an agent whose scene ended before it did.
+# Label of an agent that was not done when its scene's episode ended.
 _CUT_SHORT = "cut short"
 
 
@@ -22,7 +22,7 @@ def describe_ending(group: GroupState, row: int) -> str:
     if group.motion.diverged[row]:
         return "physics diverged"
     names = [name for name, flags in group.endings.items() if flags[row]]
-    # Terminations come before the time limit where both hold.
+    # If several apply, the first of `_ENDINGS` is shown.
     known = [name for name in _ENDINGS if name in names]
     name = next(iter([*known, *names]), None)
     if name is None:
@@ -42,7 +42,7 @@ class EndingRecorder:
         }
 
     def reset(self, scene: int) -> None:
-        """Forget the endings of a scene's agents."""
+        """Clear the endings of a scene's agents."""
         for group in self._simulation.groups:
             for row in range(scene * group.count, (scene + 1) * group.count):
                 self._endings[group.name][row] = None

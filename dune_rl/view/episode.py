@@ -1,4 +1,4 @@
-"""One scene whose external agents follow a policy, seen from behind one of its agents."""
+"""An episode of one scene under a policy, rendered from behind one of its agents."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -21,7 +21,7 @@ Picture = NDArray[np.uint8]
 
 
 def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGroup, int]:
-    """The group of an agent and its number there; without a name, the first external agent.
+    """The group of an agent and its index in it; by default the first external agent.
 
     Raises ConfigError if there is no agent of that name.
     """
@@ -54,7 +54,7 @@ class EpisodeView:
         self._endings = EndingRecorder(self.simulation)
 
     def run(self) -> Iterator[bool]:
-        """Run one episode: whether it has ended, at its start and after each step to its end."""
+        """Run one episode; yields whether it has ended, at its start and after each step."""
         self.simulation.reseed(self.conf.seed)
         policy = self._make_policy()
         observation = self._env.reset()
@@ -107,5 +107,5 @@ class EpisodeView:
         return self._endings.ending(self.group.name, self._row) or ""
 
     def close(self) -> None:
-        """Free the physics engine's memory."""
+        """Release the physics engine."""
         self._env.close()

@@ -43,7 +43,7 @@ def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
 
 
 def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
-    """What the map shows: the episodes of `tracks`, or without any some with starts and goals far apart."""
+    """Content of the map: the episodes of `tracks`, or else examples with distant starts and goals."""
     world = build_world(conf.world)
     scenes = SceneManager(
         world,
@@ -120,7 +120,7 @@ def _example_paths(groups: tuple[AgentGroup, ...]) -> list[NDArray[np.float64]]:
 
 @no_grad()
 def drive_episodes(conf: ViewConf, console: Console) -> list[Track]:
-    """The tracks of all agents in the first episodes of the seed, driven to their ends."""
+    """Run the first episodes of the seed; returns the tracks of all agents."""
     env = make_torchrl_env(_with_needed_sensors(conf), min(conf.episodes, _MOST_SCENES), conf.seed)
     simulation = env.simulation
     tracks: dict[int, list[Track]] = {}

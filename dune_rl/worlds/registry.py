@@ -1,4 +1,4 @@
-"""The worlds there are: ours, those of installed packages, and those that a program registers."""
+"""Registry of worlds: built-in ones, those of installed packages, and those registered at run time."""
 
 import json
 from typing import Any
@@ -31,19 +31,19 @@ WORLDS: Registry[World] = Registry(
 )
 
 
-def build(conf: WorldSettings) -> World:
-    """The world of `conf`. A user's is checked: `WorldError` where it is unsound."""
+def build_uncached(conf: WorldSettings) -> World:
+    """The world of `conf`, without the cache. Raises `WorldError` if a user's world is invalid."""
     world = WORLDS.build(conf)
     if not WORLDS.part_of(conf).is_own:
         check_world(world)
     return world
 
 
-def own_settings(values: dict[str, Any]) -> WorldSettings:
-    """Settings of a world of ours, from their JSON; `ValueError` where they are not valid."""
+def parse_built_in_settings(values: dict[str, Any]) -> WorldSettings:
+    """Settings of a built-in world from JSON data; raises `ValueError` if they are invalid."""
     name = values.get("name")
     if name not in WORLDS.own:
-        raise ValueError(f"no world of ours: {name!r}")
+        raise ValueError(f"not a built-in world: {name!r}")
     settings: type[WorldSettings] | None = WORLDS.settings_class(name)
     assert settings is not None
     return settings.model_validate_json(json.dumps(values))

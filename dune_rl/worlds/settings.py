@@ -4,6 +4,6 @@ from dune_rl.settings import Settings
 
 
 class WorldSettings(Settings):
-    """Settings of a world; `name` says of which, so that settings read from a file find their class."""
+    """Settings of a world; `name` selects the settings class when a file is read."""
 
     name: str

@@ -223,7 +223,7 @@ def test_a_job_of_hydra_knows_options_by_name() -> None:
         ({"a": {"body": "rover_zro"}},
          "agents.a.body: there is no body 'rover_zro'; did you mean rover_zero?"),
         ({"a": {"body": {"wheel_friction": 1.0}}},
-         "agents.a.body: name must say which robot it is: hyperdog, leo_rover, rover_zero or urdf"),
+         "agents.a.body: name must be the name of a robot: hyperdog, leo_rover, rover_zero or urdf"),
         ({"a": {"body": {"name": "leo_rover", "wheel_friction": 9}}},
          "agents.a.body.wheel_friction must be at most 3.0 (got 9)"),
         ({"a": {"body": {"name": "person", "hight_m": 1}}},
@@ -251,7 +251,7 @@ def test_a_job_of_hydra_knows_options_by_name() -> None:
         ({"done": {"body": "rover_zero"}},
          "agents: a group cannot be called 'done', which is a key of TorchRL's"),
         ({"a": {"body": "person", "controller": "path"}},
-         "no agent group is driven from outside; set the controller of one to external, such as "
+         "no agent group is external; set the controller of one to external, such as "
          "agents.a.controller=external"),
         ({}, "agents must be a section with at least one entry (got {})"),
     ],

@@ -13,7 +13,7 @@ from test_config import CHOOSE, NO_MOON
 
 from dune_rl import benchmark, command, engines, evaluate, train
 from dune_rl.learning import progress
-from dune_rl.learning.progress import Lines, Status
+from dune_rl.learning.progress import LineReporter, TrainingStatus
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 TINY = [
@@ -210,14 +210,14 @@ def test_signals_save_and_end(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    class Interrupting(Lines):
-        def update(self, status: Status) -> None:
+    class Interrupting(LineReporter):
+        def update(self, status: TrainingStatus) -> None:
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(progress, "Lines", Interrupting)
+    monkeypatch.setattr(progress, "LineReporter", Interrupting)
     assert call(train.main, "+world=flat", "run_dir=run", *TINY) == code
     assert "go on with resume=" in capsys.readouterr().err
-    monkeypatch.setattr(progress, "Lines", Lines)
+    monkeypatch.setattr(progress, "LineReporter", LineReporter)
     assert call(train.main, "resume=run") == 0
     assert "after 192 frames" in capsys.readouterr().out
 

@@ -87,7 +87,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("randomisation", "none"): RandomisationConf(),
     ("randomisation", "worlds"): WORLDS,
     ("randomisation", "body"): BODY,
-    ("randomisation", "everything"): RandomisationConf(**(WORLDS.drawn | BODY.drawn)),
+    ("randomisation", "everything"): RandomisationConf(**(WORLDS.distributions | BODY.distributions)),
     ("physics", "dart"): PhysicsConf(backend="dart"),
     ("robot", "hyperdog"): HyperDogConf(),
     ("robot", "leo_rover"): LeoRoverConf(),

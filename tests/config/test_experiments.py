@@ -8,9 +8,9 @@ import torch
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_evaluation
-from dune_rl.learning.checkpoint import read
+from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.measures import averages
+from dune_rl.learning.measures import average_metrics
 from dune_rl.learning.saved_policies import load_policy
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -19,13 +19,13 @@ POLICIES = sorted(EXPERIMENTS.rglob("policy.pt"))
 
 @pytest.mark.parametrize("file", POLICIES, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
 def test_the_weights_of_a_study_still_drive(file: Path) -> None:
-    conf = compose_evaluation([f"checkpoint={file}"], [], read(file, "policy")["config"])
+    conf = compose_evaluation([f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
     env = make_learning_env(conf, 8, seed=3)
     policy, _ = load_policy(file, env)
     rows = evaluate(policy, env, 8, seed=3)["rover"]
     env.close()
     # Random actions reach one goal in ten.
-    assert averages(rows)["TR"] >= 0.75
+    assert average_metrics(rows)["TR"] >= 0.75
 
 
 def test_studies_name_no_folder_of_the_machine_they_ran_on() -> None:

@@ -29,7 +29,7 @@ def bodies(*poses: tuple[float, float, float], world: World | None = None) -> Ki
 
 def walk(body: KinematicBody, speed: float, heading: float, steps: int = 1) -> None:
     for _ in range(steps):
-        body.drive(np.tile([speed, heading], (len(body.poses), 1)))
+        body.apply_actions(np.tile([speed, heading], (len(body.poses), 1)))
 
 
 def test_an_agent_goes_where_it_turns() -> None:
@@ -46,7 +46,7 @@ def test_an_agent_goes_where_it_turns() -> None:
 
 def test_agents_move_by_their_own_actions() -> None:
     body = bodies((0.0, 0.0, 0.0), (0.0, 5.0, 0.0))
-    body.drive(np.array([[1.0, 0.0], [0.5, np.pi]]))
+    body.apply_actions(np.array([[1.0, 0.0], [0.5, np.pi]]))
     np.testing.assert_allclose(body.poses[0], [0.05, 0.0, 0.0, 0.0], atol=1e-12)
     turned = 3.0 * STEP_S
     x, y = 0.025 * np.cos(turned), 5.0 + 0.025 * np.sin(turned)

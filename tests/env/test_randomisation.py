@@ -224,25 +224,25 @@ def test_scaled_friction_is_that_of_so_much_smoother_ground() -> None:
 def test_no_world_without_room_is_entered() -> None:
     asked: list[int] = []
 
-    def world_of(conf: IslandConf) -> World:
+    def make_world(conf: IslandConf) -> World:
         asked.append(conf.seed)
         if conf.seed % 2:
             raise WorldError("no room")
         return build_world(conf)
 
     conf = compose_environment("island", (), {"actors": "none", "randomisation": {"world_seed": [0, 9]}})
-    simulation = make_simulation(conf, 4, 1, world_of=world_of)
+    simulation = make_simulation(conf, 4, 1, make_world=make_world)
     simulation.reset()
     assert any(seed % 2 for seed in asked)
     drawn = simulation.randomized["world_seed"].tolist()
     assert not any(seed % 2 for seed in drawn)
-    alone = make_simulation(conf, 1, 1, world_of=world_of)
+    alone = make_simulation(conf, 1, 1, make_world=make_world)
     for episode in range(4):
         alone.reseed(1, episode)
         alone.reset()
         assert alone.randomized["world_seed"].tolist() == [drawn[episode]]
     none = compose_environment("island", (), {"actors": "none", "randomisation": {"world_seed": [1, 1]}})
-    hopeless = make_simulation(none, 1, 1, world_of=world_of)
+    hopeless = make_simulation(none, 1, 1, make_world=make_world)
     with pytest.raises(WorldError, match="no room"):
         hopeless.reset()
     for each in (simulation, alone, hopeless):
@@ -253,13 +253,13 @@ def test_the_next_worlds_are_named_while_the_present_ones_are_in_use() -> None:
     asked: list[Any] = []
     named: list[list[Any]] = []
 
-    def world_of(conf: IslandConf) -> World:
+    def make_world(conf: IslandConf) -> World:
         asked.append(conf)
         return build_world(conf)
 
     conf = compose_environment("island", (), {"actors": "none", "randomisation": {"world_seed": [0, 999]}})
     simulation = make_simulation(
-        conf, 2, 0, world_of=world_of, prepare=lambda confs: named.append(list(confs))
+        conf, 2, 0, make_world=make_world, prepare=lambda confs: named.append(list(confs))
     )
     simulation.reset()
     asked.clear()
@@ -273,7 +273,7 @@ def test_the_next_worlds_are_named_while_the_present_ones_are_in_use() -> None:
 
 def test_a_world_that_has_been_left_takes_no_memory() -> None:
     conf = environment_conf(**{**ISLANDS, "randomisation": {"world_seed": [0, 999]}})
-    simulation = make_simulation(conf, 2, 0, world_of=lambda island: build_island(island))
+    simulation = make_simulation(conf, 2, 0, make_world=lambda island: build_island(island))
     simulation.reset()
     drive(simulation, [0, 1], 0, 2)
     left = [weakref.ref(simulation.worlds.worlds[scene]) for scene in range(2)]
@@ -331,7 +331,7 @@ def test_a_run_log_shows_the_mean_of_what_was_drawn(tmp_path: Path) -> None:
     done = torch.ones(1, 2, 1, dtype=torch.bool)
     rover = TensorDict({"metrics": metrics}, (1, 2, 1))
     collected = TensorDict({"next": TensorDict({"done": done, "rover": rover}, (1, 2))}, (1, 2))
-    log.collected(collected, 64, {"rover": 0})
+    log.log_batch(collected, 64, {"rover": 0})
     log.close()
     events = EventAccumulator(str(tmp_path)).Reload()
     (scalar,) = events.Scalars("randomisation/friction")
@@ -390,8 +390,8 @@ def test_without_randomisation_nothing_more_is_told() -> None:
         (
             "island",
             ["randomisation.sun_bearing_deg=[0,60]", "weather.time_of_day_h=9"],
-            "randomisation.sun_bearing_deg: weather.time_of_day_h=9 says where the sun stands; set one of "
-            "them to null",
+            "randomisation.sun_bearing_deg: weather.time_of_day_h=9 determines the position of the sun; "
+            "set one of them to null",
         ),
     ],
 )
@@ -417,4 +417,4 @@ def test_lists_are_short_for_distributions() -> None:
         layout_seed=Choice(values=(1.0, 5.0, 9.0)),
         brightness=LogUniform(low=0.5, high=2.0),
     )
-    assert list(conf.drawn) == ["world_seed", "layout_seed", "friction", "brightness"]
+    assert list(conf.distributions) == ["world_seed", "layout_seed", "friction", "brightness"]

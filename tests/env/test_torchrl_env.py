@@ -134,13 +134,13 @@ def test_flat_keys_have_the_values_of_the_group() -> None:
 @pytest.mark.parametrize("settings", [{"robots": ["rover_zero"] * 2}, {"actors": "external_walkers"}])
 def test_several_agents_have_no_flat_keys(settings: dict[str, Any]) -> None:
     env = TransformedEnv(dune_rl.make("flat", 1, **{"actors": "none"} | settings), SingleAgent())
-    with pytest.raises(ValueError, match=r"SingleAgent needs one agent, and the environment has rover_0, "):
+    with pytest.raises(ValueError, match=r"SingleAgent needs one agent, but the environment has rover_0, "):
         env.reset()
     env.close()
 
 
 def test_an_environment_without_external_agents_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no agent group is driven from outside"):
+    with pytest.raises(ConfigError, match="no agent group is external"):
         dune_rl.make("flat", 1, agents={"walker": {"body": "person", "controller": "path"}})
 
 

@@ -51,7 +51,7 @@ def started_simulation(
 
 def simulation_on(world: World, num_scenes: int = 1, seed: int = 0, **settings: Any) -> VectorSimulation:
     """As `new_simulation`, in a world that a test has built."""
-    return make_simulation(environment_conf(**settings), num_scenes, seed, world_of=lambda _: world)
+    return make_simulation(environment_conf(**settings), num_scenes, seed, make_world=lambda _: world)
 
 
 def act(

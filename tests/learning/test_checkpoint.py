@@ -10,7 +10,7 @@ from training import make_sac
 
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
-from dune_rl.learning.checkpoint import find, read, write
+from dune_rl.learning.checkpoint import find_checkpoint_file, read_checkpoint_file, write_checkpoint_file
 from dune_rl.learning.group_policy import Deterministic
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import load_policy, policy_entry
@@ -22,13 +22,15 @@ SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
 def saved(tmp_path: Path) -> Path:
     path = tmp_path / "policy.pt"
     groups = {"rover": policy_entry(make_sac(SPEC, tmp_path, hidden=(8,)))}
-    write(path, "policy", {"groups": groups, "config": {"seed": 1}, "frames": 0})
+    write_checkpoint_file(path, "policy", {"groups": groups, "config": {"seed": 1}, "frames": 0})
     return path
 
 
 def test_policy_acts_the_same_after_a_round_trip(tmp_path: Path) -> None:
     sac = make_sac(SPEC, tmp_path, hidden=(8,))
-    write(tmp_path / "policy.pt", "policy", {"groups": {"rover": policy_entry(sac)}, "config": {"seed": 1}})
+    write_checkpoint_file(
+        tmp_path / "policy.pt", "policy", {"groups": {"rover": policy_entry(sac)}, "config": {"seed": 1}}
+    )
     env = make_point_mass(4, 0)
     policy, config = load_policy(tmp_path, env)
     now = env.reset()
@@ -46,7 +48,7 @@ def test_a_crash_while_writing_leaves_the_old_file(saved: Path, monkeypatch: pyt
 
     monkeypatch.setattr(torch, "save", dies)
     with pytest.raises(KeyboardInterrupt):
-        write(saved, "policy", {})
+        write_checkpoint_file(saved, "policy", {})
     assert saved.read_bytes() == before
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
 
@@ -57,8 +59,8 @@ def test_a_full_disk_is_a_message(saved: Path, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(torch, "save", full)
     with pytest.raises(CheckpointError, match="No space left on device"):
-        write(saved, "policy", {})
-    assert read(saved, "policy")["kind"] == "policy"
+        write_checkpoint_file(saved, "policy", {})
+    assert read_checkpoint_file(saved, "policy")["kind"] == "policy"
 
 
 def test_the_file_appears_only_when_whole(tmp_path: Path) -> None:
@@ -90,7 +92,7 @@ def test_missing(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="There is no"):
         load_policy(tmp_path / "nowhere.pt", make_point_mass(1, 0))
     with pytest.raises(CheckpointError, match=r"holds no policy\.pt or checkpoint\.pt"):
-        find(tmp_path, "policy.pt", "checkpoint.pt")
+        find_checkpoint_file(tmp_path, "policy.pt", "checkpoint.pt")
 
 
 class Bomb:
@@ -105,26 +107,26 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     dump({"format": "dune_rl", "bomb": Bomb()}, tmp_path / "policy.pt")  # type: ignore[operator]
     with pytest.raises(CheckpointError):
-        read(tmp_path / "policy.pt", "policy")
+        read_checkpoint_file(tmp_path / "policy.pt", "policy")
     assert not (tmp_path / "exploded").exists()
 
 
 def test_not_ours(tmp_path: Path) -> None:
     torch.save({"weights": torch.zeros(1)}, tmp_path / "other.pt")
     with pytest.raises(CheckpointError, match="not written by dune_rl"):
-        read(tmp_path / "other.pt", "policy")
+        read_checkpoint_file(tmp_path / "other.pt", "policy")
 
 
 @pytest.mark.parametrize("version", [1, 99])
 def test_another_format(saved: Path, version: int) -> None:
     torch.save({**torch.load(saved, weights_only=True), "version": version}, saved)
     with pytest.raises(CheckpointError, match=f"format {version}"):
-        read(saved, "policy")
+        read_checkpoint_file(saved, "policy")
 
 
 def test_wrong_kind(saved: Path) -> None:
     with pytest.raises(CheckpointError, match="is a policy, but a checkpoint"):
-        read(saved, "checkpoint")
+        read_checkpoint_file(saved, "checkpoint")
 
 
 def test_another_observation_is_named(saved: Path) -> None:

@@ -8,7 +8,7 @@ import torch
 from point_mass import PointMass, make_point_mass
 from training import small, trainer, weights
 
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, read
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, read_checkpoint_file
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import load_group_policy
@@ -26,7 +26,7 @@ def test_policies_of_the_studies_load(study: str) -> None:
     assert isinstance(policy, GroupPolicy) and config == saved["config"]
     state = policy.network.state_dict()
     assert all(torch.equal(state[key], value) for key, value in saved["policy"].items())
-    assert read(file, "policy")["groups"].keys() == {"rover"}
+    assert read_checkpoint_file(file, "policy")["groups"].keys() == {"rover"}
 
 
 def as_version_2(file: Path) -> None:

@@ -14,13 +14,19 @@ from rich.console import Console
 from dune_rl.learning.curve import draw_curve
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
-from dune_rl.learning.measures import averages, compare, score, summary, write_csv
+from dune_rl.learning.measures import (
+    average_metrics,
+    compare_success,
+    estimate_metrics,
+    selection_score,
+    write_csv,
+)
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policies import GoToGoal, UniformRandom
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.progress import Lines, Status
-from dune_rl.learning.statistics import mcnemar, mean, proportion
+from dune_rl.learning.progress import LineReporter, TrainingStatus
+from dune_rl.learning.statistics import estimate_mean, estimate_proportion, mcnemar_test
 from dune_rl.learning.table import results_table
 
 SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
@@ -48,13 +54,13 @@ def test_every_episode_once_whatever_the_batch() -> None:
 def test_what_the_battery_gives_is_told_where_it_was_measured() -> None:
     rows = episodes(GO_TO_GOAL, 2, 2)
     measured = [row | {"energy_wh": 0.5, "battery_share": 0.0125, "range_km": 3.0} for row in rows]
-    assert not {"energy", "battery", "range"} & set(summary(rows))
-    assert summary(measured)["range"].value == 3.0
+    assert not {"energy", "battery", "range"} & set(estimate_metrics(rows))
+    assert estimate_metrics(measured)["range"].value == 3.0
     console = Console(record=True, width=80, file=io.StringIO())
-    console.print(results_table({"a": summary(measured)}, ""))
+    console.print(results_table({"a": estimate_metrics(measured)}, ""))
     text = console.export_text()
     assert "energy  drawn from the battery [W h]" in text and "1.25 %" in text
-    console.print(results_table({"a": summary(rows)}, ""))
+    console.print(results_table({"a": estimate_metrics(rows)}, ""))
     assert "battery" not in console.export_text(clear=False).removeprefix(text)
 
 
@@ -70,12 +76,12 @@ def test_an_environment_can_be_evaluated_on_again() -> None:
 def test_references_do_as_they_say() -> None:
     good = episodes(GO_TO_GOAL, 8, 30)
     poor = episodes(UniformRandom("rover", SPEC), 8, 30)
-    assert summary(good)["SR"].value == 1
-    assert summary(poor)["SR"].value < 0.5
-    test = compare(good, poor)
+    assert estimate_metrics(good)["SR"].value == 1
+    assert estimate_metrics(poor)["SR"].value < 0.5
+    test = compare_success(good, poor)
     assert test.only_a > 0 and test.only_b == 0 and test.p_value < 1e-3
     with pytest.raises(ValueError, match="do not pair"):
-        compare(good, poor[:-1])
+        compare_success(good, poor[:-1])
 
 
 def test_go_to_goal_turns_before_it_drives() -> None:
@@ -118,31 +124,31 @@ def test_stopping_returns_what_is_done() -> None:
 
 def test_wilson_interval() -> None:
     # Newcombe (1998), table I: 81 of 263 gives 0.2553 to 0.3662.
-    estimate = proportion([1] * 81 + [0] * 182)
+    estimate = estimate_proportion([1] * 81 + [0] * 182)
     assert (estimate.low, estimate.high) == pytest.approx((0.2553, 0.3662), abs=1e-4)
-    assert proportion([1] * 20).high == pytest.approx(1)
-    assert math.isnan(proportion([]).value)
+    assert estimate_proportion([1] * 20).high == pytest.approx(1)
+    assert math.isnan(estimate_proportion([]).value)
 
 
 def test_mean_interval_covers_and_ignores_what_was_not_measured() -> None:
     values = np.random.default_rng(0).normal(3, 2, 400)
-    estimate = mean([*values, math.nan])
+    estimate = estimate_mean([*values, math.nan])
     half = 1.96 * values.std() / 20
     assert estimate.count == 400
     assert estimate.value == pytest.approx(values.mean())
     expected = (values.mean() - half, values.mean() + half)
     assert (estimate.low, estimate.high) == pytest.approx(expected, abs=0.03)
-    assert mean([0, 0, 0]).high == 0
-    assert mean([2.0]).value == 2 and math.isnan(mean([2.0]).low)
-    assert math.isnan(mean([math.nan]).value)
+    assert estimate_mean([0, 0, 0]).high == 0
+    assert estimate_mean([2.0]).value == 2 and math.isnan(estimate_mean([2.0]).low)
+    assert math.isnan(estimate_mean([math.nan]).value)
 
 
 def test_exact_mcnemar() -> None:
     # Ten discordant pairs, nine one way: p = 2 (C(10,0) + C(10,1)) / 2^10.
-    test = mcnemar([1] * 9 + [0] + [1] * 5, [0] * 9 + [1] + [1] * 5)
+    test = mcnemar_test([1] * 9 + [0] + [1] * 5, [0] * 9 + [1] + [1] * 5)
     assert (test.only_a, test.only_b) == (9, 1)
     assert test.p_value == pytest.approx(22 / 1024)
-    assert mcnemar([1, 0], [1, 0]).p_value == 1
+    assert mcnemar_test([1, 0], [1, 0]).p_value == 1
 
 
 def test_csv_and_table_and_curve(tmp_path: Path) -> None:
@@ -152,29 +158,29 @@ def test_csv_and_table_and_curve(tmp_path: Path) -> None:
         read = list(csv.DictReader(file))
     assert len(read) == 6 and float(read[2]["episode"]) == 2
     console = Console(record=True, width=80, file=io.StringIO())
-    console.print(results_table({"go_to_goal": summary(rows)}, "flat, 6 episodes"))
+    console.print(results_table({"go_to_goal": estimate_metrics(rows)}, "flat, 6 episodes"))
     text = console.export_text()
     assert "100 %" in text and "(61 to 100)" in text and "VORT  velocity over rough terrain [m/s]" in text
-    history = [{"kind": kind, "frames": 1000, **averages(rows)} for kind in ("train", "eval")]
+    history = [{"kind": kind, "frames": 1000, **average_metrics(rows)} for kind in ("train", "eval")]
     draw_curve(history, tmp_path / "curve.png", "flat")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_lines_are_spaced_in_time() -> None:
     told: list[str] = []
-    lines = Lines(told.append, interval_s=1000)
+    lines = LineReporter(told.append, interval_s=1000)
     for frames in (500_000, 600_000):
-        lines.update(Status(frames, 1_000_000, 2500.0, 120.0, 0.734))
+        lines.update(TrainingStatus(frames, 1_000_000, 2500.0, 120.0, 0.734))
     counts, figures = "training  500,000 of 1,000,000 frames", "2,500 frames/s  120 updates/s  success 73 %"
     assert told == [f"{counts}  {figures}  3:20 left"]
 
 
 def test_metrics_of_ones_own_are_summed_up_beside_the_known_ones() -> None:
     rows = [{"agent": 0.0, "episode": float(e), "steps": 3.0, "return": e, "dust": 2.0 * e} for e in range(3)]
-    assert list(summary(rows)) == ["dust"]
-    figures = averages(rows)
+    assert list(estimate_metrics(rows)) == ["dust"]
+    figures = average_metrics(rows)
     assert figures == {"dust": 2.0, "return": 1.0, "steps": 3.0}
-    assert score(figures) == 1.0 and score(figures | {"SR": 0.5}) == 0.5
+    assert selection_score(figures) == 1.0 and selection_score(figures | {"SR": 0.5}) == 0.5
     console = Console(record=True, width=80, file=io.StringIO())
-    console.print(results_table({"a": summary(rows)}, ""))
+    console.print(results_table({"a": estimate_metrics(rows)}, ""))
     assert "dust" in console.export_text()

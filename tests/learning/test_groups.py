@@ -11,7 +11,7 @@ from torchrl.envs.utils import check_env_specs
 from training import assert_halves_make_a_whole, make_sac, small, trainer, weights
 
 from dune_rl.errors import CheckpointError
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, read
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, read_checkpoint_file
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_batch import agent_sequences, select_group
@@ -124,7 +124,7 @@ def test_every_group_has_a_learner_and_files_of_its_own(two_groups) -> None:
     policy, config = load_policy(run, env)
     assert config == {"seed": 3}
     assert policy(env.reset())["walker", "action"].shape == (2, 2, 2)
-    saved = read(run / BEST_POLICY_FILE, "policy")["groups"]
+    saved = read_checkpoint_file(run / BEST_POLICY_FILE, "policy")["groups"]
     assert saved["rover"]["algorithm"] == saved["walker"]["algorithm"] == "sac"
 
 

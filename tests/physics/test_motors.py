@@ -125,7 +125,7 @@ def test_full_torque_is_there_up_to_its_speed_and_falls_from_there():
 
 
 def test_the_speed_of_full_torque_is_below_that_without_load():
-    with pytest.raises(ValueError, match="full_torque_speed_radps .* must be less than"):
+    with pytest.raises(ValueError, match=r"full_torque_speed_radps .* must be less than"):
         RoverZeroDriveConf(full_torque_speed_radps=8.0, no_load_speed_radps=8.0)
 
 

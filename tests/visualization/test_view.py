@@ -17,7 +17,7 @@ from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose, compose_environment, compose_view
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
-from dune_rl.learning.checkpoint import write
+from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import policy_entry
 from dune_rl.sensors.conf import SensorsConf
@@ -180,7 +180,7 @@ def test_a_checkpoint_drives(robot: str, group: str, call: Call, folder: Path) -
         for name, values in learner.policy.network.named_parameters():
             values.data.fill_(bias if name.endswith("bias") else 0.0)
         groups = {group: policy_entry(learner)}
-        write(folder / "policy.pt", "policy", {"groups": groups, "config": config})
+        write_checkpoint_file(folder / "policy.pt", "policy", {"groups": groups, "config": config})
         view_words = [word for word in TINY if word != "actors=none" and not word.startswith("+world")]
         assert call(*view_words, "checkpoint=policy.pt", "view=video", f"out=views{bias}") == 0
         frames, _ = frames_of(folder / f"views{bias}" / "flat_seed0.mp4")

@@ -31,7 +31,7 @@ from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.registry import build
+from dune_rl.worlds.registry import build_uncached
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
@@ -91,9 +91,9 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
 
     def counting(conf: WorldSettings) -> World:
         built.append(conf)
-        return build(conf)
+        return build_uncached(conf)
 
-    monkeypatch.setattr(module, "build", counting)
+    monkeypatch.setattr(module, "build_uncached", counting)
     return built
 
 
@@ -102,7 +102,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
 )
 def test_a_kept_world_is_the_built_one(tmp_path: Path, name: str, counted: list[WorldSettings]) -> None:
     conf = family(name, tmp_path)
-    fresh = build(conf)
+    fresh = build_uncached(conf)
     _ = fresh.clearance_field
     store = WorldStore(tmp_path / "cache")
     first, second = store.get(conf), WorldStore(tmp_path / "cache").get(conf)
@@ -123,11 +123,11 @@ def test_looks_are_kept_beside_worlds(
     tmp_path: Path, conf: WorldSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     light = LightConf(sun_bearing_deg=57.0)
-    fresh = bake_world(build(conf), light)
+    fresh = bake_world(build_uncached(conf), light)
     store = WorldStore(tmp_path)
-    assert not store.is_kept(conf, seen=True)
+    assert not store.is_cached(conf, with_appearance=True)
     precompute_appearance(store.get(conf))
-    assert store.is_kept(conf, seen=True)
+    assert store.is_cached(conf, with_appearance=True)
     monkeypatch.setattr("dune_rl.rendering.baked_scenery.sky_share", None)
     monkeypatch.setattr("dune_rl.worlds.appearance.ground_texture", None)
     kept = bake_world(store.get(conf), light)
@@ -180,7 +180,7 @@ def test_a_foreign_entry_is_made_anew(tmp_path: Path, counted: list[WorldSetting
     rewritten(
         entry, lambda text, arrays: ({**text, "world": {"objects": [named], "root": {"object": 0}}}, arrays)
     )
-    with pytest.warns(CacheWarning, match="foreign"):
+    with pytest.warns(CacheWarning, match="unknown content"):
         assert digest(store.get(QUICK)) == good
 
 
@@ -204,12 +204,12 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
 def test_other_settings_and_other_code_are_other_entries(monkeypatch: pytest.MonkeyPatch) -> None:
     keys = {world_key(QUICK.model_copy(update=change)) for change in ({}, {"seed": 5}, {"friction": 0.9})}
     assert len(keys) == 3 and world_key(QUICK) in keys
-    monkeypatch.setattr(module, "_code", lambda: "another")
+    monkeypatch.setattr(module, "_code_digest", lambda: "another")
     assert world_key(QUICK) not in keys
 
 
 @pytest.mark.parametrize("value", ["off", "", " OFF "])
-def test_nothing_is_kept_where_that_is_off(
+def test_nothing_is_cached_where_that_is_off(
     value: str, monkeypatch: pytest.MonkeyPatch, counted: list[WorldSettings]
 ) -> None:
     monkeypatch.setenv("DUNE_RL_CACHE", value)
@@ -217,7 +217,7 @@ def test_nothing_is_kept_where_that_is_off(
     store = shared_store()
     store.get(QUICK), store.get(QUICK)
     store.prepare([QUICK])
-    assert len(counted) == 2 and store.preparing is None
+    assert len(counted) == 2 and store.builder_pid is None
 
 
 def test_where_the_cache_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -279,7 +279,7 @@ def test_the_room_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
     cache = shared_store().cache
     assert cache is not None and cache.limit_bytes == 2**29
     monkeypatch.setenv("DUNE_RL_CACHE_GB", "much")
-    with pytest.raises(ConfigError, match="DUNE_RL_CACHE_GB is a number of gigabytes, not 'much'"):
+    with pytest.raises(ConfigError, match="DUNE_RL_CACHE_GB must be a number of gigabytes"):
         shared_store()
 
 
@@ -331,6 +331,6 @@ def test_two_processes_may_keep_the_same_world(tmp_path: Path) -> None:
     both = [subprocess.Popen(command, stdout=subprocess.PIPE, env=environ) for _ in range(2)]
     told = [process.communicate()[0].split() for process in both]
     assert all(process.returncode == 0 for process in both)
-    truth = {digest(build(QUICK.model_copy(update={"seed": seed}))) for seed in range(3)}
+    truth = {digest(build_uncached(QUICK.model_copy(update={"seed": seed}))) for seed in range(3)}
     assert [set(map(bytes.decode, words)) for words in told] == [truth, truth]
     assert len(list(tmp_path.rglob("*.npz"))) == 3 and not list(tmp_path.rglob("*.tmp"))

@@ -161,7 +161,7 @@ def test_a_broken_package_is_named_and_harms_no_other_world(user: Path) -> None:
         said = fault(f"+world={name}")
         assert said.startswith(f"world: the package broken-worlds brings the world {name!r} as {value}, ")
         assert reason in said, said
-    with pytest.raises(WorldError, match="as broken:nothing, which must return a World, and returned 0"):
+    with pytest.raises(WorldError, match="as broken:nothing, which must return a World, but returned 0"):
         build_world(compose(["+world=nothing"]).world)
     with pytest.raises(TypeError) as caught:
         build_world(compose(["+world=fails"]).world)

@@ -22,12 +22,13 @@ _CPU = torch.device("cpu")
 
 
 class DuneEnv(EnvBase):
-    """M scenes, reset one by one as their episodes end, by TorchRL's multi-agent convention.
+    """TorchRL environment of M scenes, with the keys of TorchRL's multi-agent convention.
 
     Each group of G external agents has (`group`, `observation`, NAME) of shape (M, G, ...), (`group`,
-    `action`) (M, G, A), (`group`, `reward`) (M, G, 1) and its ends (M, G, 1); `group_map` names the agents.
-    An agent's ends are its own: they are set in the step in which it is done, and stay until its scene's
-    episode ends. The ends at the root, (M, 1), are the scenes'.
+    `action`) (M, G, A), (`group`, `reward`) (M, G, 1), and `done`, `terminated` and `truncated` (M, G, 1);
+    `group_map` lists the agents. The end flags of a group are those of each agent: they are set from the step
+    in which it is done until its scene's episode ends. The end flags at the root, (M, 1), are those of the
+    scenes, which are reset one by one. Raises ConfigError if no group is external.
     """
 
     batch_locked = True
@@ -35,7 +36,7 @@ class DuneEnv(EnvBase):
     def __init__(self, simulation: VectorSimulation) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([simulation.num_scenes]))
         if not simulation.external:
-            raise ConfigError("no agent is driven from outside: give a group controller=external")
+            raise ConfigError("there is no external agent: give a group controller=external")
         self._simulation = simulation
         self._resume_from: dict[str, Any] | None = None
         self._groups = simulation.external
@@ -62,21 +63,19 @@ class DuneEnv(EnvBase):
 
     @property
     def simulation(self) -> VectorSimulation:
-        """The simulation inside."""
+        """The simulation that this environment wraps."""
         return self._simulation
 
     @property
     def metric_names(self) -> dict[str, tuple[str, ...]]:
-        """Names of the columns of what `EpisodeMetrics` adds to each group; those without metrics are
-        left out.
-        """
+        """Column names of the metrics that `EpisodeMetrics` adds, by group; only groups with metrics."""
         return {
             group.name: self._simulation.metric_names(group.name)
             for group in self._groups
             if group.metric_names
         }
 
-    # -- TorchRL's three --------------------------------------------------------------------------
+    # -- EnvBase interface ------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
@@ -100,17 +99,17 @@ class DuneEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         actions = {group.name: tensordict[group.name, "action"].detach().numpy() for group in self._groups}
-        taken = self._simulation.step(actions)
-        return self._pack(taken.groups, taken.terminated, taken.truncated)
+        result = self._simulation.step(actions)
+        return self._pack(result.groups, result.terminated, result.truncated)
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self._simulation.reseed(seed)
 
-    # -- its parts --------------------------------------------------------------------------------
+    # -- packing ----------------------------------------------------------------------------------
 
     def _pack(self, steps: dict[str, GroupStep] | None, terminated: Flags, truncated: Flags) -> TensorDict:
-        """All that a step (or a reset, without `steps`) gives, as one tensordict."""
+        """Tensordict of a step, or of a reset if `steps` is None, with batch size [M]."""
         scenes = self._simulation.num_scenes
         out = {
             group.name: self._group_part(group, None if steps is None else steps[group.name])
@@ -138,26 +137,26 @@ class DuneEnv(EnvBase):
     # -- state ------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """All that restores this moment, as plain containers fit for a checkpoint."""
+        """Plain data from which `resume` restores the present state; fit for a checkpoint."""
         return self._simulation.save_state()
 
     def resume(self, state: dict[str, Any]) -> None:
-        """Make the next reset of all scenes return to `state` instead of starting new episodes.
+        """Let the next reset of all scenes restore `state` instead of starting new episodes.
 
-        Where the saved episodes cannot be brought back to the same bytes, as on another processor, it warns
-        and starts new ones.
+        If the saved episodes cannot be reproduced bit for bit, as on another processor, it warns and starts
+        new ones.
         """
         self._resume_from = state
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Free the physics engine's memory."""
+        """Release the physics engine."""
         if not self.is_closed:
             self._simulation.close()
         super().close(raise_if_closed=raise_if_closed)
 
 
 def _unchecked(values: dict[str, Any], shape: list[int]) -> TensorDict:
-    # Shapes are right by construction; to check them takes as long as an observation of ours.
+    # Shapes are correct by construction; checking them takes as long as a whole observation.
     return TensorDict._new_unsafe(values, batch_size=torch.Size(shape), device=_CPU)
 
 

@@ -13,10 +13,10 @@ _ENDS = ("done", "terminated", "truncated")
 
 
 class EpisodeMetrics(Transform):
-    """Adds the running metrics of the present episodes, final where an agent is done.
+    """Transform that adds the metrics of the present episodes so far; final for agents that are done.
 
-    Each group that has metrics gets (`group`, `metrics`) of shape (M, G, n); `metric_names[group]` names
-    the n columns. It goes directly over a `DuneEnv`.
+    Each group with metrics gets (`group`, `metrics`) of shape (M, G, n); `metric_names[group]` names
+    the n columns. It must wrap a `DuneEnv` directly.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class EpisodeMetrics(Transform):
 
     @property
     def metric_names(self) -> dict[str, tuple[str, ...]]:
-        """Names of the columns of each group's metrics; groups without metrics are left out."""
+        """Column names of the metrics, by group; only groups with metrics."""
         names: dict[str, tuple[str, ...]] = self.parent.base_env.metric_names
         return names
 
@@ -47,7 +47,7 @@ class EpisodeMetrics(Transform):
         return self._add(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Declares the metrics of each group."""
+        """Add the specs of the metrics."""
         for name, columns in self.metric_names.items():
             group: Composite = observation_spec[name]
             group["metrics"] = Unbounded((*group.shape, len(columns)), dtype=torch.float32)
@@ -55,10 +55,10 @@ class EpisodeMetrics(Transform):
 
 
 class SingleAgent(Transform):
-    """Flat keys for single-agent training: NAME of each observation, `action`, `reward` and the root's ends.
+    """Transform to flat keys for one agent: observation names, `action`, `reward` and end flags.
 
-    The environment must have one external agent; its axis goes. A `DuneEnv` below an `EpisodeMetrics` also
-    gives `metrics`.
+    It removes the group key and the agent axis; the end flags are those of the root. `metrics` is flat too
+    if an `EpisodeMetrics` comes first. Raises ValueError unless the environment has one external agent.
     """
 
     invertible = True
@@ -69,13 +69,13 @@ class SingleAgent(Transform):
 
     @property
     def group(self) -> str:
-        """The name of the agent's group."""
+        """Name of the agent's group."""
         if self._group is None:
             parent = self.parent
             groups = parent.base_env.group_map
             if [len(agents) for agents in groups.values()] != [1]:
                 names = ", ".join(agent for agents in groups.values() for agent in agents)
-                raise ValueError(f"SingleAgent needs one agent, and the environment has {names}")
+                raise ValueError(f"SingleAgent needs one agent, but the environment has {names}")
             self._group = next(iter(groups))
         return self._group
 
@@ -106,7 +106,7 @@ class SingleAgent(Transform):
         return tensordict.exclude("action").set(self.group, inner)
 
     def transform_output_spec(self, output_spec: Composite) -> Composite:
-        """Declares the flat keys."""
+        """Replace the group's specs by those of the flat keys."""
         output_spec = output_spec.clone()
         observation = output_spec["full_observation_spec"]
         group = observation[self.group]
@@ -121,7 +121,7 @@ class SingleAgent(Transform):
         return output_spec
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
-        """Declares the flat action."""
+        """Replace the group's action spec by that of the flat key."""
         input_spec = input_spec.clone()
         action = input_spec["full_action_spec"][self.group, "action"]
         shape = input_spec["full_action_spec"].shape

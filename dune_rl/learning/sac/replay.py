@@ -105,17 +105,17 @@ class Replay:
         except FileNotFoundError as error:
             raise CheckpointError(
                 f"The replay buffer {path} is missing: its checkpoint needs it.\n"
-                "Put it back, or evaluate the checkpoint and train anew."
+                "Put it back, or evaluate the checkpoint and train again."
             ) from error
         except (OSError, ValueError) as error:
             raise CheckpointError(
-                f"{path} is damaged: {error}.\nPut a good copy in its place, or train anew."
+                f"{path} is damaged: {error}.\nPut a good copy in its place, or train again."
             ) from error
         if rows.shape != (numbers["size"], self._width) or rows.dtype.str != self._descr:
             raise CheckpointError(
                 f"{path} holds rows of shape {rows.shape} of {rows.dtype.str}, not "
                 f"{(numbers['size'], self._width)} of {self._descr}: it belongs to another checkpoint.\n"
-                "Put the right file in its place, or train anew."
+                "Put the right file in its place, or train again."
             )
         if len(rows) > self._capacity:
             raise CheckpointError(

@@ -1,1 +1,1 @@
-"""Worlds kept on disk between processes, and the background process that builds them ahead."""
+"""Disk cache of worlds, and the background process that fills it."""

@@ -1,4 +1,4 @@
-"""A process beside this one that builds worlds ahead."""
+"""A background process that builds worlds into the disk cache before they are needed."""
 
 import os
 import subprocess
@@ -13,15 +13,15 @@ from dune_rl.paths import package_folder
 # A pipe takes a line of this length whole or not at all: PIPE_BUF, as Linux has it.
 _LONGEST_LINE = 4096
 _GRACE_S = 5.0
-# Requests that are not repeated.
+# Number of requests that are remembered, so that they are not sent twice.
 _REMEMBERED = 1024
 
 
-class Preparation:
-    """Has worlds built into the cache in `folder`; the other process begins with the first that is asked for.
+class BackgroundBuilder:
+    """Starts a process that builds worlds into the cache in `folder`, on the first request.
 
-    It is no child of `multiprocessing`, which daemonic workers such as TorchRL's may not have. It ends when
-    this process does, however that ends, and by itself when it has had nothing to do for a while.
+    The process is not a child of `multiprocessing`, because daemonic workers such as TorchRL's may not have
+    children. It exits when this process exits or is killed, and after a minute without work.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -29,36 +29,36 @@ class Preparation:
         self._child: subprocess.Popen[bytes] | None = None
         self._end: weakref.finalize | None = None
         self._owner = -1
-        self._asked: set[str] = set()
+        self._submitted: set[str] = set()
 
-    def ask(self, lines: Iterable[str]) -> None:
-        """Have the worlds of these settings (JSON) built in this order; never waits, and never fails."""
+    def submit(self, lines: Iterable[str]) -> None:
+        """Request the worlds of these settings (JSON), in this order. It neither blocks nor raises."""
         if not self._running() and not self._start():
             return
         for line in lines:
             data = line.encode() + b"\n"
-            if line in self._asked or len(data) > _LONGEST_LINE:
+            if line in self._submitted or len(data) > _LONGEST_LINE:
                 continue
             if not self._write(data):
                 return
-            if len(self._asked) >= _REMEMBERED:
-                self._asked.clear()
-            self._asked.add(line)
+            if len(self._submitted) >= _REMEMBERED:
+                self._submitted.clear()
+            self._submitted.add(line)
 
     @property
     def pid(self) -> int | None:
-        """The other process's number while it runs."""
+        """Id of the process while it runs, else None."""
         return self._child.pid if self._running() and self._child is not None else None
 
     def close(self) -> None:
-        """End the other process, if this one has it; entries that it was writing are dropped."""
+        """Stop the process if this one started it; entries that it has not finished are dropped."""
         if self._end is not None and self._owner == os.getpid():
             self._end()
         self._child = self._end = None
-        self._asked.clear()
+        self._submitted.clear()
 
     def _running(self) -> bool:
-        # After a fork, the other process is still the parent's.
+        # After a fork, the process still belongs to the parent.
         return self._child is not None and self._owner == os.getpid() and self._child.poll() is None
 
     def _start(self) -> bool:
@@ -70,13 +70,13 @@ class Preparation:
         path = os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])])
         try:
             child = subprocess.Popen(
-                # -P: the working folder is no place to import from.
+                # -P: do not import from the working folder.
                 [sys.executable, "-P", "-m", "dune_rl.worlds.cache.background_process", str(os.getpid())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, **threads, "PYTHONPATH": path, "DUNE_RL_CACHE": str(self._folder)},
-                # Ctrl-C is for this process; the other learns of it by the end of its input.
+                # Ctrl-C must reach this process only; the other one exits at the end of its input.
                 start_new_session=True,
             )
         except OSError:
@@ -91,7 +91,7 @@ class Preparation:
         assert self._child is not None and self._child.stdin is not None
         try:
             os.write(self._child.stdin.fileno(), data)
-        # It is busy with as much as the pipe holds, or has just ended: `get` builds what it does not.
+        # The pipe is full, or the process has just exited: `WorldStore.get` builds what it does not.
         except (BlockingIOError, BrokenPipeError):
             return False
         return True

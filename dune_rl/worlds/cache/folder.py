@@ -1,4 +1,4 @@
-"""A folder of arrays and texts by keys, which may be lost, damaged or shared at any time without harm."""
+"""A disk cache: a folder of arrays and texts by key. Lost or damaged entries are computed again."""
 
 import hashlib
 import json
@@ -21,19 +21,19 @@ Arrays = dict[str, NDArray[Any]]
 
 _SUFFIX = ".npz"
 _TEXT, _CHECKSUM = "text", "checksum"
-# A temporary file that old was left by a process that was killed.
+# Older temporary files were left by processes that were killed.
 _ABANDONED_S = 3600.0
 
 
 class CacheWarning(DuneWarning):
-    """A cache that cannot be used as it should: slower, but nothing else."""
+    """A cache cannot be read or written; results stay the same, but take longer."""
 
 
 class CacheFolder:
-    """Entries in the folder `path`, at most `limit_bytes` of them: those unused for longest make room.
+    """A least-recently-used cache in the folder `path`, of at most `limit_bytes`.
 
-    Whatever is wrong with an entry or with the folder costs time alone: reading gives None, writing does
-    nothing, and the first time there is a `CacheWarning`. Processes may share it.
+    It does not raise on damaged entries or an unwritable folder: reading returns None, writing does nothing,
+    and the first fault of a kind gives a `CacheWarning`. Several processes may share the folder.
     """
 
     def __init__(self, path: Path, limit_bytes: int) -> None:
@@ -41,30 +41,30 @@ class CacheFolder:
         self._warned: set[str] = set()
 
     def entry(self, key: str) -> Path:
-        """Where the entry of a hexadecimal `key` lies."""
+        """Path of the entry of a hexadecimal `key`; raises ValueError for other keys."""
         if not key or not set(key) <= set("0123456789abcdef"):
-            raise ValueError(f"a key is hexadecimal, not {key!r}")
+            raise ValueError(f"a key must be hexadecimal (got {key!r})")
         return self.path / f"{key}{_SUFFIX}"
 
     def read(self, key: str) -> tuple[Any, Arrays] | None:
-        """The text (as JSON has it) and arrays of an entry; None where there is none, or no sound one."""
+        """Text (decoded from JSON) and arrays of an entry; None if it is missing or damaged."""
         path = self.entry(key)
         try:
             with path.open("rb") as file:
                 found = _read(file, path.stat().st_size)
         except FileNotFoundError:
             return None
-        # A file in a cache may hold anything, and libraries that read it raise as much.
+        # A damaged file may make the libraries that read it raise anything.
         except Exception as error:
-            self.warn("damaged", f"{path} is damaged ({type(error).__name__}) and made anew")
+            self.warn("damaged", f"{path} is damaged ({type(error).__name__}) and will be rebuilt")
             return None
         with suppress(OSError):
-            # By which the longest unused are told: file systems often keep no times of access.
+            # The time of last use, for eviction: many file systems do not record access times.
             os.utime(path)
         return found
 
     def write(self, key: str, text: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Put an entry in place, whole or not at all."""
+        """Write an entry atomically; `text` must be serialisable as JSON."""
         path = self.entry(key)
         try:
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -73,13 +73,13 @@ class CacheFolder:
             everything[_CHECKSUM] = _checksum(everything)
             with write_atomically(path) as temporary, temporary.open("wb") as file:
                 np.savez(file, **everything)
-            self._make_room(path)
+            self._evict(path)
         except OSError as error:
             self.warn(
-                "unwritable", f"{self.path} cannot be written ({error.strerror or error}): nothing is kept"
+                "unwritable", f"{self.path} cannot be written ({error.strerror or error}): nothing is cached"
             )
 
-    def _make_room(self, newest: Path) -> None:
+    def _evict(self, newest: Path) -> None:
         entries = []
         for path in self.path.iterdir():
             try:
@@ -90,7 +90,7 @@ class CacheFolder:
                 entries.append((state.st_mtime, state.st_size, path))
             elif path.suffix == ".tmp" and time.time() - state.st_mtime > _ABANDONED_S:
                 path.unlink(missing_ok=True)
-        # Another process may have made room of the newest, too.
+        # Another process may have evicted the newest entry.
         total = sum(size for _, size, _ in entries) + (newest.stat().st_size if newest.exists() else 0)
         for _, size, path in sorted(entries, key=lambda entry: entry[0]):
             if total <= self.limit_bytes:
@@ -99,39 +99,39 @@ class CacheFolder:
             total -= size
 
     def warn(self, kind: str, text: str) -> None:
-        """A `CacheWarning`, the first of its kind alone."""
+        """Issue a `CacheWarning` with `text`, unless one of this kind was issued before."""
         if kind not in self._warned:
             self._warned.add(kind)
             warnings.warn(f"cache: {text}", CacheWarning, stacklevel=3)
 
 
 class DiskCache:
-    """What follows from one thing that `key` (hexadecimal) tells from all others: arrays by name."""
+    """Arrays by name that were computed from one object, which `key` (hexadecimal) identifies."""
 
     def __init__(self, cache: CacheFolder, key: str) -> None:
         self._cache, self._key = cache, key
 
     def contains(self, name: str) -> bool:
-        """Whether something has been kept under that name."""
+        """Whether there is an entry of this name."""
         return self._cache.entry(self._entry(name)).exists()
 
     def _entry(self, name: str) -> str:
         return hashlib.sha256(f"{self._key} {name}".encode()).hexdigest()
 
     def get_or_compute(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """What `make` gives, read back if it has been kept."""
+        """The cached array of this name; if there is none, the result of `make`, which is then cached."""
         key = self._entry(name)
         found = self._cache.read(key)
         if found is not None and found[0] == [self._key, name] and "value" in found[1]:
             return found[1]["value"]
-        made = make()
-        self._cache.write(key, [self._key, name], {"value": made})
-        return made
+        value = make()
+        self._cache.write(key, [self._key, name], {"value": value})
+        return value
 
 
 def _read(file: Any, size: int) -> tuple[Any, Arrays]:
     with zipfile.ZipFile(file) as archive:
-        # Nothing was compressed when it was written: what claims to hold more than its size did not come so.
+        # Entries are written uncompressed, so one that unpacks to more than its size is not ours.
         if sum(member.file_size for member in archive.infolist()) > size:
             raise ValueError("compressed")
     file.seek(0)

@@ -1,4 +1,4 @@
-"""Worlds as plain data: numbers and texts in a tree, and arrays by their types; nothing is executed."""
+"""Serialisation of worlds: a tree of plain data, and flat arrays by dtype. Reading executes no code."""
 
 from collections.abc import Mapping
 from enum import Enum
@@ -25,8 +25,8 @@ from dune_rl.worlds.world import Prop, World
 
 Packed = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 
-# Only these are made when a file names them. What a world comes to hold beside them is to be added here:
-# until then, worlds with it are built anew each time.
+# Only these classes are instantiated when a file names them. A new class that worlds refer to must be added
+# here: until then, worlds with it cannot be cached.
 _PLAIN: tuple[type, ...] = (
     ClearanceField,
     Grass,
@@ -44,19 +44,19 @@ _PLAIN: tuple[type, ...] = (
 )
 _SETTINGS: tuple[type[Settings], ...] = (LightConf,)
 _ENUMS: tuple[type[Enum], ...] = (Segment,)
-# Worked out on first use, and yet worth keeping.
-_KEPT = ("clearance_field",)
-# Held by a world, and none of what it is.
-_LEFT_OUT = ("disk_cache",)
+# Cached properties that are stored, because they take long to compute.
+_STORED_PROPERTIES = ("clearance_field",)
+# Attributes that are not part of a world's content.
+_EXCLUDED = ("disk_cache",)
 _TYPES = ("float64", "float32", "int64", "int32", "uint8", "bool")
 
 
 class UnpackableError(ValueError):
-    """A world that holds something which is not known here."""
+    """A world refers to an object of a class that cannot be serialised."""
 
 
 def pack(world: World) -> Packed:
-    """A tree for JSON, and flat arrays by the names of their types; else `UnpackableError`."""
+    """A tree for JSON, and flat arrays by dtype name; raises `UnpackableError` for other classes."""
     packer = _Packer()
     root = packer.pack(world)
     arrays = {kind: np.concatenate(parts) for kind, parts in packer.parts.items()}
@@ -64,24 +64,24 @@ def pack(world: World) -> Packed:
 
 
 def unpack(tree: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> World:
-    """The world that was packed; its arrays are views of `arrays`. Any error where these are not what was."""
+    """The inverse of `pack`; the world's arrays are views of `arrays`. Damaged input may raise any error."""
     world = _Unpacker(tree["objects"], arrays).unpack(tree["root"])
     if not isinstance(world, World):
-        raise ValueError("no world")
+        raise ValueError("the packed object is not a World")
     return world
 
 
 def state_of(value: object) -> dict[str, Any]:
-    """The attributes that make `value`, without those it works out from them."""
+    """Attributes of `value` by name, without those that it computes from the others."""
     if isinstance(value, HeightField):
         return {"heights": value.heights, "spacing_m": value.spacing_m, "origin": value.origin}
     derived = {
         name
         for kind in type(value).__mro__
         for name, attribute in vars(kind).items()
-        if isinstance(attribute, cached_property) and name not in _KEPT
+        if isinstance(attribute, cached_property) and name not in _STORED_PROPERTIES
     }
-    return {name: held for name, held in vars(value).items() if name not in {*derived, *_LEFT_OUT}}
+    return {name: held for name, held in vars(value).items() if name not in {*derived, *_EXCLUDED}}
 
 
 class _Packer:
@@ -89,7 +89,7 @@ class _Packer:
         self.objects: list[dict[str, Any]] = []
         self.parts: dict[str, list[NDArray[Any]]] = {}
         self._sizes: dict[str, int] = {}
-        # Things that are one stay one. They are held, so that no other gets their id.
+        # Shared objects stay shared. References are held, so that no new object gets the same id.
         self._known: dict[int, tuple[object, Any]] = {}
 
     def pack(self, value: Any) -> Any:
@@ -112,12 +112,16 @@ class _Packer:
             state = [[name, self.pack(held)] for name, held in state_of(value).items()]
             self.objects.append({"class": type(value).__name__, "state": state})
             return {"object": len(self.objects) - 1}
-        raise UnpackableError(f"{type(value).__name__} is not known to dune_rl.worlds.cache.serialization")
+        raise UnpackableError(
+            f"{type(value).__name__} cannot be serialised by dune_rl.worlds.cache.serialization"
+        )
 
     def _array(self, value: NDArray[Any]) -> dict[str, Any]:
         kind = value.dtype.name
         if kind not in _TYPES:
-            raise UnpackableError(f"arrays of {kind} are not known to dune_rl.worlds.cache.serialization")
+            raise UnpackableError(
+                f"arrays of {kind} cannot be serialised by dune_rl.worlds.cache.serialization"
+            )
         start = self._sizes.get(kind, 0)
         self._sizes[kind] = start + value.size
         self.parts.setdefault(kind, []).append(value.reshape(-1))
@@ -127,7 +131,7 @@ class _Packer:
 class _Unpacker:
     def __init__(self, objects: list[dict[str, Any]], arrays: Mapping[str, NDArray[Any]]) -> None:
         self._objects, self._arrays = objects, arrays
-        self._made: dict[int, Any] = {}
+        self._unpacked: dict[int, Any] = {}
         self._classes: dict[str, type] = {kind.__name__: kind for kind in _PLAIN}
         self._settings = {kind.__name__: kind for kind in _SETTINGS}
         self._enums = {kind.__name__: kind for kind in _ENUMS}
@@ -140,9 +144,9 @@ class _Unpacker:
             return self._arrays[packed["array"]][start : start + int(np.prod(shape))].reshape(shape)
         if "object" in packed:
             number = packed["object"]
-            if number not in self._made:
-                self._made[number] = self._object(self._objects[number])
-            return self._made[number]
+            if number not in self._unpacked:
+                self._unpacked[number] = self._object(self._objects[number])
+            return self._unpacked[number]
         if "enum" in packed:
             return self._enums[packed["enum"]](packed["value"])
         if "settings" in packed:
@@ -156,6 +160,6 @@ class _Unpacker:
         if packed["class"] == HeightField.__name__:
             return HeightField(**state)
         kind = self._classes[packed["class"]]
-        made: Any = object.__new__(kind)
-        vars(made).update(state)
-        return made
+        value: Any = object.__new__(kind)
+        vars(value).update(state)
+        return value

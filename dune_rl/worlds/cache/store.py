@@ -1,4 +1,4 @@
-"""Worlds kept on disk by content: what took long to make is read back in milliseconds."""
+"""A disk cache of worlds by content: a world that takes seconds to build is read in milliseconds."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ from typing import Any
 from dune_rl.errors import ConfigError
 from dune_rl.paths import cache_folder, package_folder
 from dune_rl.worlds.appearance import is_appearance_cached
-from dune_rl.worlds.cache.background_builder import Preparation
+from dune_rl.worlds.cache.background_builder import BackgroundBuilder
 from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
 from dune_rl.worlds.cache.serialization import UnpackableError, pack, unpack
 from dune_rl.worlds.construction.build import ConstructionConf
@@ -27,85 +27,85 @@ from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.registry import build, own_settings
+from dune_rl.worlds.registry import build_uncached, parse_built_in_settings
 from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
 _IMPORTED = (MeshConf, HeightmapConf, SdfConf)
-# Of users' code nothing is known that would tell when a kept world is out of date; and a plane is built
-# faster than it is read.
-_KEPT = (InspectionConf, ConstructionConf, RubiconConf, IslandConf, *_IMPORTED)
-# Those whose looks are worth keeping.
-_SHELVED = (*_KEPT, FlatConf)
+# Worlds that are cached. Users' worlds are not, because a change of their code would not be noticed; nor is
+# the plane, which is built faster than it is read.
+_CACHED = (InspectionConf, ConstructionConf, RubiconConf, IslandConf, *_IMPORTED)
+# Worlds whose appearance (baked light and textures) is cached.
+_APPEARANCE_CACHED = (*_CACHED, FlatConf)
 
 LIMIT_BYTES = 2 * 2**30
 
-# All that a world's bytes may depend on beside its settings.
+# Source files and libraries that a world depends on, apart from its settings.
 _SOURCES = ("worlds", "geometry", "rendering", "seeding.py", "settings.py")
 _LIBRARIES = ("embreex", "numba", "numpy", "pillow", "pycollada", "scipy", "tifffile", "trimesh")
 
 
 class WorldStore:
-    """Worlds by their settings, kept in `folder` (None: nowhere) within `limit_bytes`.
+    """Builds worlds from their settings, with a cache of `limit_bytes` in `folder` (None: no cache).
 
-    An entry is found by the settings, the source text of all that makes worlds, the versions of the
-    libraries and, for imported ones, the bytes of their files: what has changed in any of these is made
-    anew. An entry that is damaged is, too.
+    The key of an entry is a hash of the settings, the source code that builds worlds, the versions of the
+    libraries and, for imported worlds, the bytes of their files. A world is built again if any of these
+    changes, or if its entry is damaged.
     """
 
     def __init__(self, folder: Path | None, limit_bytes: int = LIMIT_BYTES) -> None:
         self.cache = None if folder is None else CacheFolder(folder / "worlds", limit_bytes)
-        self._preparation = None if folder is None else Preparation(folder)
+        self._builder = None if folder is None else BackgroundBuilder(folder)
 
     def get(self, conf: WorldSettings) -> World:
-        """The world of `conf`, read or else built and kept; it warns and raises as building it does."""
-        if self.cache is None or not isinstance(conf, _SHELVED):
-            return build(conf)
+        """The world of `conf`, read from the cache or built; warns and raises as building it does."""
+        if self.cache is None or not isinstance(conf, _APPEARANCE_CACHED):
+            return build_uncached(conf)
         key = world_key(conf)
-        if not isinstance(conf, _KEPT):
-            world = build(conf)
+        if not isinstance(conf, _CACHED):
+            world = build_uncached(conf)
             world.disk_cache = _appearance_cache(self.cache, key, {}, [])
             return world
-        return self._kept(self.cache, key) or self._built(self.cache, key, conf)
+        return self._load(self.cache, key) or self._build_and_cache(self.cache, key, conf)
 
-    def prepare(self, confs: Iterable[WorldSettings], *, seen: bool = False) -> None:
-        """Have the worlds that are not kept built by another process, at low priority and in this order.
+    def prepare(self, confs: Iterable[WorldSettings], *, with_appearance: bool = False) -> None:
+        """Start to build the worlds that are not cached, in a background process and in this order.
 
-        With `seen`, what cameras need is worked out there, too. Returns at once. `get` does not wait for
-        it: both make the same bytes, and whoever is last to keep them changes nothing.
+        With `with_appearance`, it also computes what cameras need. Returns at once. `get` does not wait for
+        the process: both build the same bytes, so it does not matter which of them writes the entry last.
         """
-        if self._preparation is None:
+        if self._builder is None:
             return
-        missing = [conf for conf in confs if not self.is_kept(conf, seen=seen)]
+        missing = [conf for conf in confs if not self.is_cached(conf, with_appearance=with_appearance)]
         if missing:
-            self._preparation.ask(request(conf, seen) for conf in missing)
+            self._builder.submit(encode_request(conf, with_appearance) for conf in missing)
 
-    def is_kept(self, conf: WorldSettings, *, seen: bool = False) -> bool:
-        """Whether there is an entry for `get`, and for cameras if `seen`, or none is wanted."""
-        if self.cache is None or not isinstance(conf, _SHELVED):
+    def is_cached(self, conf: WorldSettings, *, with_appearance: bool = False) -> bool:
+        """Whether the cache has the world and, `with_appearance`, what cameras need; True without a cache."""
+        if self.cache is None or not isinstance(conf, _APPEARANCE_CACHED):
             return True
         key = world_key(conf)
-        if isinstance(conf, _KEPT) and not self.cache.entry(key).exists():
+        if isinstance(conf, _CACHED) and not self.cache.entry(key).exists():
             return False
-        # Which shelf is an imported world's can only be told with the world.
+        # The key of an imported world's appearance depends on files that only building it determines.
         return (
-            not seen
+            not with_appearance
             or isinstance(conf, _IMPORTED)
             or is_appearance_cached(_appearance_cache(self.cache, key, {}, []))
         )
 
     @property
-    def preparing(self) -> int | None:
-        """The number of the process that builds worlds ahead, while it runs."""
-        return None if self._preparation is None else self._preparation.pid
+    def builder_pid(self) -> int | None:
+        """Id of the background process while it runs, else None."""
+        return None if self._builder is None else self._builder.pid
 
     def close(self) -> None:
-        """End the process that builds worlds ahead, if there is one."""
-        if self._preparation is not None:
-            self._preparation.close()
+        """Stop the background process, if there is one."""
+        if self._builder is not None:
+            self._builder.close()
 
-    def _kept(self, cache: CacheFolder, key: str) -> World | None:
+    def _load(self, cache: CacheFolder, key: str) -> World | None:
         found = cache.read(key)
         if found is None:
             return None
@@ -114,75 +114,78 @@ class WorldStore:
             if text["key"] != key or not _unchanged(text["files"], text["absent"]):
                 return None
             world = unpack(text["world"], arrays)
-            told = [str(said) for said in text["warnings"]]
-        # An entry of another make is no better than a damaged one.
+            messages = [str(message) for message in text["warnings"]]
+        # An entry with other content counts as damaged.
         except Exception as error:
-            cache.warn("damaged", f"{cache.entry(key)} is foreign ({type(error).__name__}) and made anew")
+            cache.warn(
+                "damaged",
+                f"{cache.entry(key)} has unknown content ({type(error).__name__}) and will be rebuilt",
+            )
             return None
         world.disk_cache = _appearance_cache(cache, key, text["files"], text["absent"])
-        for said in told:
-            warnings.warn(said, WorldWarning, stacklevel=3)
+        for message in messages:
+            warnings.warn(message, WorldWarning, stacklevel=3)
         return world
 
-    def _built(self, cache: CacheFolder, key: str, conf: WorldSettings) -> World:
+    def _build_and_cache(self, cache: CacheFolder, key: str, conf: WorldSettings) -> World:
         with warnings.catch_warnings(record=True) as caught, record_dependencies() as sources:
             warnings.simplefilter("always")
-            world = build(conf)
-            # It would be asked for at once, and takes longer than all the rest of some worlds.
+            world = build_uncached(conf)
+            # Computed now so that it is cached: every spawn needs it, and it may take longer than all else.
             _ = world.clearance_field
-        told = [str(w.message) for w in caught if issubclass(w.category, WorldWarning)]
-        if sources.complete and len(told) == len(caught):
-            self._keep(cache, key, conf, world, sources, told)
+        messages = [str(w.message) for w in caught if issubclass(w.category, WorldWarning)]
+        if sources.complete and len(messages) == len(caught):
+            self._save(cache, key, conf, world, sources, messages)
         if sources.complete:
             world.disk_cache = _appearance_cache(cache, key, sources.read, sorted(sources.absent))
         for warning in caught:
             warnings.warn(warning.message, stacklevel=3)
         return world
 
-    def _keep(
+    def _save(
         self,
         cache: CacheFolder,
         key: str,
         conf: WorldSettings,
         world: World,
         sources: FileDependencies,
-        told: list[str],
+        messages: list[str],
     ) -> None:
         try:
             tree, arrays = pack(world)
         except UnpackableError as error:
-            cache.warn("unpackable", f"worlds of {conf.name} are not kept: {error}")
+            cache.warn("unpackable", f"worlds of {conf.name} cannot be cached: {error}")
             return
         text = {
             "key": key,
             "settings": conf.model_dump(mode="json"),
             "files": sources.read,
             "absent": sorted(sources.absent),
-            "warnings": told,
+            "warnings": messages,
             "world": tree,
         }
         cache.write(key, text, arrays)
 
 
 def _appearance_cache(cache: CacheFolder, key: str, files: dict[str, str], absent: list[str]) -> DiskCache:
-    # An imported world is told from what it was before a texture of it changed.
-    known = json.dumps([key, sorted(files.items()), absent])
-    return DiskCache(cache, hashlib.sha256(known.encode()).hexdigest())
+    # The key changes when a texture of an imported world changes.
+    identity = json.dumps([key, sorted(files.items()), absent])
+    return DiskCache(cache, hashlib.sha256(identity.encode()).hexdigest())
 
 
-def request(conf: WorldSettings, seen: bool) -> str:
-    """A line for the process that builds worlds ahead (`requested`)."""
-    return json.dumps({"world": conf.model_dump(mode="json"), "seen": seen})
+def encode_request(conf: WorldSettings, with_appearance: bool) -> str:
+    """A request to the background process, as one line of JSON; `decode_request` is the inverse."""
+    return json.dumps({"world": conf.model_dump(mode="json"), "with_appearance": with_appearance})
 
 
-def requested(line: bytes) -> tuple[WorldSettings, bool]:
-    """What a line asks for; `ValueError` or `KeyError` where it makes no sense."""
-    asked = json.loads(line)
-    return own_settings(asked["world"]), bool(asked["seen"])
+def decode_request(line: bytes) -> tuple[WorldSettings, bool]:
+    """Settings and `with_appearance` of a request; raises ValueError or KeyError for an invalid line."""
+    request = json.loads(line)
+    return parse_built_in_settings(request["world"]), bool(request["with_appearance"])
 
 
 def shared_store() -> WorldStore:
-    """The store in `cache_folder()`, of DUNE_RL_CACHE_GB (default 2); the same one each time."""
+    """The store in `cache_folder()`, of DUNE_RL_CACHE_GB (default 2); the same object at every call."""
     return _store_in(cache_folder(), os.environ.get("DUNE_RL_CACHE_GB", ""))
 
 
@@ -191,13 +194,13 @@ def _store_in(folder: Path | None, gigabytes: str) -> WorldStore:
     try:
         limit = int(float(gigabytes) * 2**30) if gigabytes else LIMIT_BYTES
     except (ValueError, OverflowError):
-        raise ConfigError(f"DUNE_RL_CACHE_GB is a number of gigabytes, not {gigabytes!r}") from None
+        raise ConfigError(f"DUNE_RL_CACHE_GB must be a number of gigabytes (got {gigabytes!r})") from None
     return WorldStore(folder, limit)
 
 
 def world_key(conf: WorldSettings) -> str:
-    """Names the world of `conf`, as it would be built now: hexadecimal, and safe as a file's name."""
-    key: dict[str, Any] = {"code": _code(), "settings": conf.model_dump(mode="json")}
+    """Hash of the settings, code, libraries and files that the world of `conf` depends on (hexadecimal)."""
+    key: dict[str, Any] = {"code": _code_digest(), "settings": conf.model_dump(mode="json")}
     if isinstance(conf, _IMPORTED):
         path = Path(conf.path).expanduser().absolute()
         key |= {"path": str(path), "bytes": _digest(path), "resources": os.environ.get(RESOURCE_VARIABLE, "")}
@@ -205,8 +208,8 @@ def world_key(conf: WorldSettings) -> str:
 
 
 @lru_cache(maxsize=1)
-def _code() -> str:
-    # The text itself rather than a number to be raised, which would be forgotten.
+def _code_digest() -> str:
+    # A hash of the source code cannot be forgotten in a change, as a version number can.
     sums = hashlib.sha256(f"{platform.machine()} {platform.python_version()}".encode())
     for library in _LIBRARIES:
         try:
@@ -236,5 +239,5 @@ def _unchanged(files: dict[str, str], absent: list[str]) -> bool:
     )
 
 
-# Now, while the text is that of the modules just imported: it may change under a process that goes on.
-_code()
+# Computed on import: later, the source files may have changed and differ from the imported modules.
+_code_digest()

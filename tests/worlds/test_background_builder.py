@@ -15,7 +15,7 @@ from dune_rl.worlds.cache.store import WorldStore
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.registry import build
+from dune_rl.worlds.registry import build_uncached
 
 CONFS = [IslandConf(seed=seed) for seed in range(3)]
 PATIENCE_S = 60.0
@@ -37,35 +37,35 @@ def alive(pid: int) -> bool:
 
 
 def kept(store: WorldStore) -> int:
-    return sum(store.is_kept(conf) for conf in CONFS)
+    return sum(store.is_cached(conf) for conf in CONFS)
 
 
 def test_another_process_fills_the_cache_and_ends_with_the_store(tmp_path: Path) -> None:
     store = WorldStore(tmp_path)
     store.prepare([FlatConf()])
-    assert store.preparing is None
+    assert store.builder_pid is None
     store.prepare(CONFS)
-    child = store.preparing
+    child = store.builder_pid
     assert child is not None
     store.prepare(CONFS)
-    assert store.preparing == child
+    assert store.builder_pid == child
     wait_for(lambda: kept(store) == len(CONFS))
     assert os.getpriority(os.PRIO_PROCESS, child) > os.getpriority(os.PRIO_PROCESS, 0)
-    assert [digest(store.get(conf)) for conf in CONFS] == [digest(build(conf)) for conf in CONFS]
+    assert [digest(store.get(conf)) for conf in CONFS] == [digest(build_uncached(conf)) for conf in CONFS]
     store.close()
-    assert not alive(child) and store.preparing is None
+    assert not alive(child) and store.builder_pid is None
     # With all there, none is started.
     store.prepare(CONFS)
-    assert store.preparing is None
+    assert store.builder_pid is None
 
 
 def test_what_cameras_need_is_worked_out_if_asked(tmp_path: Path) -> None:
     store, plane = WorldStore(tmp_path), FlatConf(size_m=20.0)
     wanted = [plane, CONFS[0]]
     store.get(CONFS[0])
-    store.prepare(wanted, seen=True)
-    wait_for(lambda: all(store.is_kept(conf, seen=True) for conf in wanted))
-    assert not any(store.is_kept(conf, seen=True) for conf in CONFS[1:])
+    store.prepare(wanted, with_appearance=True)
+    wait_for(lambda: all(store.is_cached(conf, with_appearance=True) for conf in wanted))
+    assert not any(store.is_cached(conf, with_appearance=True) for conf in CONFS[1:])
     store.close()
 
 
@@ -92,7 +92,7 @@ if "fork" in sys.argv[2] and not fork:
     os.close(1)
     time.sleep(60)
     os._exit(0)
-print(store.preparing, fork, flush=True)
+print(store.builder_pid, fork, flush=True)
 if sys.argv[2] != "return":
     time.sleep(60)
 """
@@ -123,11 +123,11 @@ def test_a_fork_starts_its_own(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     pid = os.fork()
     if not pid:
-        os.write(writer, str(store.preparing).encode())
+        os.write(writer, str(store.builder_pid).encode())
         os._exit(0)
     os.waitpid(pid, 0)
     os.close(writer)
     with os.fdopen(reader) as told:
         assert told.read() == "None"
-    assert store.preparing is not None
+    assert store.builder_pid is not None
     store.close()
