@@ -78,7 +78,8 @@ class KinematicBody:
     def drive(self, actions: Array) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad], within limits.
 
-        A body whose way is blocked stands still and turns.
+        A body whose way is blocked stands still and turns. One that a robot has pushed into an obstacle may
+        go where it is less deep in it.
         """
         conf, poses = self.conf, self.poses.copy()
         most = conf.max_turn_radps * self._step_s
@@ -94,7 +95,11 @@ class KinematicBody:
             & (by_scene[..., 1] > ymin + _EDGE_M)
             & (by_scene[..., 1] < ymax - _EDGE_M)
         )
-        free = (inside & (self._worlds.clearance(by_scene) >= conf.radius_m)).ravel()
+        clearance = self._worlds.clearance(by_scene)
+        free = clearance >= conf.radius_m
+        if not free.all():
+            free |= clearance > self._worlds.clearance(poses[:, :2].reshape(-1, self.count, 2))
+        free = (free & inside).ravel()
         poses[:, :2] = np.where(free[:, None], target, poses[:, :2])
         poses[:, 2] = self._worlds.height(poses[:, :2].reshape(-1, self.count, 2)).ravel()
         poses[:, 3] = yaw

@@ -95,6 +95,17 @@ def test_an_obstacle_stops_an_agent_which_may_turn_away() -> None:
     assert body.poses[0, 0] < -1.5
 
 
+def test_an_agent_that_was_pushed_against_an_obstacle_comes_away_again() -> None:
+    world = yard((0.0, 0.0, 0.0, 2.0, 2.0))
+    for yaw, comes_away in ((np.pi, True), (0.0, False)):
+        # Robots hold agents back without a look at obstacles: its middle is 0.1 m from the box's face.
+        body = bodies((-1.1, 0.0, yaw), world=world)
+        walk(body, 1.0, 0.0, 8)
+        assert body.blocked.all() != comes_away
+        assert (body.poses[0, 0] < -1.35) == comes_away
+        assert body.poses[0, 0] < -1.1 + 1e-9
+
+
 def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> None:
     slope = HeightField(np.tile(0.1 * np.arange(-10.0, 11.0), (21, 1)), 1.0, (-10.0, -10.0))
     world = World("slope", slope, region=(-9.0, 9.0, -9.0, 9.0))
