@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 SamplePoints = Callable[[np.random.Generator, int, float], Array]
 
-# Number of random paths stored for each group and world.
+# Random paths stored for agent k of a group in a world, with k from 1: this number over k.
 _BANK_SIZE = 128
 _MIN_PATHS = 8
 _MAX_PATHS = 64
@@ -98,8 +98,7 @@ class PathFollower:
         conf = self.conf
         loops: list[Array] = []
         choices: list[NDArray[np.int64]] = []
-        each = min(_MAX_PATHS, max(_MIN_PATHS, _BANK_SIZE // self.count))
-        for _ in range(self.count):
+        for agent in range(self.count):
             if conf.waypoints:
                 paths = [spline_path(np.asarray(conf.waypoints), world.terrain)]
                 if (world.clearance(paths[0][:, :2]) < self._radius_m).any():
@@ -109,7 +108,9 @@ class PathFollower:
                     )
             else:
                 room = self._radius_m + 0.1
-                paths = random_paths(world, sample_points, rng, each, room, conf.length_range_m)
+                # By the agent's own number, so that agents behind it leave its paths as they are.
+                number = min(_MAX_PATHS, max(_MIN_PATHS, _BANK_SIZE // (agent + 1)))
+                paths = random_paths(world, sample_points, rng, number, room, conf.length_range_m)
             choices.append(np.arange(len(loops), len(loops) + len(paths)))
             loops += [there_and_back(path) for path in paths]
         return _WorldPaths(PathBank.of(loops), tuple(choices))

@@ -215,9 +215,7 @@ class AgentGroup:
         self.body.command(actions, known, engines)
 
     def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Correct the poses of the kinematic bodies of `scenes` (S) to `poses` (S, G, 4), where robots blocked
-        them.
-        """
+        """Set the kinematic bodies of `scenes` (S) to `poses` (S, G, 4), where robots blocked them."""
         assert isinstance(self.body, KinematicBody)
         self.body.hold_back(scenes, poses)
         if self.setup.follows_paths:

@@ -117,7 +117,7 @@ class EpisodeStart:
         return found
 
     def hold_back(self, held: Mapping[int, Array]) -> None:
-        """Correct the poses of kinematic bodies to `held` (K, 4), by scene, where robots have blocked them."""
+        """Set the kinematic bodies of scenes to `held` (K, 4), by scene, where robots blocked them."""
         if not held:
             return
         scenes, poses = list(held), np.stack(list(held.values()))

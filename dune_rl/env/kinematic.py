@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.bodies.person import PersonConf
-from dune_rl.geometry.frames import wrap_angle
+from dune_rl.geometry.frames import rotation_from_yaw, to_body, wrap_angle
 from dune_rl.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
@@ -40,9 +40,9 @@ class KinematicBody:
         self.poses = np.zeros((rows, 4))
         self.blocked = np.zeros(rows, bool)
         self._unblocked = np.zeros(rows, bool)
-        self._still = np.zeros((rows, 3))
-        self._before = self.poses
-        self.motion = self._at_rest()
+        still = np.zeros((rows, 3))
+        self.motion = self._moving(still, still, still)
+        self._before = self.poses, self.motion
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds, each (2,), of speed [m/s] (never backwards) and relative heading [rad]."""
@@ -61,9 +61,12 @@ class KinematicBody:
 
     def read_start(self, mask: Flags) -> None:
         """Set the motion in the rows in `mask` (N,) to rest."""
-        moving = np.where(mask[:, None], 0.0, self.motion.velocity_w)
-        turning = np.where(mask[:, None], 0.0, self.motion.angular_w)
-        self.motion = self._moving(moving, turning)
+        before = self.motion
+        velocity, turning, acceleration = (
+            np.where(mask[:, None], 0.0, values)
+            for values in (before.velocity_w, before.angular_w, before.acceleration_b)
+        )
+        self.motion = self._moving(velocity, turning, acceleration)
 
     def move_to(self, poses: Array) -> None:
         """Move to `poses` (N, 4) by the end of the control step."""
@@ -72,7 +75,8 @@ class KinematicBody:
     def apply_actions(self, actions: Array) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
 
-        Both are clipped to the limits of the body. A body in front of an obstacle turns in place.
+        Both are clipped to the limits of the body. A body in front of an obstacle turns in place; one that a
+        robot has pushed into an obstacle may move where it is less deep in it.
         """
         conf, poses = self.conf, self.poses.copy()
         most = conf.max_turn_radps * self._step_s
@@ -88,7 +92,11 @@ class KinematicBody:
             & (by_scene[..., 1] > ymin + _EDGE_M)
             & (by_scene[..., 1] < ymax - _EDGE_M)
         )
-        free = (inside & (self._worlds.clearance(by_scene) >= conf.radius_m)).ravel()
+        clearance = self._worlds.clearance(by_scene)
+        free = clearance >= conf.radius_m
+        if not free.all():
+            free |= clearance > self._worlds.clearance(poses[:, :2].reshape(-1, self.count, 2))
+        free = (free & inside).ravel()
         poses[:, :2] = np.where(free[:, None], target, poses[:, :2])
         poses[:, 2] = self._worlds.height(poses[:, :2].reshape(-1, self.count, 2)).ravel()
         poses[:, 3] = yaw
@@ -104,19 +112,21 @@ class KinematicBody:
         moved = (reached[:, :2] != self.poses[:, :2]).any(axis=1)
         height = self._worlds.height(reached[:, :2].reshape(-1, self.count, 2)).ravel()
         reached[:, 2] = np.where(moved, height, reached[:, 2])
-        self.poses = self._before
+        self.poses, self.motion = self._before
         self._arrive(reached)
 
     def _arrive(self, poses: Array) -> None:
-        velocity, turning = np.zeros((2, len(poses), 3))
-        velocity[:, :2] = (poses[:, :2] - self.poses[:, :2]) / self._step_s
-        self._before, self.poses = self.poses, poses
-        self.motion = self._moving(velocity, turning)
+        """Be at `poses` (N, 4), with the mean velocities of the way there and their change."""
+        self._before = before, motion = self.poses, self.motion
+        self.poses = poses
+        turning = np.zeros((len(poses), 3))
+        velocity = (poses[:, :3] - before[:, :3]) / self._step_s
+        turning[:, 2] = wrap_angle(poses[:, 3] - before[:, 3]) / self._step_s
+        acceleration = (velocity - motion.velocity_w) / self._step_s
+        self.motion = self._moving(velocity, turning, to_body(rotation_from_yaw(poses[:, 3]), acceleration))
 
-    def _at_rest(self) -> Motion:
-        return self._moving(self._still, self._still)
-
-    def _moving(self, velocity_w: Array, angular_w: Array) -> Motion:
+    def _moving(self, velocity_w: Array, angular_w: Array, acceleration_b: Array) -> Motion:
         attitude = np.zeros((len(self.poses), 3))
         attitude[:, 2] = self.poses[:, 3]
-        return Motion(self.poses[:, :3], attitude, velocity_w, angular_w, self._unblocked)
+        place = self.poses[:, :3]
+        return Motion(place, attitude, velocity_w, angular_w, self._unblocked, acceleration_b=acceleration_b)

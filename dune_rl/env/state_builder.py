@@ -18,8 +18,10 @@ Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Contacts = list[tuple[int, int]]
 
-# Random draws of the agents of a scene are apart by this in their stream's number.
+# Random draws of the agents of a group are apart by _STREAM_STRIDE in their stream's number, those of groups
+# by _GROUP_STRIDE agents: an agent more in one group changes no draws of another.
 _STREAM_STRIDE = 1 << 40
+_GROUP_STRIDE = 1 << 14
 
 
 class StateBuilder:
@@ -42,7 +44,6 @@ class StateBuilder:
             for index, group in enumerate(groups)
         }
         self._order = [self._layouts[group.name].index for group in self._movers]
-        self._first_agent = dict(zip([group.name for group in groups], _starts(groups), strict=True))
         self._identity: dict[str, tuple[Counts, Counts]] = {}
 
     def _columns(self, group: AgentGroup, total: int) -> NDArray[np.int64]:
@@ -60,9 +61,9 @@ class StateBuilder:
 
     def begin_episodes(self, episodes: Counts) -> None:
         """Set the ids (M,) of the scenes' present episodes."""
-        for group in self._groups:
+        for index, group in enumerate(self._groups):
             ids = episodes if group.count == 1 else np.repeat(episodes, group.count)
-            agents = np.tile(np.arange(group.count), len(episodes)) + self._first_agent[group.name]
+            agents = np.tile(np.arange(group.count), len(episodes)) + index * _GROUP_STRIDE
             streams = ids + agents * _STREAM_STRIDE if agents.any() else ids
             self._identity[group.name] = ids, streams
 
@@ -132,8 +133,3 @@ class StateBuilder:
                 energy=group.energy,
             )
         return State(states, self._worlds, len(steps))
-
-
-def _starts(groups: Sequence[AgentGroup]) -> list[int]:
-    """The number of the first agent of each group among all agents of a scene."""
-    return [sum(group.count for group in groups[:index]) for index in range(len(groups))]

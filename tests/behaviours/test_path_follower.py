@@ -53,6 +53,16 @@ def test_a_walker_on_its_path_keeps_its_speed(speed: float) -> None:
     assert np.max(speeds) < 1.01 * speed
 
 
+@pytest.mark.parametrize("more", [1, 3])
+def test_walkers_more_leave_the_first_ones_as_they_are(more: int) -> None:
+    two, others = (Walkers(PathConf(), count, scenes=6) for count in (2, 2 + more))
+    for _ in range(3):
+        first = others.poses.reshape(6, 2 + more, 4)[:, :2]
+        np.testing.assert_array_equal(first, two.poses.reshape(6, 2, 4))
+        two.walk()
+        others.walk()
+
+
 def test_a_walker_goes_to_the_end_of_its_path_and_back() -> None:
     length = 0.05 * (len(spline_path(BEND, hills())) - 1)
     walkers = Walkers(PathConf(waypoints=BEND.tolist()))

@@ -295,6 +295,18 @@ def test_noise_of_the_agents_of_a_team_differs() -> None:
     core.close()
 
 
+def test_an_agent_more_changes_no_noise_of_other_groups() -> None:
+    sensors = {"enabled": ["imu", "goal"], "realism": {"imu": "bno055"}}
+    readings = []
+    for count in (1, 2):
+        agents = {"rover": {"body": "rover_zero", "count": count}, "other": {"body": "rover_zero"}}
+        core = started_simulation("flat", 2, agents=agents, sensors=sensors)
+        readings.append(observation(core, "other")["imu"][:, 3:6])
+        core.close()
+    # They stand still at other places: what their gyroscopes give is noise.
+    np.testing.assert_allclose(readings[0], readings[1], atol=1e-3)
+
+
 # -- ends ------------------------------------------------------------------------------------------
 
 

@@ -95,6 +95,17 @@ def test_an_obstacle_stops_an_agent_which_may_turn_away() -> None:
     assert body.poses[0, 0] < -1.5
 
 
+def test_an_agent_that_was_pushed_against_an_obstacle_comes_away_again() -> None:
+    world = yard((0.0, 0.0, 0.0, 2.0, 2.0))
+    for yaw, comes_away in ((np.pi, True), (0.0, False)):
+        # Robots hold agents back without a look at obstacles: its middle is 0.1 m from the box's face.
+        body = bodies((-1.1, 0.0, yaw), world=world)
+        walk(body, 1.0, 0.0, 8)
+        assert body.blocked.all() != comes_away
+        assert (body.poses[0, 0] < -1.35) == comes_away
+        assert body.poses[0, 0] < -1.1 + 1e-9
+
+
 def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> None:
     slope = HeightField(np.tile(0.1 * np.arange(-10.0, 11.0), (21, 1)), 1.0, (-10.0, -10.0))
     world = World("slope", slope, region=(-9.0, 9.0, -9.0, 9.0))
@@ -107,12 +118,31 @@ def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> Non
     reached[0, :2] = before[0, :2] + [0.01, -0.02]
     body.hold_back([0], reached[None])
     np.testing.assert_allclose(body.poses[0], [0.06, -0.02, 0.006, 0.0], atol=1e-9)
-    np.testing.assert_allclose(body.motion.velocity_w[0], [0.2, -0.4, 0.0], atol=1e-9)
+    np.testing.assert_allclose(body.motion.velocity_w[0], [0.2, -0.4, 0.02], atol=1e-9)
     # The other has got to where it went.
     np.testing.assert_array_equal(body.poses[1], commanded[1])
-    np.testing.assert_allclose(body.motion.velocity_w[1], [1.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(body.motion.velocity_w[1], [1.0, 0.0, 0.1], atol=1e-9)
     walk(body, 1.0, 0.0)
     np.testing.assert_allclose(body.poses[:, 0], [0.11, 0.15], atol=1e-9)
+
+
+def test_motion_is_the_change_of_the_pose() -> None:
+    slope = HeightField(np.tile(0.1 * np.arange(-10.0, 11.0), (21, 1)), 1.0, (-10.0, -10.0))
+    body = bodies((0.0, 0.0, 3.1), world=World("slope", slope, region=(-9.0, 9.0, -9.0, 9.0)))
+    poses, velocities = [body.poses[0]], [np.zeros(3)]
+    for speed in (0.4, 1.0, 1.0, 0.7):
+        walk(body, speed, 0.1)
+        if speed == 0.7:
+            body.hold_back(0, body.poses + np.array([0.01, 0.02, 0.0, 0.0]))
+        poses.append(body.poses[0])
+        before, now = poses[-2:]
+        velocities.append((now[:3] - before[:3]) / STEP_S)
+        motion = body.motion
+        np.testing.assert_allclose(motion.velocity_w[0], velocities[-1], atol=1e-9)
+        np.testing.assert_allclose(motion.angular_w[0], [0.0, 0.0, 0.1 / STEP_S], atol=1e-9)
+        felt = motion.rotation[0].T @ (velocities[-1] - velocities[-2]) / STEP_S
+        np.testing.assert_allclose(motion.acceleration_b[0], felt, atol=1e-7)
+    assert np.abs(velocities[-1][2]) > 0.01
 
 
 def test_the_edge_of_the_world_stops_an_agent() -> None:

@@ -10,10 +10,13 @@ from scenes import (
     SUBSTEPS,
     TIMESTEP_S,
     WHEEL_RADIUS_M,
+    Company,
     Stage,
     box,
     every_backend,
     plane,
+    quaternion_of,
+    rover_body,
     walker,
 )
 from simple_robots import body, joint, link
@@ -135,3 +138,24 @@ def test_bodies_that_touch_no_robot_go_where_they_are_told(backend, tmp_path):
     np.testing.assert_array_equal(held_back[1], [0.0, 2.0, 0.0, 0.0])
     stage.place()
     assert stage.scene.held_back_poses() is None
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.03])
+def test_a_walker_between_two_robots_stays_between_them(backend, aside):
+    company = Company(backend, [rover_body()] * 2, [plane()], [walker()])
+    places = [[-1.0, aside, WHEEL_RADIUS_M], [1.0, -aside, WHEEL_RADIUS_M]]
+    for robot, place, yaw in zip(company.robots, places, (0.0, np.pi), strict=True):
+        robot.set_start_pose(place, quaternion_of(yaw).tolist())
+    where = np.zeros((1, 4))
+    company.scene.reset(where)
+    steps = []
+    for _ in range(50):
+        for robot in company.robots:
+            robot.set_command([8.0] * 4)
+        company.step(SUBSTEPS, where)
+        reached = company.scene.held_back_poses()
+        before, where = where, where if reached is None else reached
+        steps.append(np.hypot(*(where - before)[0, :2]))
+    # They drive at 1 m/s.
+    assert max(steps) < 1.2 * STEP_S
+    assert np.hypot(*where[0, :2]) < 1.0

@@ -33,13 +33,14 @@ class _Push:
     """Horizontal force of a capsule on robots in a physics step, over all contact points."""
 
     def __init__(self) -> None:
-        self._x = self._y = self._power_w = 0.0
+        self._x = self._y = self._power_w = self._fastest_mps = 0.0
         self._points = 0
 
     def add(self, x: float, y: float, velocity: tuple[float, float]) -> None:
         """Add the force (x, y) [N] at a point of a robot with a horizontal velocity [m/s]."""
         self._x, self._y, self._points = self._x + x, self._y + y, self._points + 1
         self._power_w += x * velocity[0] + y * velocity[1]
+        self._fastest_mps = max(self._fastest_mps, math.hypot(*velocity))
 
     def retreat_m(self, advance_m: Sequence[float], limit_n: float, timestep_s: float) -> tuple[float, float]:
         """Way (x, y) [m] that the capsule has to step back, so as not to push harder than `limit_n` next.
@@ -47,7 +48,13 @@ class _Push:
         It is about to advance by `advance_m` (x, y), and the robots move on.
         """
         force_n = math.hypot(self._x, self._y)
+        # Robots on two sides may push with forces that cancel: then nothing pushes it away.
+        if not force_n > 0.0:
+            return 0.0, 0.0
         closing_m = (advance_m[0] * self._x + advance_m[1] * self._y - self._power_w * timestep_s) / force_n
+        # Of one robot it is never more; of two whose forces nearly cancel it could be anything.
+        fastest_m = 1.001 * (math.hypot(*advance_m) + self._fastest_mps * timestep_s)
+        closing_m = min(max(closing_m, -fastest_m), fastest_m)
         excess_m = closing_m + (force_n - limit_n) / (self._points * _STIFFNESS_NPM)
         if not excess_m > 0.0:
             return 0.0, 0.0
