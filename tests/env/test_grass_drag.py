@@ -1,10 +1,10 @@
 """Tall grass holds back what drives through it."""
 
 import numpy as np
-from meadows import SMALL
-from mounted import lidar_conf
+from grass_samples import SMALL
 from scenes import Stage, every_backend
 from scripted_physics import scripted_simulation
+from sensors_of_rover_zero import lidar_conf
 from simulations import act, every_engine, motion_of_group, observation, started_simulation
 
 

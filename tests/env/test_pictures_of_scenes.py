@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 from conformance import difference
-from painting import SIZE, box, plain
+from plain_worlds import SIZE, box, plain
 from scanning import turned
 from scenes import about
 from scripted_physics import scripted_simulation

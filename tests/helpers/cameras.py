@@ -1,8 +1,8 @@
 """Cameras in plain worlds, for tests of what they see."""
 
 import numpy as np
-from mounted import camera_conf
 from people import meshes_of
+from sensors_of_rover_zero import camera_conf
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.heightfield import HeightField

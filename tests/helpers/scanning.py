@@ -1,9 +1,9 @@
 """Worlds of a few boxes, LiDARs in them, and other sensors."""
 
 import numpy as np
-from mounted import lidar_conf
 from people import meshes_of
 from scenes import about
+from sensors_of_rover_zero import lidar_conf
 from states import group_state, measure
 
 from dune_rl.bodies.person import PersonConf

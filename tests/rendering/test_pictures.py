@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from painting import SIZE, box, plain
+from plain_worlds import SIZE, box, plain
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.rendering.light import LightConf, srgb_to_linear

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mounted import camera_conf
 from scanning import flat_with, lidar_in
 from scipy import integrate
+from sensors_of_rover_zero import camera_conf
 from simulations import act, observation, started_simulation
 from states import episode_state, state_of
 

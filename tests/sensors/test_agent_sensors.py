@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mounted import lidar_conf
 from people import meshes_of
 from scanning import flat_with
+from sensors_of_rover_zero import lidar_conf
 from states import begin, group_state, measure, resting, state_of
 
 from dune_rl.bodies.person import PersonConf

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from cameras import AHEAD, EVERYTHING, PERSON, Box, camera_in, look, plain, standing, with_boxes
-from mounted import camera_conf
 from people import meshes_of
 from PIL import Image
 from scanning import turned
+from sensors_of_rover_zero import camera_conf
 
 from dune_rl.config.build import build_world
 from dune_rl.rendering.baked_scenery import BakedScenery

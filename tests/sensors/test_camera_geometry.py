@@ -15,9 +15,9 @@ from cameras import (
     pinhole_directions,
     with_boxes,
 )
-from mounted import camera_conf
 from scanning import turned
 from scenes import about
+from sensors_of_rover_zero import camera_conf
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices

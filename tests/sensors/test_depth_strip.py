@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mounted import depth_strip_conf
 from people import meshes_of
 from pydantic import ValidationError
 from scanning import flat_with, turned
 from scenes import about
+from sensors_of_rover_zero import depth_strip_conf
 from states import begin, measure, state_at
 
 from dune_rl.bodies.person import PersonConf

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
-from mounted import camera_conf, depth_strip_conf, lidar_3d_conf
+from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from people import meshes_of
+from sensors_of_rover_zero import camera_conf, depth_strip_conf, lidar_3d_conf
 from states import begin, episode_state
 
 from dune_rl.bodies.person import PersonConf

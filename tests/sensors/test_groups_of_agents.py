@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cameras import AHEAD, Box, standing
-from meadows import EVERYWHERE
+from grass_samples import EVERYWHERE
 from people import meshes_of
 from scenes import STEP_S, about
 from states import group_state, joints_from, motion_of, state_of

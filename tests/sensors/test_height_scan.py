@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mounted import height_scan_conf
 from pydantic import ValidationError
 from scanning import flat_with
+from sensors_of_rover_zero import height_scan_conf
 from states import begin, measure, state_at
 
 from dune_rl.geometry.heightfield import HeightField

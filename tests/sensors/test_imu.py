@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mounted import imu_conf
 from scanning import sensed_speed, turned
 from scenes import SUBSTEPS, Drive, Stage, about, every_backend
+from sensors_of_rover_zero import imu_conf
 from states import motion_of
 
 from dune_rl.geometry.frames import rotation_matrices

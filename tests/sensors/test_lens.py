@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mounted import camera_conf
 from pydantic import ValidationError
+from sensors_of_rover_zero import camera_conf
 
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError

@@ -5,10 +5,10 @@ import pybullet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
+from sensors_of_rover_zero import lidar_conf
 from simulations import rest, started_simulation
 
 from dune_rl.bodies.person import PersonConf

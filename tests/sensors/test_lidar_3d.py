@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mounted import lidar_3d_conf, lidar_conf
 from people import meshes_of
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
+from sensors_of_rover_zero import lidar_3d_conf, lidar_conf
 from states import begin, measure, state_at
 
 from dune_rl.bodies.person import PersonConf

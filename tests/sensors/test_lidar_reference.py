@@ -4,10 +4,10 @@ import numpy as np
 import pybullet
 import pytest
 import trimesh
-from mounted import camera_conf, lidar_3d_conf, lidar_conf
 from people import meshes_of
 from scanning import lidar_in, turned
 from scenes import about
+from sensors_of_rover_zero import camera_conf, lidar_3d_conf, lidar_conf
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.build import build_world

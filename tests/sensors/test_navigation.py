@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from cameras import AHEAD, with_boxes
 from instruments import ScriptedSensor, limits
-from mounted import lidar_conf
 from scanning import flat_with, lidar_in
 from scenes import STEP_S, about
+from sensors_of_rover_zero import lidar_conf
 from simulations import rest, started_simulation
 from states import begin, group_state, joints_from, measure, motion_of, resting, state_of
 

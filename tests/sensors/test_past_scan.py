@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from mounted import lidar_conf
 from scanning import flat_with, lidar_in, turned
+from sensors_of_rover_zero import lidar_conf
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.sensors.lidar import Lidar

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mounted import lidar_conf
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
+from sensors_of_rover_zero import lidar_conf
 from simulations import started_simulation
 from states import begin, episode_state, measure
 from test_past_scan import STANDING, WALLS

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from meadows import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN, SMALL, TALL_M
+from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN, SMALL, TALL_M
 from simulations import goals_w, motion_of_group, started_simulation
 
 from dune_rl.config.compose import compose

@@ -6,8 +6,8 @@ import warnings
 import numpy as np
 import pytest
 from gazebo import GROUND, sdf
-from mounted import camera_conf
 from PIL import Image
+from sensors_of_rover_zero import camera_conf
 from textured_files import SIGN, quadrants, textured_yard, write_textured_yard
 from world_files import ground_height
 

@@ -1,4 +1,4 @@
-"""Settings of sensors that stand where rover_zero carries them."""
+"""Settings of sensors at the mounts of rover_zero."""
 
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.sensors.camera import CameraConf

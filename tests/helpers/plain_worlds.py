@@ -1,4 +1,4 @@
-"""Worlds and bodies to paint, for tests of pictures."""
+"""Level worlds with boxes, and bodies, for tests of pictures."""
 
 import numpy as np
 
