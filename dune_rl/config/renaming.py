@@ -102,6 +102,7 @@ RENAMED: Mapping[str, tuple[Renaming, ...]] = {
     "metrics": _METRICS,
     "robot": _ROBOT,
     "sensors": _SENSORS,
+    "world": (_renaming("things_per_100m2", "props_per_100m2"),),
     "weather": _angles("light.sun_bearing", "light.sun_elevation"),
     "randomisation": _angles("sun_bearing", "sun_elevation"),
 }

@@ -24,7 +24,7 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         if len(parallel.possible_agents) > 1:
             raise ConfigError(
                 f"Gymnasium has one agent, and here are {', '.join(parallel.possible_agents)}: use "
-                "dune_rl.parallel_env, or give the others a controller (actors=walkers)"
+                "dune_rl.parallel_env, or give the other groups a controller"
             )
         self._parallel = parallel
         self.simulation = simulation

@@ -1,7 +1,6 @@
 """Kinematic bodies: N = M * G agents that follow prescribed motions on the ground, without dynamics."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +15,6 @@ Flags = NDArray[np.bool_]
 
 # Agents keep this far from the world's edge [m].
 _EDGE_M = 1.0
-
-
-class KinematicConf(Protocol):
-    """Settings of a body that limit its motion."""
-
-    speed_mps: float
-    max_turn_radps: float
-    radius_m: float
 
 
 class KinematicBody:

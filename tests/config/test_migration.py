@@ -165,3 +165,12 @@ def _has_path(data: Any, path: list[str]) -> bool:
             return False
         data = data[part]
     return True
+
+
+def test_an_older_name_of_a_world_s_setting_is_read() -> None:
+    with pytest.warns(DuneWarning, match=r"world.things_per_100m2 is now world.props_per_100m2"):
+        conf = compose_environment("construction", ["world.things_per_100m2=1.5"])
+    assert conf.world.model_dump()["props_per_100m2"] == 1.5
+    saved = conf.model_dump(mode="json")
+    saved["world"]["things_per_100m2"] = saved["world"].pop("props_per_100m2")
+    assert compose_evaluation(["policy=random"], (), saved).world == conf.world

@@ -111,7 +111,7 @@ def test_same_seed_same_bytes_in_another_process():
 
 def test_smaller_rooms_have_more_walls():
     large, as_is, small = (
-        obstructed_share(other(room_size_m=r, door_width_m=1.1, things_per_100m2=0.0))
+        obstructed_share(other(room_size_m=r, door_width_m=1.1, props_per_100m2=0.0))
         for r in (12.0, 6.0, 4.0)
     )
     assert large < as_is - 0.005
@@ -119,7 +119,7 @@ def test_smaller_rooms_have_more_walls():
 
 
 def test_doors_are_as_wide_as_set():
-    wide, narrow = (other(door_width_m=d, room_size_m=7.0, things_per_100m2=0.0) for d in (1.8, 1.0))
+    wide, narrow = (other(door_width_m=d, room_size_m=7.0, props_per_100m2=0.0) for d in (1.8, 1.0))
     # Doors to the outside are wider, so that the rooms along the walls stay joined round the building.
     assert largest_share(wide, 0.8) > 0.99
     assert largest_share(narrow, 0.6) < 0.96
@@ -135,12 +135,12 @@ def test_one_sees_through_frames():
         rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         return float(RayScene(mesh.vertices, mesh.faces).first_hit(starts, rays, 12.0)[0].mean())
 
-    plastered, bare = (mean_range(other(stud_share=s, things_per_100m2=0.0)) for s in (0.0, 1.0))
+    plastered, bare = (mean_range(other(stud_share=s, props_per_100m2=0.0)) for s in (0.0, 1.0))
     assert bare > 1.5 * plastered
 
 
 def test_more_things_obstruct_more():
-    none, some, many = (obstructed_share(other(things_per_100m2=t)) for t in (0.0, 1.5, 3.0))
+    none, some, many = (obstructed_share(other(props_per_100m2=t)) for t in (0.0, 1.5, 3.0))
     assert none < some - 0.008 < many - 0.016
 
 
@@ -152,8 +152,8 @@ def test_mounds_are_as_high_and_as_many_as_set():
 
 
 def test_a_full_site_says_what_to_lower():
-    with pytest.raises(WorldError, match=r"world\.things_per_100m2=8"):
-        other(things_per_100m2=8.0)
+    with pytest.raises(WorldError, match=r"world\.props_per_100m2=8"):
+        other(props_per_100m2=8.0)
 
 
 @pytest.mark.parametrize(

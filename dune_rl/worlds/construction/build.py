@@ -45,7 +45,7 @@ class ConstructionConf(SeededConf):
     )
     door_width_m: float = Field(default=1.3, ge=1.0, le=2.0)
     stud_share: float = Field(default=0.35, ge=0.0, le=1.0, description="share of walls that are bare frames")
-    things_per_100m2: float = Field(
+    props_per_100m2: float = Field(
         default=2.8, ge=0.0, le=8.0, description="bricks, beams, sawhorses, crates and containers"
     )
     mounds_per_100m2: float = Field(default=1.0, ge=0.0, le=4.0)
@@ -78,7 +78,7 @@ def build_construction(conf: ConstructionConf) -> World:
         WIDTH_M / 2 - _MARGIN_M,
     )
     storey = build_storey(terrain, plan, conf.layout, conf.room_size_m, conf.door_width_m, conf.stud_share)
-    props = place_props(terrain, storey, conf.layout, conf.things_per_100m2)
+    props = place_props(terrain, storey, conf.layout, conf.props_per_100m2)
     reach = conf.region_size_m / 2
     return World(
         "construction",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
-from dune_rl.worlds.construction import props as things
+from dune_rl.worlds.construction import props as prop_shapes
 from dune_rl.worlds.construction.walls import Storey
 from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.world import Prop, Rectangle
@@ -43,7 +43,7 @@ def place_props(terrain: HeightField, storey: Storey, seed: int, per_100m2: floa
     for start, end in storey.stretches:
         ahead = end - start
         yaw = float(np.arctan2(ahead[1], ahead[0]))
-        walls.add((start + end) / 2, yaw, float(np.hypot(*ahead)), things.WALL_THICKNESS_M)
+        walls.add((start + end) / 2, yaw, float(np.hypot(*ahead)), prop_shapes.WALL_THICKNESS_M)
     for door in storey.doors:
         doors.add(door.middle, door.yaw, door.width_m, _DOORWAY_M)
     rng = stream(seed, "construction things")
@@ -55,8 +55,8 @@ def place_props(terrain: HeightField, storey: Storey, seed: int, per_100m2: floa
         place = _find_placement(storey.rooms, walls, doors, occupied, rng, length, width)
         if place is None:
             raise WorldError(
-                f"The construction site has no room for world.things_per_100m2={per_100m2:g}: "
-                f"thing {number} of {count} fits nowhere. Lower it, or raise world.room_size_m."
+                f"The construction site has no room for world.props_per_100m2={per_100m2:g}: "
+                f"prop {number} of {count} fits nowhere. Lower it, or raise world.room_size_m."
             )
         occupied.add(place.xy, place.yaw, length, width)
         props.append(_build(terrain, rng, kind, f"{kind} {number}", place, length))
@@ -67,7 +67,7 @@ def _scaffold(
     terrain: HeightField, storey: Storey, occupied: OccupiedRectangles, rng: np.random.Generator
 ) -> list[Prop]:
     # In the largest room, along its longer side; none if it does not fit there.
-    length, width = things.SCAFFOLD_M
+    length, width = prop_shapes.SCAFFOLD_M
     room = max(storey.rooms, key=_least_side)
     sides = np.array([room[1] - room[0], room[3] - room[2]])
     if sides.min() < width + 0.4:
@@ -77,7 +77,7 @@ def _scaffold(
     spare = np.maximum(sides - size - 0.4, 0.0) / 2
     xy = np.array([room[0] + room[1], room[2] + room[3]]) / 2 + rng.uniform(-spare, spare)
     occupied.add(xy, yaw, length, width)
-    return list(things.scaffold(terrain, "scaffold", xy, yaw))
+    return list(prop_shapes.scaffold(terrain, "scaffold", xy, yaw))
 
 
 def _least_side(room: Rectangle) -> float:
@@ -115,7 +115,7 @@ def _draw_at_wall(room: Rectangle, rng: np.random.Generator, length: float, widt
     # Long side along one of the room's four walls.
     side = int(rng.integers(4))
     axis, far = side // 2, side % 2
-    off = things.WALL_THICKNESS_M / 2 + _FLUSH_M + width / 2
+    off = prop_shapes.WALL_THICKNESS_M / 2 + _FLUSH_M + width / 2
     xy = rng.uniform([room[0], room[2]], [room[1], room[3]])
     xy[1 - axis] = room[2 * (1 - axis) + far] + (off if far == 0 else -off)
     return _Placement(xy, axis * np.pi / 2)
@@ -126,11 +126,11 @@ def _build(
 ) -> Prop:
     xy, yaw = place.xy, place.yaw
     if kind == "bricks":
-        return things.bricks(terrain, name, xy, yaw, int(rng.choice([2, 2, 3])), rng)
+        return prop_shapes.bricks(terrain, name, xy, yaw, int(rng.choice([2, 2, 3])), rng)
     if kind == "beams":
-        return things.beams(terrain, name, xy, yaw, length)
+        return prop_shapes.beams(terrain, name, xy, yaw, length)
     if kind == "sawhorse":
-        return things.trestle(terrain, name, xy, yaw)
+        return prop_shapes.trestle(terrain, name, xy, yaw)
     if kind == "container":
-        return things.container(terrain, name, xy, yaw, rng)
-    return things.crate(terrain, name, xy, yaw)
+        return prop_shapes.container(terrain, name, xy, yaw, rng)
+    return prop_shapes.crate(terrain, name, xy, yaw)
