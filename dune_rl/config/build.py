@@ -1,9 +1,13 @@
-"""Environments built from settings: the one place that names concrete classes."""
+"""Environments built from settings: the one place that names concrete classes.
+
+PyTorch and TorchRL are loaded where they are needed: PettingZoo and Gymnasium environments do without them.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
-
-from torchrl.envs import TransformedEnv
+from typing import TYPE_CHECKING
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import PATH
@@ -14,7 +18,6 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.torchrl import DuneEnv, EpisodeMetrics
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
@@ -22,6 +25,11 @@ from dune_rl.robots.settings import RobotSettings
 from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
+
+if TYPE_CHECKING:
+    from torchrl.envs import TransformedEnv
+
+    from dune_rl.env.torchrl import DuneEnv
 
 
 def make_simulation(
@@ -105,11 +113,17 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = Fa
 
 def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
+    from dune_rl.env.torchrl import DuneEnv
+
     return DuneEnv(make_simulation(conf, num_scenes, seed))
 
 
 def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedEnv:
     """A TorchRL environment with the metrics of its episodes, for training and evaluation."""
+    from torchrl.envs import TransformedEnv
+
+    from dune_rl.env.torchrl import EpisodeMetrics
+
     return TransformedEnv(make_torchrl_env(conf, num_scenes, seed), EpisodeMetrics())
 
 

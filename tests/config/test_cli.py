@@ -4,6 +4,8 @@ import csv
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -310,3 +312,21 @@ def test_two_policies_are_compared_on_the_same_episodes(
 def test_a_warning_is_a_line_without_our_code(capsys: pytest.CaptureFixture[str]) -> None:
     command._warn(WorldWarning("sand.png is missing"), WorldWarning, "reader.py", 7)
     assert capsys.readouterr().err == "warning: sand.png is missing\n"
+
+
+def test_environments_of_pettingzoo_and_gymnasium_do_without_pytorch() -> None:
+    code = (
+        "import sys, gymnasium, dune_rl\n"
+        "env = dune_rl.parallel_env(world='flat', seed=0)\n"
+        "env.reset()\n"
+        "env.close()\n"
+        "env = gymnasium.make('dune_rl:dune_rl/Flat-v0')\n"
+        "env.reset(seed=0)\n"
+        "env.close()\n"
+        "print([name for name in ('torch', 'tensordict', 'torchrl') if name in sys.modules])\n"
+        "env = dune_rl.make('flat', 1, seed=0)\n"
+        "env.close()\n"
+        "print('torchrl' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["[]", "True"]
