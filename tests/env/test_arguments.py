@@ -70,3 +70,14 @@ def test_other_agents_than_those_saved_are_a_restore_error() -> None:
     two = dune_rl.parallel_env("flat", agents={"rover": {"body": "rover_zero", "count": 2}})
     with pytest.raises(RestoreError, match="other agents"):
         two.simulation.restore(saved)
+
+
+def test_close_frees_the_simulation_of_torchrls_environment() -> None:
+    env = dune_rl.make("flat", num_scenes=1, actors="none")
+    env.reset()
+    assert not env.is_closed
+    env.close()
+    env.close()
+    assert env.is_closed
+    with pytest.raises(RuntimeError, match="is closed: make another"):
+        env.reset()
