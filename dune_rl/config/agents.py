@@ -55,6 +55,12 @@ def _parse_controller(value: Any) -> Any:
     if isinstance(value, Mapping) and "checkpoint" in value:
         return FrozenPolicyConf.model_validate(value)
     name = value.get("name") if isinstance(value, Mapping) else value
+    if name in (EXTERNAL, PATH):
+        raise ValueError(f"{name} has no settings here: write controller: {name}")
+    if name is None:
+        raise ValueError(
+            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, or a checkpoint, {checkpoint: PATH}"
+        )
     known = [EXTERNAL, PATH, *BEHAVIOURS.names()]
     if not isinstance(name, str) or name not in known:
         near = closest(str(name), known)

@@ -14,6 +14,7 @@ from dune_rl.config.agents import PATH
 from dune_rl.config.controllers import controller_factory
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
+from dune_rl.env.arguments import check_whole
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
@@ -45,6 +46,8 @@ def make_simulation(
     `make_world` replaces `build_world`. `prepare` replaces `prepare_worlds`: it gets the settings of the
     worlds of the next episodes.
     """
+    check_whole("num_scenes", num_scenes, at_least=1)
+    check_whole("seed", seed, at_least=0)
     make_world = build_world if make_world is None else make_world
     prepare = (
         partial(prepare_worlds, with_appearance="camera" in conf.sensors.enabled)

@@ -91,6 +91,8 @@ def compose_environment(
     In `settings` a string chooses an option of a group (`actors="none"`), and
     anything else changes values. They take precedence over the overrides.
     """
+    if isinstance(overrides, str) or isinstance(config_dirs, str):
+        raise ConfigError("overrides and config_dirs are lists of strings; write [...] round the one")
     words = list(overrides)
     changes: dict[str, Any] = {}
     for name, value in {"world": world, **(settings or {})}.items():

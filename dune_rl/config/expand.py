@@ -68,6 +68,7 @@ def expand_options(data: dict[str, Any], loader: ConfigLoader, *, warn: bool = T
     for section in ("agents", "actors"):
         groups = data.get(section)
         if isinstance(groups, Mapping):
+            groups = {str(name): group for name, group in groups.items()}
             data[section] = {
                 name: _expanded_group(group, f"{section}.{name}", data, options, faults)
                 for name, group in groups.items()

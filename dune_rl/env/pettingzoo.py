@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.arguments import agent_action
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.errors import ConfigError
@@ -97,9 +98,11 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
     ]:
         """Advance by a control step of 1 / control_hz seconds.
 
-        Raises ValueError if an agent has no action; actions of unknown agents are ignored.
+        Raises ValueError if an agent's action is missing, has the wrong size or contains NaN; actions of
+        unknown agents are ignored.
         """
         if not self.agents:
+            self.simulation.check_begun()
             return {}, {}, {}, {}, {}
         result = self.simulation.step(
             {group.name: self._actions(group, actions) for group in self.simulation.external}
@@ -112,10 +115,7 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
 
     def _actions(self, group: AgentGroup, actions: dict[str, NDArray[np.floating]]) -> NDArray[np.float32]:
         """The actions of a group's agents, (1, G, A)."""
-        absent = [name for name in group.names if name not in actions]
-        if absent:
-            raise ValueError(f"step needs an action for every agent; missing: {', '.join(absent)}")
-        each = [np.asarray(actions[name], np.float32) for name in group.names]
+        each = [agent_action(actions, name, group.action_size) for name in group.names]
         return (each[0] if len(each) == 1 else np.stack(each)).reshape(1, group.count, -1)
 
     def _outcomes(self, result: SimulationStep) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:

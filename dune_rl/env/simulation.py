@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from dune_rl.env.action_log import ActionLog
 from dune_rl.env.agent_group import AgentGroup, GroupSetup, GroupStep
+from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import add_sensors, build_groups, scene_bodies
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.episode_start import EpisodeStart
-from dune_rl.env.restore import check_arrival, state_digest
+from dune_rl.env.restore import RestoreError, check_arrival, state_digest
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
@@ -28,6 +29,7 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 _CLEAR = WeatherConf()
+_CLOSED = "the environment is closed: make another"
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ class VectorSimulation:
         self._ends = np.cumsum([group.count * group.action_size for group in self.external]).tolist()
         self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
         self.seed = seed
+        self._refusal = "call reset() before step()"
         self.reseed(seed, first_episode)
 
     # -- contents ---------------------------------------------------------------------------------
@@ -116,6 +119,7 @@ class VectorSimulation:
 
     def reseed(self, seed: int, first_episode: int = 0) -> None:
         """Let the next `reset`, which must be of all scenes, start at episode `first_episode` of `seed`."""
+        check_whole("seed", seed, at_least=0)
         if seed != self.seed:
             self._starter.replan_paths(seed, self._first_world)
         self.seed = seed
@@ -130,6 +134,8 @@ class VectorSimulation:
 
     def _start(self, mask: Flags) -> None:
         """Start the present episodes of the scenes in `mask` (M,)."""
+        if self._refusal == _CLOSED:
+            raise RuntimeError(_CLOSED)
         for group in self.groups:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)
@@ -145,6 +151,12 @@ class VectorSimulation:
         self.state = state = self._builder.start(mask, self.seed, self.steps)
         for group in self.groups:
             group.begin(scene_rows(mask, group.count), state)
+        self._refusal = ""
+
+    def check_begun(self) -> None:
+        """Raise RuntimeError, with what to do, before the first `reset` and after `close`."""
+        if self._refusal:
+            raise RuntimeError(self._refusal)
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -154,6 +166,7 @@ class VectorSimulation:
         `actions` has an array (M, G, A) for each external group, by name, in physical units. Raises KeyError
         if a group is missing.
         """
+        self.check_begun()
         commands = {group.name: self._rows(group, actions) for group in self.external}
         self._log.add(self.steps, [commands[group.name] for group in self.external])
         before = self.state
@@ -181,7 +194,8 @@ class VectorSimulation:
         """A group's actions, (N, A)."""
         if group.name not in actions:
             raise KeyError(f"step needs actions of the group {group.name!r}; it got {sorted(actions)}")
-        return np.asarray(actions[group.name], np.float64).reshape(-1, group.action_size)
+        shape = (self.num_scenes, group.count, group.action_size)
+        return group_actions(group.name, actions[group.name], shape)
 
     def _scene_ends(self, state: State) -> tuple[Flags, Flags]:
         """Flags (M,) of scenes whose episodes terminate, and of those whose episodes are truncated."""
@@ -254,6 +268,13 @@ class VectorSimulation:
 
         Raises `RestoreError` if the resulting state differs, as it may on another processor.
         """
+        width = self._ends[-1] if self._ends else 0
+        if len(saved["actions"]) != self.num_scenes or any(
+            len(action) != width for actions in saved["actions"] for action in actions[:1]
+        ):
+            raise RestoreError(
+                "the episodes under way cannot be played again: they had other scenes or other agents."
+            )
         self.reseed(int(saved["seed"]))
         self.episodes = np.array(saved["episodes"], np.int64)
         lengths = np.array([len(actions) for actions in saved["actions"]])
@@ -277,4 +298,5 @@ class VectorSimulation:
 
     def close(self) -> None:
         """Release the physics engine."""
+        self._refusal = _CLOSED
         self.scenes.close()

@@ -290,3 +290,16 @@ def test_a_broken_option_of_the_user_is_named(tmp_path: Path) -> None:
     agents = {"rover": {"body": "rover_zero", "task": "mine"}}
     with pytest.raises(ConfigError, match=r"cannot compose the settings: In 'task/mine': .*'task/absent'"):
         compose_environment("flat", (), {"agents": agents}, config_dirs=[str(tmp_path)])
+
+
+def test_faults_of_controllers_names_and_word_lists_say_what_to_write() -> None:
+    person = {"body": "person"}
+    assert "path has no settings here: write controller: path" in fault(
+        agents={"walker": {**person, "controller": {"name": "path", "speed_mps": 1.0}}}
+    )
+    assert "{checkpoint: PATH}" in fault(agents={"walker": {**person, "controller": {"speed_mps": 1.0}}})
+    assert "agent groups have names, not numbers" in fault(agents={3: person})
+    with pytest.raises(ConfigError, match="are lists of strings"):
+        compose_environment("flat", "seed=1")
+    with pytest.raises(ConfigError, match="are lists of strings"):
+        compose_environment("flat", config_dirs="my")

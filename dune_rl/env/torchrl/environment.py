@@ -42,6 +42,8 @@ class DuneEnv(EnvBase):
         self._groups = simulation.external
         self.group_map = {group.name: list(group.names) for group in self._groups}
         self._make_specs()
+        # The base class takes an environment that wraps no other library's for closed.
+        self.is_closed = False
 
     def _make_specs(self) -> None:
         scenes = self._simulation.num_scenes

@@ -1,0 +1,43 @@
+"""Checks of what users give to environments: errors that name the argument and what it must be."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import ConfigError
+
+
+def check_whole(name: str, value: object, *, at_least: int) -> None:
+    """Raise ConfigError unless `value` is a whole number of at least so much."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
+        raise ConfigError(f"{name} must be a whole number of at least {at_least} (got {value!r})")
+
+
+def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[np.float32]:
+    """The action of an agent, (size,); raises ValueError where it is none."""
+    if not isinstance(actions, Mapping):
+        raise ValueError(f"step needs a mapping from agents to actions (got {type(actions).__name__})")
+    if agent not in actions:
+        raise ValueError(f"step needs an action for every agent; missing: {agent}")
+    try:
+        action = np.asarray(actions[agent], np.float32)
+    except (TypeError, ValueError):
+        action = np.zeros(0, np.float32)
+    if action.size != size or np.isnan(action).any():
+        raise ValueError(f"the action of {agent} must be {size} numbers (got {actions[agent]!r})")
+    return action.reshape(size)
+
+
+def group_actions(group: str, values: Any, shape: tuple[int, int, int]) -> NDArray[np.float64]:
+    """The actions of a group as rows (M G, A); raises ValueError unless they are (M, G, A) numbers."""
+    rows = np.asarray(values, np.float64)
+    if rows.size != shape[0] * shape[1] * shape[2] or rows.shape[-1] != shape[2]:
+        raise ValueError(
+            f"actions of the group {group!r} must have the shape {shape} of scenes, agents and numbers"
+            f" (got {rows.shape})"
+        )
+    if np.isnan(rows).any():
+        raise ValueError(f"actions of the group {group!r} must be numbers, and some are NaN")
+    return rows.reshape(-1, shape[2])
