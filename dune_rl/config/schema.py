@@ -18,7 +18,9 @@ from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
-from dune_rl.tasks.task import TaskConf
+from dune_rl.suggestions import closest, one_of
+from dune_rl.tasks.registry import TERMINATIONS
+from dune_rl.tasks.task import DIVERGED, POINT_GOAL_TERMINATIONS, TaskConf
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
 
@@ -87,6 +89,35 @@ class EnvConf(Settings):
                 group.check_timing(self.physics.control_step_s)
             except ValueError as error:
                 raise ValueError(str(error).replace("sensors", path, 1)) from None
+        return self
+
+    @model_validator(mode="after")
+    def _sensed_groups_exist(self) -> Self:
+        known = [group.name for group in self.groups]
+        for path, sensors in self._sensing_groups():
+            for sensor, sensed in sensors.sensed_groups().items():
+                for name in sensed:
+                    if name not in known:
+                        raise ValueError(
+                            f"{path}: {sensor} senses a group {name!r}, which is not there; "
+                            f"choose {one_of(known)}"
+                        )
+        return self
+
+    @model_validator(mode="after")
+    def _measured_terminations_exist(self) -> Self:
+        for group in self.groups:
+            own = () if group.task is None else group.task.terminations
+            # The task may leave out what others have: that is never the end of an episode then.
+            known = sorted({*own, *TERMINATIONS.names(), DIVERGED, *POINT_GOAL_TERMINATIONS})
+            for name, term in () if group.metrics is None else group.metrics.terms.items():
+                ending = getattr(term, "termination", DIVERGED)
+                if ending not in known:
+                    near = closest(ending, known)
+                    remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+                    raise ValueError(
+                        f"metrics.terms.{name}.termination: there is no termination {ending!r}; {remedy}"
+                    )
         return self
 
     def _sensing_groups(self) -> list[tuple[str, SensorsConf]]:

@@ -198,6 +198,12 @@ class SensorsConf(Settings):
             names += [f"{name}_{output}" for output in outputs] or [name]
         return names
 
+    def sensed_groups(self) -> dict[str, tuple[str, ...]]:
+        """The agent groups that sensors in `enabled` are limited to, by the sensor's name."""
+        instruments = dict.fromkeys(_instrument(reading, self.named) for reading in self.enabled)
+        settings = {name: self._settings(name) for name in instruments if name is not None}
+        return {name: groups for name, conf in settings.items() if (groups := getattr(conf, "groups", ()))}
+
     def _settings(self, name: str) -> Any:
         """The settings of the sensor called `name`."""
         if name in self.named:

@@ -246,6 +246,12 @@ def test_a_job_of_hydra_knows_options_by_name() -> None:
         ({"a": {"body": "rover_zero", "controller": "path"}},
          "agents.a: paths are walked by persons, and the body is rover_zero: choose another controller, and "
          "leave path out"),
+        ({"a": {"body": "rover_zero", "sensors": {"enabled": ["near"],
+                "named": {"near": {"sensor": "nearest_agent", "groups": ["b"]}}}}},
+         "agents.a.sensors: near senses a group 'b', which is not there; choose a"),
+        ({"a": {"body": "rover_zero",
+                "metrics": {"terms": {"x": {"term": "ended_by", "termination": "stuk"}}}}},
+         "metrics.terms.x.termination: there is no termination 'stuk'; did you mean stuck?"),
         ({"a b": {"body": "rover_zero"}},
          "agents: a group cannot be called 'a b': take letters, digits and _, a letter first"),
         ({"done": {"body": "rover_zero"}},
