@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.bullet.clients import open_client, release_client
+from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
+from dune_rl.physics.bullet.joints import GEAR_ITERATIONS
 from dune_rl.physics.bullet.kinematics import BulletCapsules
 from dune_rl.physics.bullet.meshes import create_mesh_shape
-from dune_rl.physics.bullet.robot import ANY_BODY, GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL, BulletRobot
+from dune_rl.physics.bullet.robot import BulletRobot
+from dune_rl.physics.bullet.touch import ANY_BODY
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import SceneSpec, StaticBody
 from dune_rl.physics.mesh_pieces import mesh_pieces
@@ -88,8 +91,11 @@ class BulletScene:
             for robot in spec.robots
         ]
         self._loaded: list[int] = []
-        self._all_ideal = all(robot.has_ideal_motors for robot in self.robots)
-        self._measures_work = any(robot.measures_work for robot in self.robots)
+        # What every physics step needs, so that its loops do not search the robots for it.
+        self._bases = [robot.base for robot in self.robots]
+        motors = [robot.motors for robot in self.robots]
+        self._stepwise_motors = [each for each in motors if not each.are_ideal]
+        self._measured_motors = [each for each in motors if each.measures_work]
 
     def _add_static(self, client: int, body: StaticBody) -> int:
         shape = create_mesh_shape(body.vertices, body.faces, client)
@@ -124,7 +130,7 @@ class BulletScene:
         robots = self.robots
         forces: dict[int, Sequence[float]] = {}
         for index, robot in enumerate(robots):
-            force = robot.take_force()
+            force = robot.base.take_force()
             if force is not None:
                 forces[index] = force
         poses = kinematic_poses.tolist()
@@ -159,12 +165,12 @@ class BulletScene:
             for body in near:
                 kinematics.move(body, substep / count)
             for index, force in forces.items():
-                robots[index].act_force(force)
+                robots[index].base.act_force(force)
             self.step_passive(1)
             for robot, handles in touchable:
-                contacts = robot.record_contacts(handles)
+                contacts = robot.touched.record(handles)
                 if contacts and near:
-                    kinematics.record_contacts(contacts, robot)
+                    kinematics.record_contacts(contacts, robot.base)
             if kinematics.are_pushing:
                 kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
 
@@ -192,18 +198,14 @@ class BulletScene:
 
     def step_passive(self, count: int) -> None:
         client, advance = self._client, pybullet.stepSimulation
-        for robot in self.robots:
-            robot.mark_moved()
+        for base in self._bases:
+            base.mark_moved()
         for _ in range(count):
-            if not self._all_ideal:
-                for robot in self.robots:
-                    if not robot.has_ideal_motors:
-                        robot.command_motors()
+            for motors in self._stepwise_motors:
+                motors.command_step()
             advance(physicsClientId=client)
-            if self._measures_work:
-                for robot in self.robots:
-                    if robot.measures_work:
-                        robot.add_work()
+            for motors in self._measured_motors:
+                motors.add_work()
 
     def close(self) -> None:
         self._release_client()
