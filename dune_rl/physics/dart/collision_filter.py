@@ -9,6 +9,7 @@ from dune_rl.physics.dart.kinematics import KinematicCapsules
 from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry
+from dune_rl.physics.dart.tyre_bodies import tyre_name
 
 Links = dict[LinkMaterial, list[Any]]
 
@@ -134,7 +135,7 @@ def _links_by_material(robot: DartRobot) -> Links:
     """The links that have a shape."""
     spec, links = robot.spec, dict[LinkMaterial, list[Any]]()
     materials = dict.fromkeys(spec.ground_links, LinkMaterial("ground_link", spec.ground_friction))
-    materials |= dict.fromkeys(robot.tyre_names, LinkMaterial("tyre", spec.ground_friction))
+    materials |= dict.fromkeys(map(tyre_name, spec.tyres), LinkMaterial("tyre", spec.ground_friction))
     hull = LinkMaterial("hull", spec.hull_friction)
     for body in robot.skeleton.getBodyNodes():
         if body.getNumShapeNodes():

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.robot import ROBOT_FRICTION, DartRobot
+from dune_rl.physics.dart.robot import DartRobot
+from dune_rl.physics.dart.template import ROBOT_FRICTION
 
 _CORNER_M = 0.02
 

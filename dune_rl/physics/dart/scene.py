@@ -77,7 +77,7 @@ class DartScene:
         self._add_corners()
         # A robot that falls on its back penetrates deeply within the physics steps of one control step.
         self._checks_corners_each_step = self._corners.has_boxes_left and any(
-            robot.is_falling() for robot in self.robots
+            robot.base.is_falling() for robot in self.robots
         )
         forces: dict[int, Sequence[float]] = {}
         for index, robot in enumerate(self.robots):
@@ -120,7 +120,7 @@ class DartScene:
         with self._changed_shapes():
             static_geometry.set_tyre_obstacles(obstacles)
             for index in changed:
-                self.robots[index].set_tyres(active[index])
+                self.robots[index].tyres.set_active(active[index])
             if not any(active):
                 kinematics.remove_for_tyres()
             if adds_kinematics:
@@ -164,14 +164,15 @@ class DartScene:
         self._clear_contact_cache()
         robots, world = self.robots, self._world
         advance = world.step
-        before_each = [robot.before_physics_step for robot in robots if robot.acts_before_steps]
-        after_each = [robot.after_physics_step for robot in robots if robot.acts_after_steps]
+        before_each = [call for robot in robots for call in robot.before_physics_steps()]
+        after_each = [call for robot in robots for call in robot.after_physics_steps()]
+        pushes = [(robots[index].base, force) for index, force in forces.items()]
         watched = [robot for robot, is_exposed in zip(robots, exposed, strict=False) if is_exposed]
         for robot in robots:
-            robot.mark_moved()
+            robot.base.mark_moved()
         for _ in range(count):
-            for index, force in forces.items():
-                robots[index].act_force(force)
+            for base, force in pushes:
+                base.act_force(force)
             for before in before_each:
                 before()
             # False: joints keep their commands.
@@ -184,8 +185,8 @@ class DartScene:
                     robot.record_contacts(result)
             if self._checks_corners_each_step:
                 self._add_corners()
-        for index in forces:
-            robots[index].clear_force()
+        for base, _ in pushes:
+            base.clear_force()
 
     def _add_corners(self) -> None:
         corners = self._corners

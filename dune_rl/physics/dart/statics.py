@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.files import is_open_surface, write_meshes
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.robot import ROBOT_FRICTION, DartRobot, parse_skeleton
+from dune_rl.physics.dart.robot import DartRobot
+from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
 from dune_rl.physics.interface import StaticBody
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
