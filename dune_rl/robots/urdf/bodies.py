@@ -146,7 +146,8 @@ def _fixed_joint_pose(joint: Joint) -> Array:
     """Pose (4, 4) of the child of a joint that is fixed at zero, or at the limit nearest to zero."""
     if joint.kind not in ("revolute", "prismatic"):
         return np.eye(4)
-    value = min(max(0.0, joint.lower), joint.upper)
+    lower, upper = joint.limits
+    value = min(max(0.0, lower), upper)
     if joint.kind == "revolute":
         return np.asarray(trimesh.transformations.rotation_matrix(value, joint.axis))
     return np.asarray(trimesh.transformations.translation_matrix(value * joint.axis))
@@ -236,6 +237,5 @@ def _write_joint(root: Element, joint: Joint) -> None:
     _write_origin(element, joint.pose)
     SubElement(element, "axis", xyz=" ".join(repr(float(x)) for x in joint.axis))
     if joint.kind in ("revolute", "prismatic"):
-        SubElement(
-            element, "limit", lower=repr(joint.lower), upper=repr(joint.upper), effort="1e6", velocity="1e6"
-        )
+        lower, upper = joint.limits
+        SubElement(element, "limit", lower=repr(lower), upper=repr(upper), effort="1e6", velocity="1e6")

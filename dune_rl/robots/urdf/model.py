@@ -65,8 +65,9 @@ class Link:
 class Joint:
     """A joint; `pose` (4, 4) is the child's in the parent's frame with the joint at zero.
 
-    `axis` (3,) is a unit vector in the child's frame. `effort` and `velocity` are None if the URDF has no
-    limit; `mimic` is the name of the joint that this one follows, and the ratio of their angles.
+    `axis` (3,) is a unit vector in the child's frame. `limits` are the lowest and the highest position [m or
+    rad]. `effort` and `velocity` are None if the URDF has no limit; `mimic` is the name of the joint that this
+    one follows, and the ratio of their angles.
     """
 
     name: str
@@ -75,8 +76,7 @@ class Joint:
     child: str
     pose: Array
     axis: Array
-    lower: float
-    upper: float
+    limits: tuple[float, float]
     effort: float | None
     velocity: float | None
     friction: float
@@ -197,8 +197,7 @@ class _Reader:
             ends[1],
             _pose(element, where),
             np.array(axis) / max(length, 1e-9),
-            lower,
-            upper,
+            (lower, upper),
             _positive(limit, "effort", where),
             _positive(limit, "velocity", where),
             abs(_number(dynamics, "friction", 0.0, where)),

@@ -56,6 +56,7 @@ class UrdfDriveConf(Settings):
     max_acceleration_mps2: float = Field(2.5, gt=0.0)
     max_yaw_acceleration_radps2: float = Field(3.0, gt=0.0)
     max_torque_nm: float | None = Field(None, gt=0.0)
+    full_torque_speed_radps: float = Field(0.0, ge=0.0)
     no_load_speed_radps: float | None = Field(None, gt=0.0)
     gear_friction_nm: float = Field(0.0, ge=0.0)
     rotor_inertia_kgm2: float = Field(0.0, ge=0.0)
