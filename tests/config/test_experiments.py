@@ -55,3 +55,30 @@ def test_the_table_of_memory_is_that_of_its_files() -> None:
         assert part == same
         assert f"| {part} | {old} | {new} |" in text
     assert f"hold {after[-1][1]} MiB" in (EXPERIMENTS.parent / "README.md").read_text()
+
+
+def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
+    folder = EXPERIMENTS / "inspection"
+    with open(folder / "episodes.csv") as file:
+        rows = list(csv.DictReader(file))
+    columns = [[row for row in rows if row["policy"] == policy] for policy in ("inspection", "go_to_goal")]
+    assert [len(episodes) for episodes in columns] == [200, 200]
+    assert {row["seed"] for row in rows} == {"21"}
+    text = (folder / "README.md").read_text()
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line[:1] == "|"]
+    shown = {cells[0].strip("*"): cells[1:] for cells in table}
+    for name, column, scale in (
+        ("SR", "success", 100.0),
+        ("TR", "reached", 100.0),
+        ("collisions per episode", "collisions", 1.0),
+        ("MTT [s]", "time_to_goal", 1.0),
+        ("OC [m]", "clearance", 1.0),
+        ("VORT [m/s]", "vort", 1.0),
+    ):
+        for cell, episodes in zip(shown[name], columns, strict=False):
+            figure = cell.strip("*").split()[0]
+            values = [float(row[column]) for row in episodes if row[column] not in ("", "nan")]
+            digits = len(figure.partition(".")[2])
+            assert figure == f"{scale * sum(values) / len(values):.{digits}f}", name
+    share = next(cell for cell in shown["SR"]).strip("*").split()[0]
+    assert f"| SR | 100, 100, 100 % | {share} %" in (EXPERIMENTS.parent / "README.md").read_text()
