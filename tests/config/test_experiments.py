@@ -65,7 +65,9 @@ def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
     assert [len(episodes) for episodes in columns] == [200, 200]
     assert {row["seed"] for row in rows} == {"21"}
     text = (folder / "README.md").read_text()
-    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line[:1] == "|"]
+    table = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line[:1] == "|"
+    ]
     shown = {cells[0].strip("*"): cells[1:] for cells in table}
     for name, column, scale in (
         ("SR", "success", 100.0),

@@ -151,9 +151,10 @@ def test_faults_under_an_older_name() -> None:
 
 @pytest.mark.parametrize("section", sorted(RENAMED))
 def test_every_new_name_is_a_setting(section: str) -> None:
-    # Robots have settings of their own.
+    # Robots and worlds have settings of their own.
     robots = ("rover_zero", "hyperdog") if section == "robot" else ("rover_zero",)
-    stated = [compose(["+world=flat", f"robot={robot}"]).model_dump()[section] for robot in robots]
+    world = "construction" if section == "world" else "flat"
+    stated = [compose([f"+world={world}", f"robot={robot}"]).model_dump()[section] for robot in robots]
     for renaming in RENAMED[section]:
         for new in renaming.new:
             assert any(_has_path(data, new.split(".")) for data in stated), f"{section}.{new}"

@@ -133,7 +133,7 @@ def test_motion_is_the_change_of_the_pose() -> None:
     for speed in (0.4, 1.0, 1.0, 0.7):
         walk(body, speed, 0.1)
         if speed == 0.7:
-            body.hold_back(0, body.poses + np.array([0.01, 0.02, 0.0, 0.0]))
+            body.hold_back([0], body.poses[None] + np.array([0.01, 0.02, 0.0, 0.0]))
         poses.append(body.poses[0])
         before, now = poses[-2:]
         velocities.append((now[:3] - before[:3]) / STEP_S)

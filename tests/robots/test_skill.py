@@ -6,7 +6,7 @@ from simulations import every_engine
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.learning.evaluation import Row, evaluate
+from dune_rl.learning.evaluation import MetricsRow, evaluate
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.physics.interface import Engine
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 FAR_M = 5.0
 
 
-def episodes(world: str, robot: str, engine: Engine, *settings: str) -> list[Row]:
+def episodes(world: str, robot: str, engine: Engine, *settings: str) -> list[MetricsRow]:
     """A hundred with goals from `FAR_M` to 8 m away."""
     conf = compose_environment(
         world,
