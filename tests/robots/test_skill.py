@@ -6,7 +6,8 @@ from simulations import every_engine
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.learning.evaluation import MetricsRow, evaluate
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.physics.interface import Engine
 
