@@ -16,7 +16,7 @@ from dune_rl.learning.saved_policies import load_group_policy
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 
 
-@pytest.mark.parametrize("study", ["flat/seed1", "inspection"])
+@pytest.mark.parametrize("study", ["flat/seed1", "flat/seed2"])
 def test_policies_of_the_studies_load(study: str) -> None:
     file = EXPERIMENTS / study / "policy.pt"
     saved = torch.load(file, weights_only=True)
