@@ -1,6 +1,7 @@
 """The studies under `experiments/`: their weights fit what is in the tree, and drive."""
 
 import csv
+import json
 from pathlib import Path
 
 import pytest
@@ -84,3 +85,15 @@ def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
             assert figure == f"{scale * sum(values) / len(values):.{digits}f}", name
     share = next(cell for cell in shown["SR"]).strip("*").split()[0]
     assert f"| SR | 100, 100, 100 % | {share} %" in (EXPERIMENTS.parent / "README.md").read_text()
+
+
+def test_the_table_of_speed_is_that_of_its_run() -> None:
+    lines = (EXPERIMENTS / "speed" / "benchmark.jsonl").read_text().splitlines()
+    environment, cameras, _ = (json.loads(line) for line in lines)
+    text = (EXPERIMENTS.parent / "README.md").read_text()
+    for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio"):
+        assert f"(`{name}`) | {environment[name]:.2f} |" in text
+    colour, depth = (cameras[f"overhead_ratio_{name}"] for name in ("camera", "depth"))
+    assert f"(`overhead_ratio_camera`, `_depth`) | {colour:.2f}, {depth:.2f} |" in text
+    assert f"| {environment['core_steps_per_s']:,.0f} steps/s:" in text
+    assert f"| reset of a scene | {environment['reset_ms']:.1f} ms |" in text
