@@ -191,11 +191,11 @@ def _validate_all(
     faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
     # The kind of a named sensor may be known only now, from an option.
     move_renamed(data)
-    if data.get("agents") is not None:
-        overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
-        for name in _SHORTHANDS:
+    overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
+    for section, replaced in (("agents", _SHORTHANDS), ("robots", ("robot",))):
+        for name in replaced if data.get(section) is not None else ():
             if name in overridden or name in set_in_python:
-                faults.append(f"agents takes the place of {name}; leave one of them out")
+                faults.append(f"{section} takes the place of {name}; leave one of them out")
     return validate(model, data, faults)
 
 

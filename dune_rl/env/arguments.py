@@ -26,7 +26,9 @@ def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[n
     except (TypeError, ValueError):
         action = np.zeros(0, np.float32)
     if action.size != size or np.isnan(action).any():
-        raise ValueError(f"the action of {agent} must be {size} numbers (got {actions[agent]!r})")
+        raise ValueError(
+            f"the action of {agent} must be {size} numbers, none of them NaN (got {actions[agent]!r})"
+        )
     return action.reshape(size)
 
 

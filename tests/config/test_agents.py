@@ -269,6 +269,9 @@ def test_faults_of_groups(agents: dict[str, Any], said: str) -> None:
 def test_groups_take_the_place_of_the_shorthands() -> None:
     assert fault(TEAM, "robot=leo_rover") == "agents takes the place of robot; leave one of them out"
     assert fault(TEAM, actors="walkers") == "agents takes the place of actors; leave one of them out"
+    both = "robots takes the place of robot; leave one of them out"
+    assert fault("robots=[rover_zero]", "robot=leo_rover") == both
+    assert fault(robots=["rover_zero"], robot="leo_rover") == both
 
 
 def test_one_group_is_trained_and_gymnasium_has_one_agent() -> None:
