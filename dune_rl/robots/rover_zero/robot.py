@@ -18,11 +18,12 @@ from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
 class RoverZeroDriveConf(SkidSteerConf):
     """Geometry and limits of the drive, and its motors.
 
-    The motors' figures are estimates, as the maker publishes none. 6 N m are what a tyre holds that carries
-    nearly half the rover's weight, as it may on rough ground; controllers of brushless motors limit the
-    current, so this torque is available up to the largest commanded speed, 1 m/s. The no-load speed is 2.5 m/s,
-    the top speed that follows from ratio, motor speed and "wheel radius" (0.267 m) of the maker's driver; with
-    the real radius the same figures give 1.2 m/s. Gear friction and rotor inertia are part of these figures.
+    The motors' figures are estimates, as the maker publishes none. 6 N m are what a tyre holds that
+    carries nearly half the rover's weight, as it may on rough ground; controllers of brushless motors
+    limit the current, so this torque is available up to the largest commanded speed, 1 m/s. The no-load
+    speed is 2.5 m/s, the top speed that follows from ratio, motor speed and "wheel radius" (0.267 m) of
+    the maker's driver; with the real radius the same figures give 1.2 m/s. Gear friction and rotor
+    inertia are part of these figures.
     """
 
     full_torque_speed_radps: float = Field(8.0, ge=0.0)
