@@ -203,9 +203,15 @@ def walker_sensors() -> SensorsConf:
 
 def roaming_task(task: TaskConf) -> TaskConf:
     """A task of the same starts and goals that earns nothing and never ends: goal follows goal."""
-    reached = task.terminations.get("goal_reached")
-    terminations = {} if reached is None else {"goal_reached": reached.model_copy(update={"renew": True})}
-    return TaskConf(spawn=task.spawn, rewards={}, terminations=terminations)
+    return TaskConf.model_validate(roaming_settings(task.model_dump()))
+
+
+def roaming_settings(task: Mapping[str, Any]) -> dict[str, Any]:
+    """`roaming_task` of settings as plain data, which need not be valid."""
+    endings = task.get("terminations")
+    reached = endings.get("goal_reached") if isinstance(endings, Mapping) else None
+    renewed = {"goal_reached": {**reached, "renew": True}} if isinstance(reached, Mapping) else {}
+    return {**task, "rewards": {}, "terminations": renewed}
 
 
 def robot_groups(robots: Iterable[RobotSettings], taken: Iterable[str]) -> dict[str, AgentGroupConf]:

@@ -8,7 +8,7 @@ from hydra.core.config_loader import ConfigLoader
 from omegaconf import OmegaConf
 
 from dune_rl.config.actors import groups_of_list
-from dune_rl.config.agents import EXTERNAL, PERSON
+from dune_rl.config.agents import EXTERNAL, PERSON, roaming_settings
 from dune_rl.config.overrides import option_names
 from dune_rl.config.renaming import rename_in_section
 from dune_rl.metrics.episode import MetricsConf
@@ -145,13 +145,5 @@ def _expanded_group(
                 out[section] = options.changed(section, _OF_PERSONS[section], changes)
             elif isinstance(base := data.get(section), Mapping):
                 is_roaming = section == "task" and group.get("controller", EXTERNAL) != EXTERNAL
-                out[section] = merged(_roaming(base) if is_roaming else base, changes)
+                out[section] = merged(roaming_settings(base) if is_roaming else base, changes)
     return out
-
-
-def _roaming(task: Mapping[str, Any]) -> dict[str, Any]:
-    """What `roaming_task` makes of settings, of settings as plain data."""
-    endings = task.get("terminations")
-    reached = endings.get("goal_reached") if isinstance(endings, Mapping) else None
-    renewed = {"goal_reached": {**reached, "renew": True}} if isinstance(reached, Mapping) else {}
-    return {**task, "rewards": {}, "terminations": renewed}

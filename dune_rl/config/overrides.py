@@ -49,10 +49,6 @@ class ParsedOverrides:
             )
         return words
 
-    def has_sweep(self) -> bool:
-        """Whether some override has several values."""
-        return any(override.is_sweep_override() for override in (*self.groups, *self.values, *self.engine))
-
 
 def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     """Parse overrides and sort them by what they do; unreadable and unknown ones become faults."""

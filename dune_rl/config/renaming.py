@@ -128,7 +128,9 @@ def put(data: dict[str, Any], path: str, value: Any) -> None:
     """Set what is at a dotted path; a mapping without a `name` of its own changes the one that is there."""
     *parents, leaf = path.split(".")
     for parent in parents:
-        data = data.setdefault(parent, {})
+        if not isinstance(data.get(parent), dict):
+            data[parent] = {}
+        data = data[parent]
     there = data.get(leaf)
     if isinstance(value, Mapping) and isinstance(there, Mapping) and "name" not in value:
         value = {**there, **value}

@@ -22,7 +22,7 @@ from dune_rl.worlds.world import World
 _COLLISION_GAP_S = 1.0
 
 
-def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager, seed: int) -> tuple[AgentGroup, ...]:
+def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager) -> tuple[AgentGroup, ...]:
     """The groups of M scenes, without their sensors, which see each other's groups: see `add_sensors`."""
     groups: list[AgentGroup] = []
     robots: list[RegionGoals] = []

@@ -74,7 +74,7 @@ class VectorSimulation:
         self.scenes = SceneManager(
             world, weather, self.randomizer, make_scene, physics, num_scenes, measures_work=measures_work
         )
-        self.groups = build_groups(groups, self.scenes, seed)
+        self.groups = build_groups(groups, self.scenes)
         self.external = tuple(group for group in self.groups if group.is_external)
         self._starter = EpisodeStart(self.groups, self.scenes)
         self._builder = StateBuilder(self.groups, self.scenes.worlds, physics.control_step_s)

@@ -16,7 +16,10 @@ from dune_rl.physics.obstacle_map import load_shared_map
 # velocity and do not increase it.
 _MAX_ACCELERATION_MPS2 = 40.0
 # Upper bound of the distance below which engines treat two shapes as in contact.
-_CONTACT_MARGIN_M = 0.05
+CONTACT_MARGIN_M = 0.05
+
+# x, y and radius [m].
+Disc = tuple[float, float, float]
 
 
 class GatedRobot(Protocol):
@@ -43,11 +46,13 @@ class ContactGate:
     """Finds the bodies that can have contacts, other than with ground, in the next control step."""
 
     def __init__(self, statics: tuple[StaticBody, ...], kinematics: Sequence[KinematicCapsule]) -> None:
-        self._obstacles = load_shared_map(statics)
+        self.obstacles = load_shared_map(statics)
         self._radii_m = [body.radius_m for body in kinematics]
-        # Bound of each robot's motion in the next control step, as of `find_contacts`, and where it can be.
+        # As of `find_contacts`: bound of each robot's motion in the next control step, and discs that contain
+        # all places of each robot, and of each kinematic body near any, in that step.
         self.motions_m: list[float] = []
-        self._discs: list[tuple[float, float, float]] = []
+        self.discs: list[Disc] = []
+        self.kinematic_discs: list[Disc] = []
 
     def find_contacts(
         self,
@@ -70,18 +75,19 @@ class ContactGate:
                 acceleration += math.hypot(*forces[index]) / robot.base_mass_kg
             motion = (speed + acceleration * duration_s / 2) * duration_s
             motions.append(motion)
-            span = robot.reach_m + motion + _CONTACT_MARGIN_M
+            span = robot.reach_m + motion + CONTACT_MARGIN_M
             discs.append((x, y, span))
             # A state that has diverged counts as exposed.
-            exposed.append(not (math.isfinite(x + y) and self._obstacles.distance(x, y) >= span))
+            exposed.append(not (math.isfinite(x + y) and self.obstacles.distance(x, y) >= span))
         if len(discs) > 1:
             for one, other in combinations(range(len(discs)), 2):
                 (x, y, span), (other_x, other_y, other_span) = discs[one], discs[other]
                 # Written so that NaN, which compares false, counts as near.
                 if not math.hypot(x - other_x, y - other_y) > span + other_span:
                     exposed[one] = exposed[other] = True
-        self.motions_m, self._discs = motions, discs
-        near = []
+        self.motions_m, self.discs = motions, discs
+        near: list[int] = []
+        self.kinematic_discs = []
         for body, radius in enumerate(self._radii_m):
             old, new = old_poses[body], new_poses[body]
             x, y = new[0], new[1]
@@ -92,8 +98,9 @@ class ContactGate:
                     is_near = exposed[index] = True
             if is_near:
                 near.append(body)
+                self.kinematic_discs.append((x, y, room))
         return near, exposed
 
     def statics_near(self, robot: int) -> list[int]:
         """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
-        return self._obstacles.bodies_near(*self._discs[robot])
+        return self.obstacles.bodies_near(*self.discs[robot])

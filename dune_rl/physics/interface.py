@@ -18,8 +18,6 @@ Engine = Literal["bullet", "dart"]
 FrictionModel = Literal["pyramid", "cone"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
-BODY_STATE_SIZE = 13
-
 # Friction coefficient of kinematic bodies.
 KINEMATIC_FRICTION = 0.5
 

@@ -1,7 +1,7 @@
 """Horizontal distance to the nearest static obstacle, from a grid that all scenes of a world share."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 _CELL_M = 0.1
 _MAX_CELLS = 1_000_000
+# Points on surfaces that are computed at once.
+_MAX_POINTS = 200_000
 
 
 class ObstacleMap:
@@ -81,18 +83,34 @@ class ObstacleMap:
         ]
 
 
-def _surface_points(triangles: Array, spacing_m: float) -> Sequence[Array]:
-    """Points (P, 2) [m] on triangles (F, 3, 2), at most `spacing_m` from their neighbours, in batches."""
-    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
-    # Powers of two, so that a mesh with triangles of many sizes needs few batches.
-    counts = 2 ** np.ceil(np.log2(np.maximum(edges / spacing_m, 1.0))).astype(np.int64)
-    batches = []
-    for count in np.unique(counts).tolist():
-        first, second = np.meshgrid(np.arange(count + 1), np.arange(count + 1))
-        keep = first + second <= count
-        weights = np.column_stack([first[keep], second[keep], count - first[keep] - second[keep]]) / count
-        batches.append((weights @ triangles[counts == count]).reshape(-1, 2))
-    return batches
+def _surface_points(triangles: Array, spacing_m: float) -> Iterator[Array]:
+    """Points (P, 2) [m] on triangles (F, 3, 2), in batches of bounded size.
+
+    Any point of a triangle is within `spacing_m` / sqrt(3) of one of them. They are in rows along the longest
+    edge, and as few as the triangle is narrow: a wall, which has no area seen from above, has two rows.
+    """
+    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+    first = edges.argmax(axis=1)[:, None]
+    a, b, c = np.moveaxis(
+        np.take_along_axis(triangles, ((first + np.arange(3)) % 3)[..., None], axis=1), 1, 0
+    )
+    (base_x, base_y), (side_x, side_y) = (b - a).T, (c - a).T
+    longest = edges.max(axis=1)
+    height = np.abs(base_x * side_y - base_y * side_x) / np.maximum(longest, 1e-12)
+    # Rows are closer than points in a row, as they become shorter. Powers of two, so that a mesh with
+    # triangles of many sizes needs few batches.
+    sizes = np.stack([longest, 4.0 * height]) / spacing_m
+    counts = 2 ** np.ceil(np.log2(np.maximum(sizes, 1.0))).astype(np.int64)
+    for along, up in np.unique(counts, axis=1).T.tolist():
+        own = np.flatnonzero((counts == [[along], [up]]).all(axis=0))
+        shares = np.linspace(0.0, 1.0, along + 1)
+        for part in np.array_split(own, max(1, len(own) * (along + 1) // _MAX_POINTS)):
+            rows = max(1, _MAX_POINTS // (len(part) * (along + 1)))
+            for low in range(0, up + 1, rows):
+                heights = np.arange(low, min(low + rows, up + 1))[:, None] / up
+                weights = [(1 - heights) * (1 - shares), (1 - heights) * shares, heights + 0.0 * shares]
+                corners = np.stack([a[part], b[part], c[part]], axis=1)
+                yield (np.stack([weight.ravel() for weight in weights], axis=1) @ corners).reshape(-1, 2)
 
 
 _maps_by_statics: WeakValueDictionary[int, ObstacleMap] = WeakValueDictionary()

@@ -4,13 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
+from dune_rl.physics.contact_gate import CONTACT_MARGIN_M, Disc
 from dune_rl.physics.interface import SceneSpec, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
 
 # Control steps for which surplus tyres stay active: a change costs about as much as two unneeded tyres in 30.
 _DEACTIVATION_DELAY_STEPS = 30
-# Distance below which engines begin to treat two shapes as in contact, and travel of suspensions.
-_MARGIN_M = 0.05
 
 Tyres = frozenset[int]
 _NONE: Tyres = frozenset()
@@ -18,11 +17,6 @@ _NONE: Tyres = frozenset()
 
 class TyredRobot(Protocol):
     """What the activation needs to know of a robot."""
-
-    @property
-    def reach_m(self) -> float:
-        """Largest horizontal distance of any point of the robot from its position."""
-        ...
 
     def body_state(self) -> tuple[float, ...]:
         """See `PhysicsRobot`."""
@@ -41,7 +35,6 @@ class TyreActivation:
 
     def __init__(self, spec: SceneSpec) -> None:
         self._tyres = [[_dimensions(tyre) for tyre in body.tyres] for body in spec.robots]
-        self._radii_m = [body.radius_m for body in spec.kinematics]
         self._with_tyres = [index for index, body in enumerate(spec.robots) if body.tyres]
         self._obstacles = load_shared_map(spec.statics) if self._with_tyres else None
         self.active: list[Tyres] = [_NONE] * len(spec.robots)
@@ -57,26 +50,19 @@ class TyreActivation:
         exposed: Sequence[bool],
         motions_m: Sequence[float],
         duration_s: float,
-        near_kinematics: Sequence[int],
-        kinematic_poses: Sequence[Sequence[float]],
+        robot_discs: Sequence[Disc],
+        kinematic_discs: Sequence[Disc],
     ) -> list[int]:
         """Set `active` for a control step of `duration_s`; returns the robots for which it has changed.
 
-        `exposed` and `motions_m` are the gate's, of each robot; `near_kinematics` the indices of kinematic
-        bodies that can touch any, which move to `kinematic_poses` (x, y, ...).
+        `exposed`, `motions_m` and the discs are those of `ContactGate`.
         """
         changed = []
         for index in self._with_tyres:
             active, needed = self.active[index], _NONE
             if exposed[index]:
-                discs = []
-                for body in near_kinematics:
-                    x, y, *_ = kinematic_poses[body]
-                    discs.append((x, y, self._radii_m[body]))
-                for other, robot in enumerate(robots if len(robots) > 1 else ()):
-                    if other != index:
-                        x, y, *_ = robot.body_state()
-                        discs.append((x, y, robot.reach_m + motions_m[other]))
+                others = (disc for other, disc in enumerate(robot_discs) if other != index)
+                discs = [*kinematic_discs, *others]
                 needed = self._find_needed(index, robots[index], motions_m[index], duration_s, discs)
             if needed == active:
                 self._surplus_steps[index] = 0
@@ -96,7 +82,7 @@ class TyreActivation:
         robot: TyredRobot,
         motion_m: float,
         duration_s: float,
-        discs: Sequence[tuple[float, float, float]],
+        discs: Sequence[Disc],
     ) -> Tyres:
         """The tyres of a robot that can touch an obstacle or one of the `discs` (x, y, radius) [m]."""
         x, y, _, qx, qy, qz, qw, *_, wx, wy, wz = robot.body_state()
@@ -112,8 +98,7 @@ class TyreActivation:
         for number, ((ahead, aside, above), arm, size) in enumerate(self._tyres[index]):
             tyre_x = x + ahead * forward[0] + aside * left[0] + above * up[0]
             tyre_y = y + ahead * forward[1] + aside * left[1] + above * up[1]
-            reach = size + motion_m + _MARGIN_M
-            reach += turn * arm
+            reach = size + motion_m + turn * arm + CONTACT_MARGIN_M
             if self._obstacles.distance(tyre_x, tyre_y) < reach:
                 needed.append(number)
                 continue

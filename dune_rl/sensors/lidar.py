@@ -135,22 +135,17 @@ class Lidar:
         """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
         return self._beams.origin(position_w, rotation)
 
-    def ends(self, origin: Array, rotation: Array, ranges: NDArray[np.float32]) -> Array:
-        """Where beams of `ranges` (M, n_beams) end in the world [m], (M, n_beams, 3)."""
-        return origin[:, None] + self._ends_b(ranges, np.inf, np.inf) @ rotation.transpose(0, 2, 1)
-
     def store_ends(
         self, origin: Array, rotation: Array, ranges: NDArray[np.float32], found: NDArray[np.float32]
     ) -> None:
-        """As `ends`, into `found`; a beam that meets nothing ends far away, not as a wall at its range."""
-        ends_b = self._ends_b(ranges, self.conf.range_m, _NOWHERE_M)
-        np.add(origin[:, None], ends_b @ rotation.transpose(0, 2, 1), out=found, casting="same_kind")
+        """Write where beams of `ranges` (M, n_beams) end in the world [m] into `found` (M, n_beams, 3).
 
-    def _ends_b(self, ranges: NDArray[np.float32], farthest: float, nowhere: float) -> Array:
+        A beam that meets nothing ends far away, not as a wall at its range.
+        """
         ends_b = np.empty((*ranges.shape, 3))
-        limits = np.float32(farthest), np.float32(nowhere)
+        limits = np.float32(self.conf.range_m), np.float32(_NOWHERE_M)
         scale_directions(self.directions_b, ranges, *limits, ends_b)
-        return ends_b
+        np.add(origin[:, None], ends_b @ rotation.transpose(0, 2, 1), out=found, casting="same_kind")
 
     def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.

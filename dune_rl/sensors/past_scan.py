@@ -37,10 +37,6 @@ class PastScan:
         self._newest = (self._newest + 1) % len(self._ends_w)
         return self._ends_w[self._newest]
 
-    def push(self, ends_w: Array) -> None:
-        """Add the end points (N, n_beams, 3) [m] of a control step."""
-        self.advance()[:] = ends_w
-
     def seen_from(self, origin_w: Array, rotation: Array) -> Floats:
         """Nearest past end point in each segment [m], (N, n_segments), `range_m` where there is none.
 

@@ -53,7 +53,7 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
         conf.physics,
         num_scenes=1,
     )
-    groups = build_groups(group_setups(conf), scenes, conf.seed)
+    groups = build_groups(group_setups(conf), scenes)
     EpisodeStart(groups, scenes).find_paths(conf.seed, world)
     viewed = _viewed_group(groups, conf.agent)
     spawner = viewed.spawners.of(world)

@@ -56,7 +56,7 @@ class FreeSpace:
         self.inside: NDArray[np.bool_] = inside_y[:, None] & inside_x
         self.traversable: NDArray[np.bool_] = self.inside & ~self.steep & ~self.blocked
         self.components: NDArray[np.int32]
-        self.components, self.component_count = label(self.traversable)
+        self.components, _ = label(self.traversable)
 
     def centres(self, cells: NDArray[np.bool_]) -> Array:
         """Centres (K, 2) [m] of the True cells of a grid (rows, columns)."""

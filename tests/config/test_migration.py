@@ -9,7 +9,7 @@ import yaml
 
 from dune_rl.config.compose import compose, compose_environment, compose_evaluation
 from dune_rl.config.migration import migrated
-from dune_rl.config.renaming import RENAMED
+from dune_rl.config.renaming import RENAMED, rename_in_section
 from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneWarning
 from dune_rl.tasks.task import TaskConf
@@ -127,6 +127,13 @@ def test_older_names_are_accepted_and_warned_of() -> None:
     with pytest.warns(DuneWarning, match=r"task\.walking is now actors\.walker\.task\.rewards"):
         conf = compose_environment("flat", ["actors=external_walkers", "task.walking.near_miss=-0.5"])
     assert conf.groups[1].task.rewards["near_miss"].weight == -0.5  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("there", [None, "paper", 3])
+def test_an_older_name_beside_what_is_no_section(there: Any) -> None:
+    task = {"reward": {"goal": 5.0}, "rewards": there}
+    rename_in_section("task", task, "task", warn=False)
+    assert task["rewards"] == {"goal": {"weight": 5.0}}
 
 
 def test_the_length_of_an_episode_keeps_its_name() -> None:

@@ -26,6 +26,7 @@ from scenes import (
 )
 
 from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import RobotBody, SceneSpec, StaticBody, Tyre
 from dune_rl.physics.tyre_activation import TyreActivation
 from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
@@ -291,11 +292,15 @@ def test_a_state_that_diverges_with_tyres_is_no_crash(backend):
 
 @dataclass
 class Placed:
-    """A robot as the activation sees it, heading along x."""
+    """A robot at rest as gate and activation see it, heading along x."""
 
     x: float
     y: float
     reach_m: float = 0.45
+    base_mass_kg: float = 30.0
+
+    def planar_motion(self) -> tuple[float, float, float]:
+        return self.x, self.y, 0.0
 
     def body_state(self) -> tuple[float, ...]:
         return (self.x, self.y, 0.125, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6)
@@ -307,8 +312,9 @@ def activation(robots: Sequence[RobotBody] = (), *statics: StaticBody) -> TyreAc
 
 
 def update(tyres: TyreActivation, *robots: Placed, exposed: bool = True, walker_x: float = 99.0) -> list[int]:
-    motions, near = [0.05] * len(robots), [0] if walker_x < 90.0 else []
-    return tyres.update(robots, [exposed] * len(robots), motions, 0.05, near, [[walker_x, 0.0, 0.0, 0.0]])
+    motions, discs = [0.05] * len(robots), [(robot.x, robot.y, 0.55) for robot in robots]
+    walkers = [(walker_x, 0.0, walker().radius_m)] if walker_x < 90.0 else []
+    return tyres.update(robots, [exposed] * len(robots), motions, 0.05, discs, walkers)
 
 
 # What a tyre reaches in a control step of these tests, and by how much the map of obstacles may be too near.
@@ -345,6 +351,15 @@ def test_tyres_near_a_walker_or_another_robot_are_active():
     tyres = activation(bodies)
     assert update(tyres, Placed(0.0, 0.0), Placed(-0.75, 0.0), Placed(9.0, 0.0)) == [0]
     assert tyres.active == [{2, 3}, set(), set()]
+
+
+def test_a_walker_that_moves_away_is_met_at_every_place_of_its_way():
+    gate, tyres = ContactGate((plane(),), [walker()]), activation()
+    robot = Placed(0.0, 0.0)
+    near, exposed = gate.find_contacts([robot], 0.05, {}, [[0.55, 0.0, 0.0]], [[0.65, 0.0, 0.0]])
+    assert (near, exposed) == ([0], [True])
+    assert tyres.update([robot], exposed, gate.motions_m, 0.05, gate.discs, gate.kinematic_discs) == [0]
+    assert tyres.active == [{0, 1}]
 
 
 def test_tyres_stay_a_while_and_go_together():

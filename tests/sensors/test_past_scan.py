@@ -21,7 +21,13 @@ def sensed(lidar: Lidar, position: np.ndarray, rotation: np.ndarray, actors: np.
     """Segments, end points, and origin of a scan."""
     ranges = lidar.ranges(position[None], rotation[None], actors)
     origin = lidar.origin(position[None], rotation[None])
-    return lidar.segments(ranges)[0], lidar.ends(origin, rotation[None], ranges), origin
+    return lidar.segments(ranges)[0], ends_of(lidar, origin, rotation[None], ranges), origin
+
+
+def ends_of(lidar: Lidar, origin: np.ndarray, rotation: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    ends = np.empty((*ranges.shape, 3), np.float32)
+    lidar.store_ends(origin, rotation, ranges, ends)
+    return ends
 
 
 def test_end_points_lie_on_what_was_hit():
@@ -49,7 +55,7 @@ def test_a_turn_and_a_drive_leave_walls_where_they_are():
     past.restart(ALL, sensed(lidar, STANDING, turned(0.3))[1])
     later, rotation = STANDING + np.array([0.3, 0.2, 0.0]), turned(-0.6)
     now, ends, origin = sensed(lidar, later, rotation)
-    past.push(ends)
+    past.advance()[:] = ends
     carried = past.seen_from(origin, rotation[None])[0]
     # A beam at a wall's end may fall into the next segment; elsewhere half a beam's slant is left.
     assert (np.abs(carried - now) < 0.25).mean() > 0.85
@@ -64,7 +70,7 @@ def test_what_moved_is_where_it_was():
     past = PastScan(CONF, 1, 1)
     past.restart(ALL, sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 0.0, 0.0, 0.0]]]))[1])
     now, ends, origin = sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 2.0, 0.0, 0.0]]]))
-    past.push(ends)
+    past.advance()[:] = ends
     carried = past.seen_from(origin, np.eye(3)[None])[0]
     # Segment 16 begins straight ahead, and 2 m aside at 3 m is 0.59 rad: three segments on.
     assert carried[15:17].min() == pytest.approx(3.0 - 0.3 - CONF.mount_b[0], abs=0.02)
@@ -82,13 +88,13 @@ def test_it_is_as_old_as_asked_for_and_no_older_than_its_episode():
     def look(step: int) -> tuple[np.ndarray, np.ndarray]:
         walkers = np.array([[[2.0 + step, 0.0, 0.0, 0.0]]] * 2)
         origin = lidar.origin(position, rotation)
-        return lidar.ends(origin, rotation, lidar.ranges(position, rotation, walkers)), origin
+        return ends_of(lidar, origin, rotation, lidar.ranges(position, rotation, walkers)), origin
 
     two.restart(np.array([True, True]), look(0)[0])
     nearest = []
     for step in range(1, 7):
         ends, origin = look(step)
-        two.push(ends)
+        two.advance()[:] = ends
         if step == 4:
             two.restart(np.array([False, True]), ends)
         nearest.append(two.seen_from(origin, rotation).min(axis=1))

@@ -136,7 +136,10 @@ class BulletScene:
         poses = kinematic_poses.tolist()
         duration_s = count * self._spec.timestep_s
         near, exposed = self._gate.find_contacts(robots, duration_s, forces, self._kinematics.poses, poses)
-        for index in self._tyres.update(robots, exposed, self._gate.motions_m, duration_s, near, poses):
+        gate = self._gate
+        for index in self._tyres.update(
+            robots, exposed, gate.motions_m, duration_s, gate.discs, gate.kinematic_discs
+        ):
             self._reload(index)
         for robot in robots:
             robot.begin_step(count)

@@ -85,11 +85,13 @@ class DartScene:
             if force is not None:
                 forces[index] = force
         duration_s, kinematics = count * self._spec.timestep_s, self._kinematics
-        near, exposed = self._gate.find_contacts(
-            self.robots, duration_s, forces, kinematics.poses, poses := kinematic_poses.tolist()
+        gate = self._gate
+        near, exposed = gate.find_contacts(
+            self.robots, duration_s, forces, kinematics.poses, kinematic_poses.tolist()
         )
-        motions = self._gate.motions_m
-        changed = self._tyres.update(self.robots, exposed, motions, duration_s, near, poses)
+        changed = self._tyres.update(
+            self.robots, exposed, gate.motions_m, duration_s, gate.discs, gate.kinematic_discs
+        )
         if changed or any(self._tyres.active):
             self._update_tyres(changed, near)
         for robot in self.robots:
@@ -112,7 +114,7 @@ class DartScene:
         for robot, tyres in zip(self.robots, active, strict=True):
             if tyres:
                 x, y, _ = robot.planar_motion()
-                obstacles |= self._static_geometry.obstacles_near(x, y, robot.reach_m + _TYRE_MARGIN_M)
+                obstacles |= {*self._gate.obstacles.bodies_near(x, y, robot.reach_m + _TYRE_MARGIN_M)}
         static_geometry, kinematics = self._static_geometry, self._kinematics
         adds_kinematics = any(active) and not kinematics.collide_with_tyres(near_kinematics)
         if not changed and obstacles == static_geometry.tyre_obstacles and not adds_kinematics:

@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from weakref import WeakValueDictionary
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.files import is_open_surface, write_meshes
 from dune_rl.physics.dart.library import dartpy
@@ -71,9 +68,6 @@ class StaticGeometry:
         self.obstacles |= self._tyre_obstacles
         self._statics, self._shapes = statics, meshes.shapes
         self._near_tyres: frozenset[int] = frozenset()
-        boxes = [_horizontal_box(body) for body in statics if not body.ground]
-        self._box_numbers = np.array([index for index, body in enumerate(statics) if not body.ground], int)
-        self._boxes = np.array(boxes).reshape(-1, 2, 2)
         self._numbers: dict[Any, int] = {}
         self._tyre_numbers: dict[Any, int] = {}
         for number, (static, shape) in enumerate(zip(statics, meshes.shapes, strict=True)):
@@ -96,12 +90,6 @@ class StaticGeometry:
     def numbers(self) -> dict[Any, int]:
         """Body numbers by shape, without ground."""
         return self._numbers | self._tyre_numbers
-
-    def obstacles_near(self, x: float, y: float, reach_m: float) -> frozenset[int]:
-        """Numbers of the obstacles whose bounding box, seen from above, is within `reach_m` of a point."""
-        xy = np.array([x, y])
-        apart = np.maximum(self._boxes[:, 0] - xy, xy - self._boxes[:, 1]).max(axis=1)
-        return frozenset(self._box_numbers[apart <= reach_m].tolist())
 
     @property
     def tyre_obstacles(self) -> frozenset[int]:
@@ -144,11 +132,6 @@ class StaticGeometry:
 
     def _add_body(self) -> Any:
         return self.skeleton.createWeldJointAndBodyNodePair()[1]
-
-
-def _horizontal_box(body: StaticBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    xy = body.vertices[:, :2]
-    return xy.min(axis=0), xy.max(axis=0)
 
 
 def _margin_m(only_spheres: bool) -> float:

@@ -34,7 +34,6 @@ _COLOURS: tuple[tuple[str, tuple[float, float, float]], ...] = (
     ("rock", (0.52, 0.49, 0.45)),
     ("sand", (0.76, 0.68, 0.52)),
 )
-_GROUND = {"ground", "terrain", "landscape", "heightmap", "heightfield", "dem", "soil", "grounds", "lawn"}
 _WATER = {"water", "lake", "pond", "river", "sea", "ocean"}
 # Words of names that say nothing about the kind of an object.
 _MEANINGLESS = {
@@ -95,10 +94,6 @@ class MeshPart:
     def words(self) -> set[str]:
         """The words of `name` and `about`, in lower case."""
         return set(_words(f"{self.name} {self.about}"))
-
-    @property
-    def is_named_ground(self) -> bool:
-        return bool(set(_words(self.name)) & _GROUND)
 
     @property
     def is_named_water(self) -> bool:
