@@ -1,7 +1,7 @@
 """Path following: start poses, goals and scripted motion of agents on smooth paths, there and back."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple, Self
 from weakref import WeakKeyDictionary
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.behaviours.path_loops import advance_on_paths, hold_back_on_paths
 from dune_rl.behaviours.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
 from dune_rl.errors import WorldError
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
@@ -81,6 +82,9 @@ class PathFollower:
         self._step = np.zeros((len(worlds), count))
         # Where they would be on their paths after the last `advance`.
         self._targets = np.zeros((len(worlds), count, 4))
+        # See `path_loops`.
+        self._agents = self._travelled, self._step, self._offsets, self._targets
+        self._scenes = np.arange(len(worlds))
 
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
         """Find the paths of `world` unless they are known.
@@ -150,34 +154,25 @@ class PathFollower:
 
     def advance(self, distance_m: float) -> Array:
         """Move each agent by `distance_m` along its loop, after returning to it; returns the poses (N, 4)."""
-        self._step[:] = distance_m
-        is_off = self._offsets.any()
-        if is_off:
-            length = np.hypot(self._offsets[..., 0], self._offsets[..., 1])
-            back = np.minimum(length, distance_m)
-            self._offsets *= 1.0 - (back / np.where(length > 0.0, length, 1.0))[..., None]
-            self._step -= back
-        self._travelled += self._step
-        self._targets = poses = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
-        if is_off:
-            poses = poses.copy()
+        for world, scenes in self._worlds.groups:
+            paths = self._paths[world].bank.arrays
+            advance_on_paths(paths, self._scenes[scenes], self._loop, distance_m, SPACING_M, self._agents)
+        poses = self._targets.copy()
+        if self._offsets.any():
             poses[..., :2] += self._offsets
             height = query_grouped(self._worlds.groups, _height, poses[..., :2])
             poses[..., 2] = np.where(self._offsets.any(axis=2), height, poses[..., 2])
         return poses.reshape(-1, 4)
 
-    def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Set the agents of `scenes` (S) to `poses` (S, G, 4), which robots limited after the last `advance`.
+    def hold_back(self, scenes: NDArray[np.int64], poses: Array) -> None:
+        """Set the agents of `scenes` (S,) to `poses` (S, G, 4), to which robots limited them.
 
         An agent repeats the missing part of its step, and returns from a lateral offset to its path.
         """
-        rows = list(scenes)
-        targets, xy = self._targets[rows], poses[..., :2]
-        heading = np.stack([np.cos(targets[..., 3]), np.sin(targets[..., 3])], axis=-1)
-        lacking = ((targets[..., :2] - xy) * heading).sum(axis=-1)
-        self._travelled[rows] -= np.clip(lacking, 0.0, self._step[rows])
-        reached = query_grouped(self._worlds.groups, self._pose, self._loop, self._travelled)
-        self._offsets[rows] = xy - reached[rows, :, :2]
+        xy = np.ascontiguousarray(poses[..., :2])
+        for world, own in self._worlds.select_groups(scenes):
+            paths = self._paths[world].bank.arrays
+            hold_back_on_paths(paths, scenes[own], self._loop, xy[own], SPACING_M, self._agents)
 
     def renew(self, mask: Flags) -> None:
         """Set the other end of the path as goal of the agents in `mask` (N,)."""
@@ -188,9 +183,6 @@ class PathFollower:
         ends = np.where(outbound[:, None], far, near)
         self.goals_w = np.where(mask[:, None], ends, self.goals_w)
         self._outbound = outbound
-
-    def _pose(self, world: World, loop: NDArray[np.int64], travelled_m: Array) -> Array:
-        return self._paths[world].bank.pose(loop, travelled_m)
 
     def _far_end(self, world: World, loop: NDArray[np.int64]) -> Array:
         return self._paths[world].bank.far_end(loop)

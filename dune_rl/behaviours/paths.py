@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from dune_rl.behaviours.path_loops import interpolate_paths
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.world import World
@@ -63,16 +64,14 @@ class PathBank:
 
     def pose(self, loop: NDArray[np.int64], travelled_m: Array) -> Array:
         """Pose (..., 4) on loops `loop` (...) after `travelled_m` (...), interpolated between its points."""
-        place = travelled_m / SPACING_M
-        whole = np.floor(place)
-        part = (place - whole)[..., None]
-        index = whole.astype(np.int64)
-        start, length = self.starts[loop], self.lengths[loop]
-        here = self.poses[start + index % length]
-        there = self.poses[start + (index + 1) % length]
-        pose = here + part * (there - here)
-        pose[..., 3] = here[..., 3]
-        return pose
+        found = np.empty((*np.shape(loop), 4))
+        interpolate_paths(self.arrays, np.ravel(loop), np.ravel(travelled_m), SPACING_M, found.reshape(-1, 4))
+        return found
+
+    @property
+    def arrays(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """What `path_loops` calls `paths`."""
+        return self.poses, self.starts, self.lengths
 
     def far_end(self, loop: NDArray[np.int64]) -> Array:
         """Pose (..., 4) half-way round loops `loop` (...): where a there-and-back path turns."""

@@ -214,8 +214,8 @@ class AgentGroup:
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
-    def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Set the kinematic bodies of `scenes` (S) to `poses` (S, G, 4), where robots blocked them."""
+    def hold_back(self, scenes: NDArray[np.int64], poses: Array) -> None:
+        """Set the kinematic bodies of `scenes` (S,) to `poses` (S, G, 4), where robots blocked them."""
         assert isinstance(self.body, KinematicBody)
         self.body.hold_back(scenes, poses)
         if self.setup.follows_paths:
@@ -224,7 +224,10 @@ class AgentGroup:
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
         """Read the bodies' states after a physics step; returns contacts as pairs of row and body number."""
-        return self.body.read(engines) if isinstance(self.body, ArticulatedBody) else []
+        if isinstance(self.body, ArticulatedBody):
+            return self.body.read(engines)
+        self.body.read()
+        return []
 
     @property
     def energy(self) -> EnergyState | None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dune_rl.env.drag import drag_forces
 from dune_rl.env.latency import Latency
 from dune_rl.env.traction import Traction
-from dune_rl.geometry.frames import roll_pitch_yaw, rotation_matrices
+from dune_rl.geometry.frame_loops import derive_motion
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import BodyMotion, Robot
 from dune_rl.state import JointState, Motion
@@ -151,28 +151,27 @@ class ArticulatedBody:
     def _derive(
         self, diverged: Flags, acceleration_b: Array | None, acceleration_w: Array | None = None
     ) -> Motion:
-        states = self._states
-        rotation = rotation_matrices(states[:, 3:7])
-        vectors_w = np.empty((len(states), 3, 3))
-        vectors_w[:, 0], vectors_w[:, 1] = states[:, 7:10], states[:, 10:13]
-        vectors_w[:, 2] = 0.0 if acceleration_w is None else acceleration_w
-        # World vectors in the body frame, all three at once.
-        vectors_b = np.einsum("nji,nkj->nki", rotation, vectors_w)
+        states, rows = self._states, len(self._states)
+        rotation, angles, vectors_b = np.empty((rows, 3, 3)), np.empty((rows, 3)), np.empty((3, rows, 3))
+        if acceleration_w is None:
+            acceleration_w = np.zeros((rows, 3))
+        derive_motion(states, acceleration_w, rotation, angles, vectors_b)
+        velocity_b, angular_b, found_acceleration_b = vectors_b
         if acceleration_b is None:
-            acceleration_b = vectors_b[:, 2]
+            acceleration_b = found_acceleration_b
         joints = None
         if self._drives is not None:
             joints = JointState(*np.split(self._drives, 3, axis=1))
         return Motion(
             states[:, 0:3],
-            roll_pitch_yaw(rotation),
+            angles,
             states[:, 7:10],
             states[:, 10:13],
             diverged,
             joints,
             rotation=rotation,
-            velocity_b=vectors_b[:, 0],
-            angular_b=vectors_b[:, 1],
+            velocity_b=velocity_b,
+            angular_b=angular_b,
             acceleration_b=acceleration_b,
         )
 

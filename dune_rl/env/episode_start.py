@@ -120,7 +120,7 @@ class EpisodeStart:
         """Set the kinematic bodies of scenes to `held` (K, 4), by scene, where robots blocked them."""
         if not held:
             return
-        scenes, poses = list(held), np.stack(list(held.values()))
+        scenes, poses = np.array(list(held)), np.array(list(held.values()))
         first = 0
         for group in self._kinematic:
             group.hold_back(scenes, poses[:, first : first + group.count])

@@ -1,17 +1,19 @@
 """Kinematic bodies: N = M * G agents that follow prescribed motions on the ground, without dynamics."""
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.bodies.person import PersonConf
-from dune_rl.geometry.frames import rotation_from_yaw, to_body, wrap_angle
+from dune_rl.compiled import compile_function
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Scenes = NDArray[np.int64]
 
 # Agents keep this far from the world's edge [m].
 _EDGE_M = 1.0
@@ -20,8 +22,9 @@ _EDGE_M = 1.0
 class KinematicBody:
     """N equal bodies with unicycle kinematics, rows scene after scene.
 
-    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad]; `blocked` (N,) marks bodies
-    that stopped in the last step in front of an obstacle or the world's edge.
+    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad], from a command on those of the end of its
+    control step; `motion` is derived from them by `read`. `blocked` (N,) marks bodies that stopped in the
+    last step in front of an obstacle or the world's edge.
     """
 
     def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
@@ -33,7 +36,7 @@ class KinematicBody:
         self._unblocked = np.zeros(rows, bool)
         still = np.zeros((rows, 3))
         self.motion = self._moving(still, still, still)
-        self._before = self.poses, self.motion
+        self._start_poses = self.poses
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds, each (2,), of speed [m/s] (never backwards) and relative heading [rad]."""
@@ -61,7 +64,7 @@ class KinematicBody:
 
     def move_to(self, poses: Array) -> None:
         """Move to `poses` (N, 4) by the end of the control step."""
-        self._arrive(poses)
+        self._start_poses, self.poses = self.poses, poses
 
     def apply_actions(self, actions: Array) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
@@ -91,33 +94,60 @@ class KinematicBody:
         poses[:, :2] = np.where(free[:, None], target, poses[:, :2])
         poses[:, 2] = self._worlds.height(poses[:, :2].reshape(-1, self.count, 2)).ravel()
         poses[:, 3] = yaw
-        self._arrive(poses)
+        self.move_to(poses)
         self.blocked = ~free
 
-    def hold_back(self, scenes: Sequence[int], poses: Array) -> None:
-        """Set x and y of the bodies of `scenes` (S) to those of `poses` (S, G, 4), after robots blocked
+    def hold_back(self, scenes: Scenes, poses: Array) -> None:
+        """Set x and y of the bodies of `scenes` (S,) to those of `poses` (S, G, 4), after robots blocked
         bodies.
         """
         reached = self.poses.copy()
-        reached.reshape(-1, self.count, 4)[list(scenes), :, :2] = poses[..., :2]
-        moved = (reached[:, :2] != self.poses[:, :2]).any(axis=1)
-        height = self._worlds.height(reached[:, :2].reshape(-1, self.count, 2)).ravel()
-        reached[:, 2] = np.where(moved, height, reached[:, 2])
-        self.poses, self.motion = self._before
-        self._arrive(reached)
+        heights = self._worlds.height(poses[..., :2], scenes)
+        _set_reached(reached.reshape(-1, self.count, 4), scenes, poses, heights)
+        self.poses = reached
 
-    def _arrive(self, poses: Array) -> None:
-        """Be at `poses` (N, 4), with the mean velocities of the way there and their change."""
-        self._before = before, motion = self.poses, self.motion
-        self.poses = poses
-        turning = np.zeros((len(poses), 3))
-        velocity = (poses[:, :3] - before[:, :3]) / self._step_s
-        turning[:, 2] = wrap_angle(poses[:, 3] - before[:, 3]) / self._step_s
-        acceleration = (velocity - motion.velocity_w) / self._step_s
-        self.motion = self._moving(velocity, turning, to_body(rotation_from_yaw(poses[:, 3]), acceleration))
+    def read(self) -> None:
+        """Derive the motion at the end of a control step: its mean velocities, and their change."""
+        found = np.zeros((3, len(self.poses), 3))
+        _derive_motion(self.poses, self._start_poses, self.motion.velocity_w, self._step_s, found)
+        velocity_w, angular_w, acceleration_b = found
+        self.motion = self._moving(velocity_w, angular_w, acceleration_b)
 
     def _moving(self, velocity_w: Array, angular_w: Array, acceleration_b: Array) -> Motion:
         attitude = np.zeros((len(self.poses), 3))
         attitude[:, 2] = self.poses[:, 3]
         place = self.poses[:, :3]
         return Motion(place, attitude, velocity_w, angular_w, self._unblocked, acceleration_b=acceleration_b)
+
+
+@compile_function
+def _set_reached(poses: Any, scenes: Any, reached: Any, heights: Any) -> None:
+    """Move those of `poses` (M, G, 4) to the x and y of `reached` (S, G, 4) that differ, in `scenes` (S,).
+
+    `heights` (S, G) are the ground's at `reached`.
+    """
+    for row in range(len(scenes)):
+        for agent in range(poses.shape[1]):
+            pose, place = poses[scenes[row], agent], reached[row, agent]
+            if pose[0] != place[0] or pose[1] != place[1]:
+                pose[0], pose[1], pose[2] = place[0], place[1], heights[row, agent]
+
+
+@compile_function
+def _derive_motion(poses: Any, before: Any, velocity_before: Any, step_s: float, found: Any) -> None:
+    """Velocities (N, 3), turning rates (N, 3) and, in the body frame, accelerations (N, 3), into `found`.
+
+    Bodies went from `before` (N, 4) to `poses` (N, 4), and had the mean velocities `velocity_before` (N, 3).
+    """
+    velocity, turning, acceleration = found[0], found[1], found[2]
+    for row in range(len(poses)):
+        for axis in range(3):
+            velocity[row, axis] = (poses[row, axis] - before[row, axis]) / step_s
+        turn = (poses[row, 3] - before[row, 3] + np.pi) % (2 * np.pi) - np.pi
+        turning[row, 2] = turn / step_s
+        x = (velocity[row, 0] - velocity_before[row, 0]) / step_s
+        y = (velocity[row, 1] - velocity_before[row, 1]) / step_s
+        cos, sin = np.cos(poses[row, 3]), np.sin(poses[row, 3])
+        acceleration[row, 0] = cos * x + sin * y
+        acceleration[row, 1] = cos * y - sin * x
+        acceleration[row, 2] = (velocity[row, 2] - velocity_before[row, 2]) / step_s

@@ -3,10 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.compiled import compile_function
 from dune_rl.state import GroundQueries, Motion
 
 Array = NDArray[np.float64]
@@ -138,19 +140,43 @@ class Proximity:
         position = motion.position_w[:, None, :2]
         if outline.radius_m:
             return position
-        return position + outline.points_b @ motion.rotation[:, :2, :2].transpose(0, 2, 1)
+        found = np.empty((len(position), len(outline.points_b), 2))
+        _place_points(outline.points_b, motion.position_w, motion.rotation, found)
+        return found
 
     def _from_outline(self, group: int, points_w: Array) -> Array:
         """Distance [m], (N, K), of points (N, K, 2) from each agent's rectangle (0 inside) or disc centre."""
-        motion = self._motions[group]
-        offset = points_w - motion.position_w[:, None, :2]
-        if self._each[group].outline.radius_m:
-            return np.hypot(offset[..., 0], offset[..., 1])
-        cos, sin = np.cos(motion.yaw)[:, None], np.sin(motion.yaw)[:, None]
-        half = self._each[group].outline.half_size
-        ahead = np.abs(cos * offset[..., 0] + sin * offset[..., 1]) - half[0]
-        aside = np.abs(cos * offset[..., 1] - sin * offset[..., 0]) - half[1]
-        return np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
+        motion, outline = self._motions[group], self._each[group].outline
+        apart = np.empty(points_w.shape[:2])
+        _measure_from_outlines(points_w, motion.position_w, motion.yaw, outline.half_size, apart)
+        return apart
+
+
+@compile_function
+def _place_points(points_b: Any, position: Any, rotation: Any, found: Any) -> None:
+    """Points (P, 2) of an outline on bodies at `position` (N, 3), turned by `rotation`: `found` (N, P, 2)."""
+    for row in range(len(position)):
+        for point in range(len(points_b)):
+            x, y = points_b[point]
+            for axis in range(2):
+                turned = rotation[row, axis, 0] * x + rotation[row, axis, 1] * y
+                found[row, point, axis] = position[row, axis] + turned
+
+
+@compile_function
+def _measure_from_outlines(points: Any, position: Any, yaw: Any, half_size: Any, found: Any) -> None:
+    """Distances `found` (N, K) of points (N, K, 2) from rectangles of `half_size` (2,), 0 inside.
+
+    The rectangles are centred at `position` (N, 3) and turned by `yaw` (N,) [rad].
+    """
+    for row in range(len(points)):
+        cos, sin = np.cos(yaw[row]), np.sin(yaw[row])
+        for point in range(points.shape[1]):
+            x = points[row, point, 0] - position[row, 0]
+            y = points[row, point, 1] - position[row, 1]
+            ahead = abs(cos * x + sin * y) - half_size[0]
+            aside = abs(cos * y - sin * x) - half_size[1]
+            found[row, point] = np.hypot(max(ahead, 0.0), max(aside, 0.0))
 
 
 def _without(poses: Array, layout: GroupLayout) -> Array:

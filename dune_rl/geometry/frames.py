@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.frame_loops import find_angles, rotate
+
 Array = NDArray[np.float64]
 
 
@@ -23,21 +25,10 @@ def clip(value: Array, low: Array | float, high: Array | float) -> Array:
 
 def rotation_matrices(quaternion: Array) -> Array:
     """Body-to-world rotation, shape (..., 3, 3), of unit quaternions xyzw, shape (..., 4)."""
-    x, y, z, w = (quaternion[..., i] for i in range(4))
-    out = np.empty((*quaternion.shape[:-1], 3, 3))
-    xx, yy, zz = x * x, y * y, z * z
-    xy, xz, yz = x * y, x * z, y * z
-    wx, wy, wz = w * x, w * y, w * z
-    out[..., 0, 0] = 1 - 2 * (yy + zz)
-    out[..., 0, 1] = 2 * (xy - wz)
-    out[..., 0, 2] = 2 * (xz + wy)
-    out[..., 1, 0] = 2 * (xy + wz)
-    out[..., 1, 1] = 1 - 2 * (xx + zz)
-    out[..., 1, 2] = 2 * (yz - wx)
-    out[..., 2, 0] = 2 * (xz - wy)
-    out[..., 2, 1] = 2 * (yz + wx)
-    out[..., 2, 2] = 1 - 2 * (xx + yy)
-    return out
+    quaternion = np.ascontiguousarray(quaternion, np.float64)
+    found = np.empty((*quaternion.shape[:-1], 3, 3))
+    rotate(quaternion.reshape(-1, 4), found.reshape(-1, 3, 3))
+    return found
 
 
 def rotation_from_yaw(yaw: Array) -> Array:
@@ -65,11 +56,10 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
     Pitch is in [-pi/2, pi/2] and positive nose down (x forward, z up).
     """
-    out = np.empty(rotation.shape[:-1])
-    out[..., 0] = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
-    out[..., 1] = -np.arcsin(clip(rotation[..., 2, 0], -1.0, 1.0))
-    out[..., 2] = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
-    return out
+    rotation = np.ascontiguousarray(rotation, np.float64)
+    found = np.empty(rotation.shape[:-1])
+    find_angles(rotation.reshape(-1, 3, 3), found.reshape(-1, 3))
+    return found
 
 
 def to_world(rotation: Array, vector_b: Array) -> Array:

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dune_rl.geometry.grid_loops import find_triangles, interpolate_triangles
+
 Array = NDArray[np.float64]
 
 
@@ -34,11 +36,9 @@ class HeightField:
             self.origin[1],
             self.origin[1] + (rows - 1) * self.spacing_m,
         )
-        self._origin = np.array(self.origin)
-        self._inverse_spacing = 1.0 / self.spacing_m
-        self._last = np.array([columns - 1, rows - 1], dtype=np.float64)
-        self._last_cell = np.array([columns - 2, rows - 2])
-        self._strides = np.array([2, 2 * (columns - 1)])
+        # See `grid_loops`.
+        last = np.array([columns - 1, rows - 1], np.float64)
+        self._grid = np.array(self.origin), 1.0 / self.spacing_m, last
         self._planes, self._normals = self._triangle_tables()
 
     def _triangle_tables(self) -> tuple[Array, Array]:
@@ -51,35 +51,29 @@ class HeightField:
         planes[..., 0, 1], planes[..., 0, 2] = up_right - up_left, up_left - low_left
         planes[..., 1, 1], planes[..., 1, 2] = low_right - low_left, up_right - low_right
         normals = np.empty_like(planes)
-        normals[..., :2] = -planes[..., 1:] * self._inverse_spacing
+        normals[..., :2] = -planes[..., 1:] / self.spacing_m
         normals[..., 2] = 1.0
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         return planes.reshape(-1, 3), normals.reshape(-1, 3)
 
-    def _locate(self, xy: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        # Index of each point's triangle, and the point's coordinates within its cell, (..., 2) in [0, 1].
-        at = (np.asarray(xy, dtype=np.float64) - self._origin) * self._inverse_spacing
-        at = np.fmin(np.fmax(at, 0.0), self._last)
-        cell = np.minimum(at.astype(np.intp), self._last_cell)
-        at -= cell
-        return cell @ self._strides + (at[..., 0] >= at[..., 1]), at
-
     def height(self, xy: ArrayLike) -> Array:
         """Height [m], shape (...), at points (..., 2)."""
-        triangle, at = self._locate(xy)
-        plane = self._planes[triangle]
-        return plane[..., 0] + plane[..., 1] * at[..., 0] + plane[..., 2] * at[..., 1]
+        points = np.ascontiguousarray(xy, np.float64)
+        found = np.empty(points.shape[:-1])
+        interpolate_triangles(points.reshape(-1, 2), *self._grid, self._planes, found.reshape(-1))
+        height: Array = found[()]
+        return height
 
     def normal(self, xy: ArrayLike) -> Array:
         """Upward unit normal in the world frame, shape (..., 3), at points (..., 2)."""
-        return self._normals[self._locate(xy)[0]]
+        points = np.ascontiguousarray(xy, np.float64)
+        triangles = np.empty(points.shape[:-1], np.int64)
+        find_triangles(points.reshape(-1, 2), *self._grid, triangles.reshape(-1))
+        return self._normals[triangles]
 
     def height_and_normal(self, xy: ArrayLike) -> tuple[Array, Array]:
-        """`height` and `normal` from one search for the triangles."""
-        triangle, at = self._locate(xy)
-        plane = self._planes[triangle]
-        height = plane[..., 0] + plane[..., 1] * at[..., 0] + plane[..., 2] * at[..., 1]
-        return height, self._normals[triangle]
+        """`height` and `normal`."""
+        return self.height(xy), self.normal(xy)
 
     def slope(self, xy: ArrayLike) -> Array:
         """Angle between the ground and the horizontal [rad], shape (...), at points (..., 2)."""

@@ -48,6 +48,8 @@ class SharedPerScene(Generic[T]):
 
     def select_groups(self, scenes: NDArray[np.int64]) -> Groups[T]:
         """`groups` of the scenes in `scenes` (m,) only, renumbered from 0 in its order."""
+        if len(self.groups) == 1:
+            return self.groups
         return _group_by_identity([self._items[scene] for scene in scenes.tolist()])
 
     def map(self, make: Callable[[T], U]) -> "DerivedCache[T, U]":

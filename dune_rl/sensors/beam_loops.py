@@ -21,35 +21,69 @@ def nearest_in_segments(ranges: Any, found: Any) -> None:
 
 
 @compile_function
-def scale_directions(directions: Any, ranges: Any, farthest: Any, nowhere: Any, found: Any) -> None:
-    """`directions` (B, 3) times `ranges` (N, B), as `found` (N, B, 3); a range of `farthest` is `nowhere`."""
+def turn_beams(directions: Any, rotation: Any, found: Any, found32: Any) -> None:
+    """`directions` (B, 3) turned by `rotation` (N, 3, 3), as `found` (N, B, 3) of two precisions."""
+    for row in range(rotation.shape[0]):
+        for beam in range(directions.shape[0]):
+            for axis in range(3):
+                turned = 0.0
+                for part in range(3):
+                    turned += rotation[row, axis, part] * directions[beam, part]
+                found[row, beam, axis] = turned
+                found32[row, beam, axis] = turned
+
+
+@compile_function
+def find_ends(directions: Any, ranges: Any, limits: Any, origin: Any, rotation: Any, found: Any) -> None:
+    """Where beams of `ranges` (N, B) along `directions` (B, 3) end in the world, `found` (N, B, 3).
+
+    Sensors are at `origin` (N, 3), turned by `rotation` (N, 3, 3). `limits` are the range of a beam that
+    meets nothing, and how far away it ends.
+    """
+    farthest, nowhere = limits
     for row in range(ranges.shape[0]):
         for beam in range(ranges.shape[1]):
             along = np.float64(ranges[row, beam] if ranges[row, beam] < farthest else nowhere)
             for axis in range(3):
-                found[row, beam, axis] = directions[beam, axis] * along
+                turned = 0.0
+                for part in range(3):
+                    turned += rotation[row, axis, part] * (directions[beam, part] * along)
+                found[row, beam, axis] = origin[row, axis] + turned
 
 
 @compile_function
-def nearest_by_bearing(
-    ends: Any, bearings: Any, first: Any, per_rad: Any, full_circle: bool, limits: Any, found: Any
+def nearest_seen_from(
+    ends: Any,
+    origin: Any,
+    rotation: Any,
+    first: Any,
+    per_rad: Any,
+    full_circle: bool,
+    limits: Any,
+    found: Any,
 ) -> None:
-    """Nearest end point in each segment, `found` (N, S), of `ends` (N, B, 3) at `bearings` (N, B) [rad].
+    """Nearest in each segment, `found` (N, S), of the points `ends` (N, B, 3) in the world.
 
-    Segments begin at `first` [rad] and there are `per_rad` in a radian; those of a full circle go on at its
-    beginning. Ranges are horizontal, within two `limits` [m], the second where there is none.
+    Sensors are at `origin` (N, 3), turned by `rotation` (N, 3, 3). Segments begin at the bearing `first`
+    [rad] and there are `per_rad` in a radian; those of a full circle go on at its beginning. Ranges are
+    horizontal, within two `limits` [m], the second where there is none.
     """
     nearest, farthest = limits
     rows, segments = found.shape
     for row in range(rows):
         for segment in range(segments):
             found[row, segment] = farthest
+        turn = rotation[row]
         for beam in range(ends.shape[1]):
-            segment = int(np.floor((bearings[row, beam] - first) * per_rad))
+            x = ends[row, beam, 0] - origin[row, 0]
+            y = ends[row, beam, 1] - origin[row, 1]
+            z = ends[row, beam, 2] - origin[row, 2]
+            ahead = x * turn[0, 0] + y * turn[1, 0] + z * turn[2, 0]
+            aside = x * turn[0, 1] + y * turn[1, 1] + z * turn[2, 1]
+            segment = int(np.floor((np.arctan2(aside, ahead) - first) * per_rad))
             if full_circle:
                 segment %= segments
             if 0 <= segment < segments:
-                x, y = ends[row, beam, 0], ends[row, beam, 1]
-                found[row, segment] = min(found[row, segment], np.sqrt(x * x + y * y))
+                found[row, segment] = min(found[row, segment], np.sqrt(ahead * ahead + aside * aside))
         for segment in range(segments):
             found[row, segment] = max(found[row, segment], nearest)

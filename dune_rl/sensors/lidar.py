@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.geometry.batched import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.sensors.beam_loops import nearest_in_segments, scale_directions
+from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, turn_beams
 from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.settings import Settings
@@ -109,10 +109,13 @@ class Beams:
         """
         rows, count = len(position_w), len(self.directions_b)
         origin = self.origin(position_w, rotation)
-        directions = self.directions_b @ rotation.transpose(0, 2, 1)
+        directions = np.empty((rows, count, 3))
+        directions32 = np.empty((rows, count, 3), np.float32)
+        turn_beams(self.directions_b, rotation, directions, directions32)
         ranges = np.full((rows, count), self._range_m, np.float32)
-        directions32 = directions.reshape(-1, 3).astype(np.float32)
-        self._static.shorten_ranges(origin.astype(np.float32), directions32, ranges.reshape(-1))
+        self._static.shorten_ranges(
+            origin.astype(np.float32), directions32.reshape(-1, 3), ranges.reshape(-1)
+        )
         for mesh, columns in self._meshes:
             poses = neighbours if len(self._meshes) == 1 else neighbours[:, columns]
             mesh.rays.shorten_posed(origin, directions, poses, mesh.sphere, self._range_m, ranges)
@@ -142,10 +145,8 @@ class Lidar:
 
         A beam that meets nothing ends far away, not as a wall at its range.
         """
-        ends_b = np.empty((*ranges.shape, 3))
         limits = np.float32(self.conf.range_m), np.float32(_NOWHERE_M)
-        scale_directions(self.directions_b, ranges, *limits, ends_b)
-        np.add(origin[:, None], ends_b @ rotation.transpose(0, 2, 1), out=found, casting="same_kind")
+        find_ends(self.directions_b, ranges, limits, origin, rotation, found)
 
     def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.

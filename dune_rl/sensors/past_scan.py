@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.sensors.beam_loops import nearest_by_bearing
+from dune_rl.sensors.beam_loops import nearest_seen_from
 from dune_rl.sensors.lidar import LidarConf
 
 Array = NDArray[np.float64]
@@ -44,10 +44,15 @@ class PastScan:
         delay shows its first scan.
         """
         ends_w = self._ends_w[(self._newest + 1) % len(self._ends_w)]
-        ends_b = (ends_w - origin_w[:, None].astype(np.float32)) @ rotation.astype(np.float32)
-        bearings = np.arctan2(ends_b[..., 1], ends_b[..., 0])
-        found = np.empty((len(ends_b), self._conf.n_segments), np.float32)
-        nearest_by_bearing(
-            ends_b, bearings, self._first_rad, self._per_rad, self._full_circle, self._limits, found
+        found = np.empty((len(ends_w), self._conf.n_segments), np.float32)
+        nearest_seen_from(
+            ends_w,
+            origin_w.astype(np.float32),
+            rotation.astype(np.float32),
+            self._first_rad,
+            self._per_rad,
+            self._full_circle,
+            self._limits,
+            found,
         )
         return found

@@ -73,9 +73,11 @@ class BatchedWorlds:
         """The rectangles (xmin, xmax, ymin, ymax) [m] of the terrains, (M, 4)."""
         return self._extents
 
-    def height(self, xy: Array) -> Array:
-        """Height of the ground [m], (M, ...), at points (M, ..., 2)."""
-        return query_grouped(self._terrains.groups, HeightField.height, xy)
+    def height(self, xy: Array, scenes: NDArray[np.int64] | None = None) -> Array:
+        """Height of the ground [m], (M, ...), at points (M, ..., 2), or, of m `scenes` (m,), (m, ..., 2)."""
+        terrains = self._terrains
+        groups = terrains.groups if scenes is None else terrains.select_groups(scenes)
+        return query_grouped(groups, HeightField.height, xy)
 
     def clearance(self, xy: Array) -> Array:
         """As `World.clearance`: distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
+from dune_rl.geometry.grid_loops import interpolate_bilinear
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.props import Mesh, merge_meshes
@@ -39,9 +40,7 @@ class ClearanceField:
         self._origin = np.array([xmin, ymin])
         self._inverse_cell = 1.0 / self.cell_m
         self._last = np.array([self.columns - 1, self.rows - 1], dtype=np.float64)
-        self._last_cell = np.array([self.columns - 2, self.rows - 2])
         self._strides = np.array([1, self.columns])
-        self._corners = np.array([0, 1, self.columns, self.columns + 1])
         self.distance: NDArray[np.float32] | None = self._build(blocking, decks) if blocking else None
 
     def _build(self, blocking: Sequence[Mesh], decks: Sequence[Mesh]) -> NDArray[np.float32] | None:
@@ -87,15 +86,12 @@ class ClearanceField:
         points = np.asarray(xy, dtype=np.float64)
         if self.distance is None:
             return np.full(points.shape[:-1], np.inf)
-        at = (points - self._origin) * self._inverse_cell
-        at = np.fmin(np.fmax(at, 0.0), self._last)
-        cell = np.minimum(at.astype(np.intp), self._last_cell)
-        at -= cell
-        x, y = at[..., 0], at[..., 1]
-        corners = self.distance[(cell @ self._strides)[..., None] + self._corners]
-        low = corners[..., 0] * (1 - x) + corners[..., 1] * x
-        high = corners[..., 2] * (1 - x) + corners[..., 3] * x
-        return low * (1 - y) + high * y
+        found = np.empty(points.shape[:-1])
+        flat = np.ascontiguousarray(points).reshape(-1, 2)
+        grid = self._origin, self._inverse_cell, self._last
+        interpolate_bilinear(flat, *grid, self.distance, found.reshape(-1))
+        clearance: Array = found[()]
+        return clearance
 
 
 def _deck_height(scene: RayScene, xy: Array) -> Array:

@@ -157,7 +157,7 @@ def test_a_walker_that_is_held_back_walks_on_from_there() -> None:
     for _ in range(20):
         stopped.walk()
         stopped.poses[0, :2] = place[:2]
-        stopped.follower.hold_back([0], stopped.poses[None, :1])
+        stopped.follower.hold_back(np.array([0]), stopped.poses[None, :1])
     # For as long as it stands it does not get ahead on its path; the other scene's walker does.
     for _ in range(40):
         stopped.walk()
@@ -175,7 +175,7 @@ def test_a_walker_that_is_pushed_off_its_path_walks_back_at_its_speed(aside: tup
     walkers = Walkers(PathConf(waypoints=BEND.tolist()), world=world)
     walkers.walk(speed)
     walkers.poses[0, :2] += aside
-    walkers.follower.hold_back([0], walkers.poses[None, :1])
+    walkers.follower.hold_back(np.array([0]), walkers.poses[None, :1])
     track = [walkers.poses[0].copy()]
     for _ in range(30):
         walkers.walk(speed)

@@ -30,6 +30,7 @@ def bodies(*poses: tuple[float, float, float], world: World | None = None) -> Ki
 def walk(body: KinematicBody, speed: float, heading: float, steps: int = 1) -> None:
     for _ in range(steps):
         body.apply_actions(np.tile([speed, heading], (len(body.poses), 1)))
+        body.read()
 
 
 def test_an_agent_goes_where_it_turns() -> None:
@@ -112,11 +113,12 @@ def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> Non
     body = bodies((0.0, 0.0, 0.0), (0.0, 3.0, 0.0), world=world)
     walk(body, 1.0, 0.0)
     before = body.poses.copy()
-    walk(body, 1.0, 0.0)
+    body.apply_actions(np.tile([1.0, 0.0], (2, 1)))
     commanded = body.poses.copy()
     reached = commanded.copy()
     reached[0, :2] = before[0, :2] + [0.01, -0.02]
-    body.hold_back([0], reached[None])
+    body.hold_back(np.array([0]), reached[None])
+    body.read()
     np.testing.assert_allclose(body.poses[0], [0.06, -0.02, 0.006, 0.0], atol=1e-9)
     np.testing.assert_allclose(body.motion.velocity_w[0], [0.2, -0.4, 0.02], atol=1e-9)
     # The other has got to where it went.
@@ -131,9 +133,10 @@ def test_motion_is_the_change_of_the_pose() -> None:
     body = bodies((0.0, 0.0, 3.1), world=World("slope", slope, region=(-9.0, 9.0, -9.0, 9.0)))
     poses, velocities = [body.poses[0]], [np.zeros(3)]
     for speed in (0.4, 1.0, 1.0, 0.7):
-        walk(body, speed, 0.1)
+        body.apply_actions(np.array([[speed, 0.1]]))
         if speed == 0.7:
-            body.hold_back([0], body.poses[None] + np.array([0.01, 0.02, 0.0, 0.0]))
+            body.hold_back(np.array([0]), body.poses[None] + np.array([0.01, 0.02, 0.0, 0.0]))
+        body.read()
         poses.append(body.poses[0])
         before, now = poses[-2:]
         velocities.append((now[:3] - before[:3]) / STEP_S)

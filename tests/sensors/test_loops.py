@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dune_rl.sensors.beam_loops import nearest_by_bearing, nearest_in_segments, scale_directions
+from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, nearest_seen_from, turn_beams
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 
 RNG = np.random.default_rng(0)
@@ -66,13 +67,28 @@ def test_segments_have_their_nearest_beam():
         np.testing.assert_array_equal(found, ranges.reshape(5, segments, -1).min(axis=2))
 
 
+def rotations(count: int) -> np.ndarray:
+    quaternions = RNG.normal(size=(count, 4))
+    return rotation_matrices(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
+
+
+def test_beams_are_turned_with_their_sensors():
+    directions, rotation = RNG.normal(size=(6, 3)), rotations(4)
+    found, found32 = np.empty((4, 6, 3)), np.empty((4, 6, 3), np.float32)
+    turn_beams(directions, rotation, found, found32)
+    np.testing.assert_allclose(found, np.einsum("nij,bj->nbi", rotation, directions), rtol=1e-12)
+    np.testing.assert_array_equal(found32, found.astype(np.float32))
+
+
 def test_beams_that_meet_nothing_end_nowhere():
     directions, ranges = RNG.normal(size=(6, 3)), RNG.uniform(0.1, 5.0, (4, 6)).astype(np.float32)
     ranges[1, 2:4] = 5.0
+    origin, rotation = RNG.normal(size=(4, 3)), rotations(4)
     found = np.empty((4, 6, 3))
-    scale_directions(directions, ranges, np.float32(5.0), np.float32(1e6), found)
-    ended = np.where(ranges < 5.0, ranges, np.float32(1e6))
-    np.testing.assert_array_equal(found, directions * ended[..., None])
+    find_ends(directions, ranges, (np.float32(5.0), np.float32(1e6)), origin, rotation, found)
+    ended_b = directions * np.where(ranges < 5.0, ranges, np.float32(1e6))[..., None]
+    ended = origin[:, None] + np.einsum("nij,nbj->nbi", rotation, ended_b)
+    np.testing.assert_allclose(found, ended, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("full_circle", [True, False])
@@ -80,16 +96,19 @@ def test_ends_count_where_they_lie(full_circle):
     segments, limits = 8, (np.float32(0.5), np.float32(9.0))
     span = 2 * np.pi if full_circle else np.pi
     first, per_rad = np.float32(-span / 2 - 0.05), np.float32(segments / span)
-    ends = RNG.uniform(-7.0, 7.0, (6, 50, 3)).astype(np.float32)
-    ends[0] *= 100.0
-    bearings = np.arctan2(ends[..., 1], ends[..., 0])
+    ends_b = RNG.uniform(-7.0, 7.0, (6, 50, 3))
+    ends_b[0] *= 100.0
+    origin, rotation = RNG.normal(size=(6, 3)), rotations(6)
+    ends = origin[:, None] + np.einsum("nij,nbj->nbi", rotation, ends_b)
     found = np.empty((6, segments), np.float32)
-    nearest_by_bearing(ends, bearings, first, per_rad, full_circle, limits, found)
+    seen_from = origin.astype(np.float32), rotation.astype(np.float32)
+    nearest_seen_from(ends.astype(np.float32), *seen_from, first, per_rad, full_circle, limits, found)
+    bearings = np.arctan2(ends_b[..., 1], ends_b[..., 0])
     place = np.floor((bearings - first) * per_rad).astype(int)
     place = place % segments if full_circle else place
     for row in range(6):
         for segment in range(segments):
-            there = np.hypot(*ends[row, place[row] == segment, :2].T.astype(float))
+            there = np.hypot(*ends_b[row, place[row] == segment, :2].T)
             expected = np.clip(min(there, default=9.0), 0.5, 9.0)
-            np.testing.assert_allclose(found[row, segment], expected, rtol=1e-6)
+            np.testing.assert_allclose(found[row, segment], expected, rtol=1e-5)
     assert (found[0] == 9.0).all() and (found[1:] < 9.0).any()

@@ -41,22 +41,22 @@ class BaseLink:
 
     def planar_motion(self) -> tuple[float, float, float]:
         """Position x, y [m] of the centre of mass, and speed [m/s] in all three directions."""
-        position, _, velocity, _ = self._read()
+        position, _, velocity, _ = self.read()
         return position[0], position[1], math.hypot(*velocity)
 
     def velocity_xy(self) -> tuple[float, float]:
         """Horizontal velocity of the centre of mass [m/s]."""
-        velocity = self._read()[2]
+        velocity = self.read()[2]
         return velocity[0], velocity[1]
 
     def link_state(self) -> tuple[float, ...]:
         """See `PhysicsRobot.body_state`."""
-        position, quaternion, linear, angular = self._read()
+        position, quaternion, linear, angular = self.read()
         if self._frame is not None:
             position, quaternion, linear = self._frame.link_state(position, quaternion, linear, angular)
         return (*position, *quaternion, *linear, *angular)
 
-    def _read(self) -> _State:
+    def read(self) -> _State:
         """Pose and velocities of the inertial frame, read once between physics steps."""
         state = self._state
         if state is None:

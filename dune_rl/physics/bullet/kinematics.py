@@ -146,12 +146,13 @@ class BulletCapsules:
             if index is None or not force_n > 0.0:
                 continue
             # From the axis of the capsule to the point on its surface.
-            x, y = (a - b for a, b in zip(contact[6][:2], self._positions[index], strict=True))
+            (point_x, point_y, _), (axis_x, axis_y) = contact[6], self._positions[index]
+            x, y = point_x - axis_x, point_y - axis_y
             length = math.hypot(x, y)
             if length > 0.0:
-                velocity = robot.velocity_xy()
-                push = self._pushes.setdefault(index, _Push())
-                push.add(force_n * x / length, force_n * y / length, velocity)
+                if (push := self._pushes.get(index)) is None:
+                    push = self._pushes[index] = _Push()
+                push.add(force_n * x / length, force_n * y / length, robot.velocity_xy())
 
     @property
     def are_pushing(self) -> bool:

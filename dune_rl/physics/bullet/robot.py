@@ -87,6 +87,17 @@ class BulletRobot:
         self.touched.clear()
         self.motors.begin_step(count)
 
+    def end_step(self) -> None:
+        """Read the state after a control step at once, while the processor still has it in its cache."""
+        self.mark_moved()
+        self.base.read()
+        self.motors.read_speeds()
+
+    def mark_moved(self) -> None:
+        """Drop what was read before a physics step."""
+        self.base.mark_moved()
+        self.motors.mark_moved()
+
     def set_command(self, commands: Sequence[float]) -> None:
         self.motors.commands = commands
 

@@ -92,7 +92,6 @@ class BulletScene:
         ]
         self._loaded: list[int] = []
         # What every physics step needs, so that its loops do not search the robots for it.
-        self._bases = [robot.base for robot in self.robots]
         motors = [robot.motors for robot in self.robots]
         self._stepwise_motors = [each for each in motors if not each.are_ideal]
         self._measured_motors = [each for each in motors if each.measures_work]
@@ -148,7 +147,10 @@ class BulletScene:
         if watched or forces:
             self._step_watching(count, watched, forces, near)
         else:
-            self.step_passive(count)
+            for _ in range(count):
+                self._advance()
+        for robot in robots:
+            robot.end_step()
         self._kinematics.end_step()
 
     def _step_watching(
@@ -169,10 +171,11 @@ class BulletScene:
                 kinematics.move(body, substep / count)
             for index, force in forces.items():
                 robots[index].base.act_force(force)
-            self.step_passive(1)
+            self._advance()
             for robot, handles in touchable:
                 contacts = robot.touched.record(handles)
                 if contacts and near:
+                    robot.base.mark_moved()
                     kinematics.record_contacts(contacts, robot.base)
             if kinematics.are_pushing:
                 kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
@@ -200,15 +203,18 @@ class BulletScene:
         self._body_numbers[handle] = self._spec.robot_number(index)
 
     def step_passive(self, count: int) -> None:
-        client, advance = self._client, pybullet.stepSimulation
-        for base in self._bases:
-            base.mark_moved()
         for _ in range(count):
-            for motors in self._stepwise_motors:
-                motors.command_step()
-            advance(physicsClientId=client)
-            for motors in self._measured_motors:
-                motors.add_work()
+            self._advance()
+        for robot in self.robots:
+            robot.mark_moved()
+
+    def _advance(self) -> None:
+        """Advance by a physics step."""
+        for motors in self._stepwise_motors:
+            motors.command_step()
+        pybullet.stepSimulation(self._client)
+        for motors in self._measured_motors:
+            motors.add_work()
 
     def close(self) -> None:
         self._release_client()
