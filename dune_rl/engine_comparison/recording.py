@@ -53,9 +53,9 @@ class RecordingScene:
         self.state: NDArray[np.float64] = np.zeros(13)
         self.wheel_speeds: NDArray[np.float64] = np.zeros(0)
 
-    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
-        """As `PhysicsScene.step`."""
-        self._scene.step(count, kinematic_poses)
+    def finish_step(self) -> None:
+        """As `PhysicsScene.finish_step`."""
+        self._scene.finish_step()
         (robot,) = self._scene.robots
         self.work_done_j = robot.work_j()
         self.state = np.array(robot.body_state())

@@ -18,6 +18,7 @@ from dune_rl.physics.interface import (
     PhysicsScene,
     RobotBody,
     SceneSpec,
+    step_scene,
 )
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.batched_worlds import BatchedWorlds
@@ -162,7 +163,7 @@ class SceneManager:
     def settle(self, scene: int) -> None:
         """Simulate until the robots of a scene have settled on the ground, under their rest commands."""
         count = round(_SETTLE_S * self.conf.physics_hz)
-        self._scene(scene).step(count, self._kinematic_poses[scene])
+        step_scene(self._scene(scene), count, self._kinematic_poses[scene])
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -171,11 +172,14 @@ class SceneManager:
 
         Returns, by scene, the poses (K, 4) reached where a robot blocked any of the bodies.
         """
-        substeps = self.conf.substeps
+        substeps, scenes = self.conf.substeps, self.built
         held_back = {}
-        for index, (scene, poses) in enumerate(zip(self._physics, kinematic_poses, strict=True)):
-            scene.step(substeps, poses)  # type: ignore[union-attr]
-            reached = scene.held_back_poses()  # type: ignore[union-attr]
+        # One after another, so that the processor has the code of each part in its caches.
+        for scene, poses in zip(scenes, kinematic_poses, strict=True):
+            scene.begin_step(substeps, poses)
+        for index, scene in enumerate(scenes):
+            scene.finish_step()
+            reached = scene.held_back_poses()
             if reached is not None:
                 held_back[index] = reached
         return held_back

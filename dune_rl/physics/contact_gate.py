@@ -6,20 +6,22 @@ most of the time this test shows that there cannot be any.
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from functools import lru_cache
 from typing import Protocol
 
-from dune_rl.physics.interface import KinematicCapsule, StaticBody
+import numpy as np
+
+from dune_rl.physics.gate_loops import CAPSULE_COLUMNS, FOUND_COLUMNS, TYRE_COLUMNS, find_near
+from dune_rl.physics.interface import KinematicCapsule, RobotBody, StaticBody, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
 
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
 # velocity and do not increase it.
 _MAX_ACCELERATION_MPS2 = 40.0
 # Upper bound of the distance below which engines treat two shapes as in contact.
-CONTACT_MARGIN_M = 0.05
+_CONTACT_MARGIN_M = 0.05
 
-# x, y and radius [m].
-Disc = tuple[float, float, float]
+_NO_CAPSULES = np.zeros((0, CAPSULE_COLUMNS))
 
 
 class GatedRobot(Protocol):
@@ -38,21 +40,36 @@ class GatedRobot(Protocol):
         ...
 
     def planar_motion(self) -> tuple[float, float, float]:
-        """Position x, y [m] and speed [m/s] in all three directions."""
+        """Position x, y [m] of the centre of mass, and speed [m/s] in all three directions."""
+        ...
+
+    def body_state(self) -> tuple[float, ...]:
+        """See `PhysicsRobot`."""
         ...
 
 
 class ContactGate:
-    """Finds the bodies that can have contacts, other than with ground, in the next control step."""
+    """Finds the bodies that can have contacts, other than with ground, in the next control step.
 
-    def __init__(self, statics: tuple[StaticBody, ...], kinematics: Sequence[KinematicCapsule]) -> None:
+    As of the last `find_contacts`, `needed_tyres` are the indices of each robot's tyres that can touch
+    anything, in the order of its `RobotBody.tyres`.
+    """
+
+    def __init__(
+        self,
+        statics: tuple[StaticBody, ...],
+        kinematics: Sequence[KinematicCapsule],
+        robots: Sequence[RobotBody],
+    ) -> None:
         self.obstacles = load_shared_map(statics)
         self._radii_m = [body.radius_m for body in kinematics]
-        # As of `find_contacts`: bound of each robot's motion in the next control step, and discs that contain
-        # all places of each robot, and of each kinematic body near any, in that step.
-        self.motions_m: list[float] = []
-        self.discs: list[Disc] = []
-        self.kinematic_discs: list[Disc] = []
+        most = max((len(body.tyres) for body in robots), default=0)
+        self._tyres = np.full((len(robots), most, TYRE_COLUMNS), np.nan)
+        for own, body in zip(self._tyres, robots, strict=True):
+            for row, tyre in zip(own, body.tyres, strict=False):
+                row[:] = _dimensions(tyre)
+        self.needed_tyres: list[frozenset[int]] = [frozenset()] * len(robots)
+        self._found, self._found_capsules = np.zeros((len(robots), FOUND_COLUMNS)), np.zeros(len(kinematics))
 
     def find_contacts(
         self,
@@ -67,40 +84,45 @@ class ContactGate:
         The step takes `duration_s` [s]. `forces` [N] are the external ones, by index of the robot. The K
         kinematic bodies move from `old_poses` (x, y, ...) [m] to `new_poses`.
         """
-        discs, exposed, motions = [], [], []
+        if not robots:
+            return [], []
+        rows = []
         for index, robot in enumerate(robots):
-            x, y, speed = robot.planar_motion()
             acceleration = _MAX_ACCELERATION_MPS2
             if index in forces:
                 acceleration += math.hypot(*forces[index]) / robot.base_mass_kg
-            motion = (speed + acceleration * duration_s / 2) * duration_s
-            motions.append(motion)
-            span = robot.reach_m + motion + CONTACT_MARGIN_M
-            discs.append((x, y, span))
-            # A state that has diverged counts as exposed.
-            exposed.append(not (math.isfinite(x + y) and self.obstacles.distance(x, y) >= span))
-        if len(discs) > 1:
-            for one, other in combinations(range(len(discs)), 2):
-                (x, y, span), (other_x, other_y, other_span) = discs[one], discs[other]
-                # Written so that NaN, which compares false, counts as near.
-                if not math.hypot(x - other_x, y - other_y) > span + other_span:
-                    exposed[one] = exposed[other] = True
-        self.motions_m, self.discs = motions, discs
-        near: list[int] = []
-        self.kinematic_discs = []
-        for body, radius in enumerate(self._radii_m):
-            old, new = old_poses[body], new_poses[body]
-            x, y = new[0], new[1]
-            room = radius + abs(x - old[0]) + abs(y - old[1])
-            is_near = False
-            for index, (robot_x, robot_y, span) in enumerate(discs):
-                if not math.hypot(x - robot_x, y - robot_y) > span + room:
-                    is_near = exposed[index] = True
-            if is_near:
-                near.append(body)
-                self.kinematic_discs.append((x, y, room))
-        return near, exposed
+            x, y, _, qx, qy, qz, qw, *_, wx, wy, wz = robot.body_state()
+            motion = robot.planar_motion()
+            rows.append((*motion, robot.reach_m, acceleration, x, y, qx, qy, qz, qw, wx, wy, wz))
+        ways = zip(old_poses, new_poses, self._radii_m, strict=True)
+        capsules = [(old[0], old[1], new[0], new[1], radius) for old, new, radius in ways]
+        found, near = self._found, self._found_capsules
+        find_near(
+            *self.obstacles.arrays,
+            np.array(rows),
+            self._tyres,
+            np.array(capsules) if capsules else _NO_CAPSULES,
+            duration_s,
+            _CONTACT_MARGIN_M,
+            found,
+            near,
+        )
+        exposed = []
+        for index, (_, _, _, is_exposed, bits) in enumerate(found.tolist()):
+            exposed.append(is_exposed != 0.0)
+            self.needed_tyres[index] = _of_bits(int(bits))
+        return [body for body, is_near in enumerate(near.tolist()) if is_near], exposed
 
     def statics_near(self, robot: int) -> list[int]:
         """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
-        return self.obstacles.bodies_near(*self.discs[robot])
+        return self.obstacles.bodies_near(*self._found[robot, :3].tolist())
+
+
+def _dimensions(tyre: Tyre) -> tuple[float, ...]:
+    """See `TYRE_COLUMNS`."""
+    return *tyre.position_b, math.hypot(*tyre.position_b), math.hypot(tyre.radius_m, tyre.width_m / 2)
+
+
+@lru_cache(maxsize=1024)
+def _of_bits(bits: int) -> frozenset[int]:
+    return frozenset(index for index in range(bits.bit_length()) if bits >> index & 1)

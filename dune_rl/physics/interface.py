@@ -317,13 +317,17 @@ class PhysicsScene(Protocol):
         """
         ...
 
-    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
-        """Advance `count` physics steps under the robots' commands and forces.
+    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+        """Prepare the `count` physics steps of a control step, under the robots' present commands and forces.
 
         Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
         end; those near a robot move there in `count` equal parts. Bodies that
         a robot holds back do not get there: see `held_back_poses`.
         """
+        ...
+
+    def finish_step(self) -> None:
+        """Advance by the control step that `begin_step` prepared."""
         ...
 
     def held_back_poses(self) -> NDArray[np.float64] | None:
@@ -341,3 +345,9 @@ class PhysicsScene(Protocol):
     def close(self) -> None:
         """Free the engine's memory; a second call does nothing."""
         ...
+
+
+def step_scene(scene: PhysicsScene, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    """Advance a scene by `count` physics steps: see `PhysicsScene.begin_step`."""
+    scene.begin_step(count, kinematic_poses)
+    scene.finish_step()

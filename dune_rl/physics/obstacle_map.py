@@ -1,6 +1,5 @@
 """Horizontal distance to the nearest static obstacle, from a grid that all scenes of a world share."""
 
-import math
 from collections.abc import Iterator
 from weakref import WeakValueDictionary
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from dune_rl.physics.gate_loops import find_boxes, find_distance
 from dune_rl.physics.interface import StaticBody
 
 Array = NDArray[np.float64]
@@ -28,21 +28,19 @@ class ObstacleMap:
     def __init__(self, statics: tuple[StaticBody, ...]) -> None:
         # `load_shared_map` finds maps by the id of this tuple, which must not be reused.
         self._statics = statics
-        obstacles = [body for body in statics if not body.ground and len(body.faces)]
-        self._is_empty = not obstacles
-        self._boxes = [
-            (number, *body.vertices[:, :2].min(axis=0).tolist(), *body.vertices[:, :2].max(axis=0).tolist())
-            for number, body in enumerate(statics)
-            if not body.ground and len(body.faces)
-        ]
-        if self._is_empty:
+        numbers = [number for number, body in enumerate(statics) if not body.ground and len(body.faces)]
+        obstacles = [statics[number] for number in numbers]
+        corners = [(body.vertices[:, :2].min(axis=0), body.vertices[:, :2].max(axis=0)) for body in obstacles]
+        self._numbers, self._found = np.array(numbers, np.int64), np.zeros(len(numbers), np.int64)
+        self._boxes = np.array(corners).reshape(-1, 4)
+        # What `gate_loops` calls `grid` and `quarters`; without obstacles there are none.
+        self.arrays = np.zeros(6), np.zeros(0, np.uint8)
+        if not obstacles:
             return
         vertices = np.concatenate([body.vertices[:, :2] for body in obstacles])
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         width, depth = high - low
         self.cell_m = max(_CELL_M, float(np.sqrt(width * depth / _MAX_CELLS)))
-        self._low_x, self._low_y = low.tolist()
-        self._high_x, self._high_y = high.tolist()
         columns, rows = (int(size / self.cell_m) + 2 for size in (width, depth))
         free = np.ones((columns, rows), bool)
         for body in obstacles:
@@ -54,33 +52,18 @@ class ObstacleMap:
         distance = distance_transform_edt(free, sampling=self.cell_m) - 2.0 * self.cell_m
         # In quarters of a cell, rounded down: a byte is enough for the distances that matter.
         quarters = np.clip(4.0 * distance / self.cell_m, 0.0, 255.0).astype(np.uint8)
-        # Python reads a number from bytes several times faster than from an array.
-        self._rows, self._quarters = rows, quarters.tobytes()
+        grid = np.array([low[0], high[0], low[1], high[1], self.cell_m, rows])
+        self.arrays = grid, quarters.reshape(-1)
 
     def distance(self, x: float, y: float) -> float:
         """Lower bound [m] for a point, whose coordinates must be finite; inf without obstacles."""
-        if self._is_empty:
-            return math.inf
-        inside_x = min(max(x, self._low_x), self._high_x)
-        inside_y = min(max(y, self._low_y), self._high_y)
-        cell = self.cell_m
-        column, row = int((inside_x - self._low_x) / cell), int((inside_y - self._low_y) / cell)
-        near = 0.25 * cell * self._quarters[column * self._rows + row]
-        if inside_x == x and inside_y == y:
-            return near
-        apart = math.hypot(x - inside_x, y - inside_y)
-        # Seen from the nearest point of the obstacles' convex bounding box, query and obstacles are in
-        # directions at least 90 degrees apart.
-        return math.hypot(apart, near)
+        return float(find_distance(*self.arrays, x, y))
 
     def bodies_near(self, x: float, y: float, distance_m: float) -> list[int]:
         """Numbers, among the statics, of obstacles with bounding boxes within a distance along x and y."""
-        low_x, high_x, low_y, high_y = x - distance_m, x + distance_m, y - distance_m, y + distance_m
-        return [
-            number
-            for number, xmin, ymin, xmax, ymax in self._boxes
-            if xmin < high_x and xmax > low_x and ymin < high_y and ymax > low_y
-        ]
+        count = find_boxes(self._boxes, x, y, distance_m, self._found)
+        near: list[int] = self._numbers[self._found[:count]].tolist()
+        return near
 
 
 def _surface_points(triangles: Array, spacing_m: float) -> Iterator[Array]:

@@ -6,7 +6,7 @@ from states import joints_from, motion_of
 
 from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.traction import Traction
-from dune_rl.physics.interface import PhysicsConf
+from dune_rl.physics.interface import PhysicsConf, step_scene
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import SURFACES, Surface
@@ -67,7 +67,7 @@ class RoverOnGround:
             if force is not None:
                 self.engine.apply_force(force[0].tolist())
             self.engine.set_command([wheels] * 4)
-            self.scene.step(substeps or self.physics.substeps, np.zeros((0, 4)))
+            step_scene(self.scene, substeps or self.physics.substeps, np.zeros((0, 4)))
             self._read()
 
     @property

@@ -24,6 +24,7 @@ from dune_rl.physics.interface import (
     RobotBody,
     SceneSpec,
     StaticBody,
+    step_scene,
 )
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
@@ -179,7 +180,7 @@ class Stage:
             self.actors = np.array(actors, float)
         joints = len(self.robot.drive_joints)
         self.engine.set_command(np.broadcast_to(np.asarray(wheels, float), joints).tolist())
-        self.scene.step(count, self.actors)
+        step_scene(self.scene, count, self.actors)
 
     def walk(self, velocity_w: Sequence[float], count: int = SUBSTEPS) -> None:
         """Move the one kinematic body at a velocity (2) [m/s] from where it is; wheels stand still."""
@@ -276,7 +277,7 @@ class Company:
     def step(self, count: int = SUBSTEPS, actors: Sequence[Sequence[float]] | None = None) -> None:
         if actors is not None:
             self.actors = np.array(actors, float)
-        self.scene.step(count, self.actors)
+        step_scene(self.scene, count, self.actors)
 
     @property
     def states(self) -> np.ndarray:

@@ -79,7 +79,10 @@ class ScriptedScene:
         for robot in self.robots:
             robot.reset()
 
-    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+        pass
+
+    def finish_step(self) -> None:
         pass
 
     def held_back_poses(self) -> None:

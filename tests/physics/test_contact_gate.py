@@ -156,10 +156,13 @@ class Puck:
     def planar_motion(self) -> tuple[float, float, float]:
         return self._motion
 
+    def body_state(self) -> tuple[float, ...]:
+        return (*self._motion[:2], 0.125, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6)
+
 
 def exposed(statics, *pucks: Puck, forces=None, kinematics=(), old=(), new=()) -> list[bool]:
     """Whether each of the pucks can touch anything in a control step of 0.05 s."""
-    gate = ContactGate(tuple(statics), kinematics)
+    gate = ContactGate(tuple(statics), kinematics, [rover_without_tyres() for _ in pucks])
     return gate.find_contacts(pucks, 0.05, forces or {}, old, new)[1]
 
 
@@ -181,7 +184,7 @@ def test_whatever_is_within_reach_of_an_obstacle_is_exposed(seed):
     points = np.einsum("fkc,fcd->fkd", weights, corners).reshape(-1, 2)
     bearing = rng.uniform(-np.pi, np.pi, len(points))
     around = points + 0.5 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    gate = ContactGate((plane(), *walls), ())
+    gate = ContactGate((plane(), *walls), (), [rover_without_tyres()])
     for xy in around.tolist():
         assert gate.find_contacts([Puck(*xy)], 0.05, {}, (), ()) == ([], [True])
 
@@ -223,7 +226,7 @@ def test_the_reach_of_a_robot_has_its_tyres_in_it(backend, tmp_path):
 
 def test_the_obstacles_near_a_place_are_those_that_can_be_touched():
     walls = (plane(), box((3.0, 0.0), 1.0, 1.0, 1.0), box((0.0, 3.0), 1.0, 1.0, 1.0, name="other"))
-    gate = ContactGate(walls, ())
+    gate = ContactGate(walls, (), [rover_without_tyres()])
     for place, near in (((2.2, 0.0), [1]), ((0.0, 2.2), [2]), ((2.2, 2.2), [1, 2]), ((-9.0, 0.0), [])):
         gate.find_contacts([Puck(*place, reach_m=0.3 if len(near) < 2 else 1.8)], 0.05, {}, (), ())
         assert gate.statics_near(0) == near

@@ -33,7 +33,7 @@ from scenes import (
 
 from dune_rl.errors import PhysicsError
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.physics.interface import PhysicsConf, SceneSpec
+from dune_rl.physics.interface import PhysicsConf, SceneSpec, step_scene
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf
 
 # Every test below takes `backend`, or pytest refuses to collect it.
@@ -298,6 +298,6 @@ def test_a_scene_without_robots_steps(backend):
     scene = backend(spec)
     assert (len(scene.robots), spec.num_bodies) == (0, 2)
     scene.reset(np.zeros((1, 4)))
-    scene.step(10, np.array([[0.1, 0.0, 0.0, 0.0]]))
+    step_scene(scene, 10, np.array([[0.1, 0.0, 0.0, 0.0]]))
     scene.step_passive(2)
     scene.close()

@@ -27,7 +27,7 @@ from scenes import (
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.contact_gate import ContactGate
-from dune_rl.physics.interface import RobotBody, SceneSpec, StaticBody, Tyre
+from dune_rl.physics.interface import RobotBody, StaticBody, Tyre
 from dune_rl.physics.tyre_activation import TyreActivation
 from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
@@ -306,15 +306,17 @@ class Placed:
         return (self.x, self.y, 0.125, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6)
 
 
-def activation(robots: Sequence[RobotBody] = (), *statics: StaticBody) -> TyreActivation:
-    spec = SceneSpec((plane(), *statics), (walker(),), tuple(robots) or (rover_body(),), TIMESTEP_S, 10)
-    return TyreActivation(spec)
+def needed(robot: Placed, *statics: StaticBody, others: Sequence[Placed] = (), walkers=()) -> frozenset[int]:
+    """Tyres of a rover that can touch anything in a control step; other robots have none.
 
-
-def update(tyres: TyreActivation, *robots: Placed, exposed: bool = True, walker_x: float = 99.0) -> list[int]:
-    motions, discs = [0.05] * len(robots), [(robot.x, robot.y, 0.55) for robot in robots]
-    walkers = [(walker_x, 0.0, walker().radius_m)] if walker_x < 90.0 else []
-    return tyres.update(robots, [exposed] * len(robots), motions, 0.05, discs, walkers)
+    `walkers` have the x, where y is 0, from which and to which each goes.
+    """
+    old, new = ([[ends[index], 0.0, 0.0, 0.0] for ends in walkers] for index in (0, 1))
+    bodies = [rover_body(), *(rover_without_tyres() for _ in others)]
+    gate = ContactGate((plane(), *statics), [walker() for _ in walkers], bodies)
+    gate.find_contacts([robot, *others], 0.05, {}, old, new)
+    assert not any(gate.needed_tyres[1:])
+    return gate.needed_tyres[0]
 
 
 # What a tyre reaches in a control step of these tests, and by how much the map of obstacles may be too near.
@@ -328,64 +330,52 @@ def test_tyres_that_can_touch_an_obstacle_are_active_and_far_ones_are_not(seed):
     high = low + rng.uniform(0.02, 3.0, (6, 2))
     centres, sizes = (low + high) / 2, high - low
     boxes = [box(tuple(xy), *size, 1.0) for xy, size in zip(centres.tolist(), sizes.tolist(), strict=True)]
-    tyres = activation([rover_body()], *boxes)
+    gate = ContactGate((plane(), *boxes), (), [rover_body()])
     seen = []
     for xy in rng.uniform(-7.0, 7.0, (200, 2)):
         places = xy + RoverZero.wheel_positions_b[:, None, :2]
         outside = np.maximum(np.maximum(low - places, places - high), 0.0)
         apart = np.hypot(*np.moveaxis(outside, 2, 0)).min(axis=1)
-        tyres.reset()
-        update(tyres, Placed(*xy))
-        active = np.isin(np.arange(4), list(tyres.active[0]))
+        gate.find_contacts([Placed(*xy)], 0.05, {}, (), ())
+        active = np.isin(np.arange(4), list(gate.needed_tyres[0]))
         assert active[apart < REACH_M - 1e-9].all()
         assert not active[apart > REACH_M + MAP_ERROR_M].any()
         seen.append(active)
     assert 0.05 < np.mean(seen) < 0.95
 
 
-def test_tyres_near_a_walker_or_another_robot_are_active():
-    tyres = activation()
-    assert update(tyres, Placed(0.0, 0.0), walker_x=0.58) == [0]
-    assert tyres.active == [{0, 1}]
-    bodies = [rover_body(), rover_without_tyres(), rover_body()]
-    tyres = activation(bodies)
-    assert update(tyres, Placed(0.0, 0.0), Placed(-0.75, 0.0), Placed(9.0, 0.0)) == [0]
-    assert tyres.active == [{2, 3}, set(), set()]
+def test_tyres_near_a_walker_or_another_robot_are_needed():
+    robot = Placed(0.0, 0.0)
+    assert needed(robot, walkers=[(0.58, 0.58)]) == {0, 1}
+    assert needed(robot, walkers=[(0.58, 0.58), (-0.58, -0.58)]) == {0, 1, 2, 3}
+    assert needed(robot, others=[Placed(-0.75, 0.0), Placed(9.0, 0.0)]) == {2, 3}
+    assert needed(robot, others=[Placed(9.0, 0.0)], walkers=[(3.0, 3.0)]) == set()
+    assert needed(Placed(np.nan, 0.0), walkers=[(0.58, 0.58)]) == set()
 
 
 def test_a_walker_that_moves_away_is_met_at_every_place_of_its_way():
-    gate, tyres = ContactGate((plane(),), [walker()]), activation()
-    robot = Placed(0.0, 0.0)
-    near, exposed = gate.find_contacts([robot], 0.05, {}, [[0.55, 0.0, 0.0]], [[0.65, 0.0, 0.0]])
-    assert (near, exposed) == ([0], [True])
-    assert tyres.update([robot], exposed, gate.motions_m, 0.05, gate.discs, gate.kinematic_discs) == [0]
-    assert tyres.active == [{0, 1}]
+    assert needed(Placed(0.0, 0.0), walkers=[(0.9, 0.9)]) == set()
+    assert needed(Placed(0.0, 0.0), walkers=[(0.55, 0.9)]) == {0, 1}
 
 
 def test_tyres_stay_a_while_and_go_together():
-    tyres = activation([rover_body()])
-    near, far, other = {"walker_x": 0.58}, {}, {"walker_x": -0.58}
-    assert update(tyres, Placed(0.0, 0.0), **near) == [0]
+    tyres, near, far, other = TyreActivation(1), [frozenset({0, 1})], [frozenset()], [frozenset({2, 3})]
+    assert tyres.update(near) == [0]
     waited = 1
-    while not update(tyres, Placed(0.0, 0.0), **far):
-        assert tyres.active == [{0, 1}]
+    while not tyres.update(far):
+        assert tyres.active == near
         waited += 1
     assert 5 < waited < 60
-    assert tyres.active == [set()]
-    # A return starts the count again, other tyres join, and without exposure none is needed.
-    assert update(tyres, Placed(0.0, 0.0), **near) == [0]
+    assert tyres.active == far
+    # A return starts the count again, and other tyres join.
+    assert tyres.update(near) == [0]
     for _ in range(3):
-        assert all(update(tyres, Placed(0.0, 0.0), **far) == [] for _ in range(waited - 1))
-        assert update(tyres, Placed(0.0, 0.0), **near) == []
-    assert update(tyres, Placed(0.0, 0.0), **other) == [0]
+        assert all(tyres.update(far) == [] for _ in range(waited - 1))
+        assert tyres.update(near) == []
+    assert tyres.update(other) == [0]
     assert tyres.active == [{0, 1, 2, 3}]
-    changes = [update(tyres, Placed(0.0, 0.0), exposed=False) for _ in range(waited)]
-    assert changes.count([0]) == 1
-    assert tyres.active == [set()]
-    update(tyres, Placed(0.0, 0.0), **near)
     tyres.reset()
-    assert tyres.active == [set()]
-    assert update(tyres, Placed(np.nan, 0.0)) == []
+    assert tyres.active == far
 
 
 # -- sizes -----------------------------------------------------------------------------------------

@@ -46,7 +46,10 @@ class BaseLink:
 
     def velocity_xy(self) -> tuple[float, float]:
         """Horizontal velocity of the centre of mass [m/s]."""
-        velocity = self.read()[2]
+        state = self._state
+        velocity = (
+            pybullet.getBaseVelocity(self._body.handle, self._body.client)[0] if state is None else state[2]
+        )
         return velocity[0], velocity[1]
 
     def link_state(self) -> tuple[float, ...]:

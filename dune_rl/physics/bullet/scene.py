@@ -3,6 +3,7 @@
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,19 @@ _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
 
 # With more bodies than these one question about all is faster than one about each.
 _FEW_BODIES = 4
+
+
+class _BegunStep(NamedTuple):
+    """A control step of `substeps` physics steps.
+
+    `watched` are the robots that can touch anything, and the handles of what; `forces` [N] act on the robots
+    with these indices, and the kinematic bodies `near` a robot move.
+    """
+
+    substeps: int
+    watched: Sequence[tuple[BulletRobot, Sequence[int]]]
+    forces: Mapping[int, Sequence[float]]
+    near: Sequence[int]
 
 
 class BulletScene:
@@ -75,8 +89,8 @@ class BulletScene:
         self._kinematics = BulletCapsules(self._client, spec.kinematics, OBSTACLE, HULL)
         for index, handle in enumerate(self._kinematics.handles):
             self._body_numbers[handle] = spec.kinematic_number(index)
-        self._gate = ContactGate(spec.statics, spec.kinematics)
-        self._tyres = TyreActivation(spec)
+        self._gate = ContactGate(spec.statics, spec.kinematics, spec.robots)
+        self._tyres = TyreActivation(len(spec.robots))
         # The mask of a lone robot has no HULL: it is part of what makes runs bit-identical over versions.
         hull_mask = GROUND | OBSTACLE | (HULL if len(spec.robots) > 1 else 0)
         self.robots = [
@@ -91,6 +105,7 @@ class BulletScene:
             for robot in spec.robots
         ]
         self._loaded: list[int] = []
+        self._begun = _BegunStep(0, (), {}, ())
         # What every physics step needs, so that its loops do not search the robots for it.
         motors = [robot.motors for robot in self.robots]
         self._stepwise_motors = [each for each in motors if not each.are_ideal]
@@ -125,7 +140,7 @@ class BulletScene:
             self._body_numbers[handle] = self._spec.robot_number(index)
         self._kinematics.reset(kinematic_poses)
 
-    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         robots = self.robots
         forces: dict[int, Sequence[float]] = {}
         for index, robot in enumerate(robots):
@@ -134,51 +149,48 @@ class BulletScene:
                 forces[index] = force
         poses = kinematic_poses.tolist()
         duration_s = count * self._spec.timestep_s
-        near, exposed = self._gate.find_contacts(robots, duration_s, forces, self._kinematics.poses, poses)
         gate = self._gate
-        for index in self._tyres.update(
-            robots, exposed, gate.motions_m, duration_s, gate.discs, gate.kinematic_discs
-        ):
+        near, exposed = gate.find_contacts(robots, duration_s, forces, self._kinematics.poses, poses)
+        for index in self._tyres.update(gate.needed_tyres):
             self._reload(index)
         for robot in robots:
             robot.begin_step(count)
         self._kinematics.begin_step(poses, near)
-        watched = [index for index, is_exposed in enumerate(exposed) if is_exposed]
-        if watched or forces:
-            self._step_watching(count, watched, forces, near)
+        watched = [
+            (robot, self._touchable(index, near))
+            for index, (robot, is_exposed) in enumerate(zip(robots, exposed, strict=True))
+            if is_exposed
+        ]
+        self._begun = _BegunStep(count, watched, forces, near)
+
+    def finish_step(self) -> None:
+        begun = self._begun
+        if begun.watched or begun.forces:
+            self._step_watching(begun)
         else:
-            for _ in range(count):
+            for _ in range(begun.substeps):
                 self._advance()
-        for robot in robots:
+        for robot in self.robots:
             robot.end_step()
         self._kinematics.end_step()
 
-    def _step_watching(
-        self,
-        count: int,
-        watched: Sequence[int],
-        forces: Mapping[int, Sequence[float]],
-        near: Sequence[int],
-    ) -> None:
-        """Advance by `count` physics steps and read the contacts of the `watched` robots after each.
-
-        `forces` [N] act on the robots with these indices, and the kinematic bodies `near` move.
-        """
+    def _step_watching(self, begun: "_BegunStep") -> None:
+        """Advance by a control step and read the contacts of the watched robots after each physics step."""
+        substeps, watched, forces, near = begun
         robots, kinematics = self.robots, self._kinematics
-        touchable = [(robots[index], self._touchable(index, near)) for index in watched]
-        for substep in range(1, count + 1):
+        for substep in range(1, substeps + 1):
             for body in near:
-                kinematics.move(body, substep / count)
+                kinematics.move(body, substep / substeps)
             for index, force in forces.items():
                 robots[index].base.act_force(force)
             self._advance()
-            for robot, handles in touchable:
+            for robot, handles in watched:
                 contacts = robot.touched.record(handles)
                 if contacts and near:
                     robot.base.mark_moved()
                     kinematics.record_contacts(contacts, robot.base)
             if kinematics.are_pushing:
-                kinematics.yield_to_robots(1 / count, self._spec.timestep_s)
+                kinematics.yield_to_robots(1 / substeps, self._spec.timestep_s)
 
     def _touchable(self, robot: int, near: Sequence[int]) -> list[int]:
         """Handles of all bodies that a robot can touch in this control step, or that of any body.

@@ -32,8 +32,8 @@ class DartScene:
         self._meshes = load_shared_meshes(spec.statics)
         self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
-        self._gate = ContactGate(spec.statics, spec.kinematics)
-        self._tyres = TyreActivation(spec)
+        self._gate = ContactGate(spec.statics, spec.kinematics, spec.robots)
+        self._tyres = TyreActivation(len(spec.robots))
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
         self._world: Any = None
         self._collision_filter: Any = None
@@ -68,12 +68,14 @@ class DartScene:
         for robot in self.robots:
             robot.bind(self._static_geometry, self._collision_filter)
         self._checks_corners_each_step = False
+        # Physics steps, external forces, and which robots are exposed: what `_advance` takes.
+        self._begun: tuple[int, Mapping[int, Sequence[float]], Sequence[bool]] = 0, {}, ()
         self._corners = CornerContacts(self.robots, self._static_geometry.hull_ground)
         self._skeletons = [self._static_geometry.skeleton, self._kinematics.skeleton, *skeletons]
         for skeleton in self._skeletons:
             world.addSkeleton(skeleton)
 
-    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         self._add_corners()
         # A robot that falls on its back penetrates deeply within the physics steps of one control step.
         self._checks_corners_each_step = self._corners.has_boxes_left and any(
@@ -89,16 +91,17 @@ class DartScene:
         near, exposed = gate.find_contacts(
             self.robots, duration_s, forces, kinematics.poses, kinematic_poses.tolist()
         )
-        changed = self._tyres.update(
-            self.robots, exposed, gate.motions_m, duration_s, gate.discs, gate.kinematic_discs
-        )
+        changed = self._tyres.update(gate.needed_tyres)
         if changed or any(self._tyres.active):
             self._update_tyres(changed, near)
         for robot in self.robots:
             robot.begin_step(count)
         kinematics.begin_step(kinematic_poses, near, duration_s)
-        self._advance(count, forces, exposed)
-        kinematics.end_step()
+        self._begun = count, forces, exposed
+
+    def finish_step(self) -> None:
+        self._advance(*self._begun)
+        self._kinematics.end_step()
 
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics

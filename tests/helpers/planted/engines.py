@@ -68,11 +68,11 @@ class TamperedScene:
         for robot in self.robots:
             robot.steps = 0
 
-    def step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         for robot in self.robots:
             robot.before_step()
             robot.steps += 1
-        self._scene.step(count, kinematic_poses)
+        self._scene.begin_step(count, kinematic_poses)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._scene, name)
