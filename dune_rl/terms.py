@@ -98,3 +98,8 @@ def bind_terms(
     terms = [registry.bind(conf, num_rows) for conf in confs]
     stateful: list[Any] = [term for term in terms if hasattr(term, "reset")]
     return terms, stateful
+
+
+def note_term(error: Exception, kind: str, name: str) -> None:
+    """Add to an error in which term of which kind it was raised."""
+    error.add_note(f"in the {kind} term {name!r}")

@@ -9,7 +9,7 @@ from dune_rl.compiled import compile_function
 from dune_rl.metrics.registry import METRICS, MetricTermConf, MetricTerms, Reduction
 from dune_rl.settings import Settings
 from dune_rl.state import Array, Counts, Flags, GroupState, State
-from dune_rl.terms import bind_terms
+from dune_rl.terms import bind_terms, note_term
 
 BUILT_IN = ("episode", "steps", "return")
 
@@ -82,6 +82,7 @@ class MetricSet:
         terms, self._stateful = bind_terms(METRICS, [confs[names[0]] for names in shared], num_rows)
         rows = [[self._new[self.names.index(name)] for name in names] for names in shared]
         self._terms = list(zip(terms, rows, strict=True))
+        self._first_names = [names[0] for names in shared]
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Begin the episodes of the agents in `mask` (N,)."""
@@ -97,10 +98,14 @@ class MetricSet:
         self._ids[:] = group.episode.ids
         self._steps[:] = group.episode.steps
         self._returns[:] = reward
-        for term, rows in self._terms:
-            values = term(state, group)
-            for row in rows:
-                row[:] = values
+        try:
+            for term, rows in self._terms:
+                values = term(state, group)
+                for row in rows:
+                    row[:] = values
+        except Exception as error:
+            note_term(error, "metric", self._first_names[[each for each, _ in self._terms].index(term)])
+            raise
         _reduce(self._reductions, self._new, group.done, self._values, self._sums, self._counts)
 
     @property

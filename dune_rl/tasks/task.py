@@ -10,7 +10,7 @@ from dune_rl.settings import Settings
 from dune_rl.state import Array, Flags, GroupState, State
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTerms, TerminationTerms
 from dune_rl.tasks.spawn import SpawnConf
-from dune_rl.terms import bind_terms
+from dune_rl.terms import bind_terms, note_term
 
 DIVERGED = "diverged"
 
@@ -152,8 +152,12 @@ class Task:
         num_rows = len(group.done)
         flags = np.empty((len(self._endings), num_rows), bool)
         flags[0] = group.motion.diverged
-        for row, term in enumerate(self._terminations, 1):
-            flags[row] = term(state, group)
+        try:
+            for row, term in enumerate(self._terminations, 1):
+                flags[row] = term(state, group)
+        except Exception as error:
+            note_term(error, "termination", self._endings[row])
+            raise
         group.endings.update(zip(self._endings, flags, strict=True))
         if not np.count_nonzero(flags):
             return Endings(np.zeros(num_rows, bool), np.zeros(num_rows, bool), np.zeros(num_rows, bool))
@@ -169,8 +173,12 @@ class Task:
         if not self._rows:
             return np.zeros(len(group.done))
         values = self._values
-        for row, term in zip(self._rows, self._rewards, strict=True):
-            row[:] = term(state, group)
+        try:
+            for row, term in zip(self._rows, self._rewards, strict=True):
+                row[:] = term(state, group)
+        except Exception as error:
+            note_term(error, "reward", [*self.conf.rewards][self._rewards.index(term)])
+            raise
         suppressing = values.take(self._suppressing, axis=0)
         if np.count_nonzero(suppressing):
             np.copyto(values, 0.0, where=self._suppressed_by @ (suppressing != 0.0))

@@ -320,3 +320,14 @@ def test_settings_survive_json_and_pickle() -> None:
 def test_faults_are_named(settings: dict[str, Any], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         MetricsConf(**settings)
+
+
+def test_an_error_in_a_term_says_which() -> None:
+    @dune_rl.register_metric("odd")
+    def odd(state: Any, group: GroupState) -> np.ndarray:
+        raise ZeroDivisionError("no progress")
+
+    episode = Episode(MetricsConf(terms={"odd_one": {"term": "odd", "reduce": "sum"}}))
+    with pytest.raises(ZeroDivisionError, match="no progress") as caught:
+        episode.step()
+    assert caught.value.__notes__ == ["in the metric term 'odd_one'"]

@@ -262,6 +262,19 @@ def test_a_task_without_terms_earns_nothing() -> None:
     assert not begun(conf, group).has_ends
 
 
+@pytest.mark.usefixtures("_users_terms_go")
+@pytest.mark.parametrize("kind", ["reward", "termination"])
+def test_an_error_in_a_term_says_which(kind: str) -> None:
+    def odd(state: Any, group: GroupState) -> np.ndarray:
+        raise ZeroDivisionError("no progress")
+
+    getattr(dune_rl, f"register_{kind}")("odd")(odd)
+    conf = TaskConf().with_terms(**{f"{kind}s": {"odd_one": {"term": "odd"}}})
+    with pytest.raises(ZeroDivisionError, match="no progress") as caught:
+        earned(agents(2), conf)
+    assert caught.value.__notes__ == [f"in the {kind} term 'odd_one'"]
+
+
 # -- walkers ---------------------------------------------------------------------------------------
 
 
