@@ -212,8 +212,8 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
         for robot, command in zip(shared.robots, commands, strict=True):
             robot.set_command(command)
         alone.robots[0].set_command(commands[which])
-        shared.step(10, none)
-        alone.step(10, none)
+        step_scene(shared, 10, none)
+        step_scene(alone, 10, none)
         seen.append(shared.robots[which].body_state())
     assert np.ptp(np.array(seen)[:, :2], axis=0).max() > 0.1
     np.testing.assert_allclose(seen[-1], alone.robots[0].body_state(), atol=1e-3)
