@@ -30,7 +30,7 @@ from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, WorldError
-from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf
+from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf, step_scene
 from dune_rl.rendering.scenery import Segment
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
