@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hydra import compose as hydra_compose
 from hydra.core.config_loader import ConfigLoader
 from omegaconf import OmegaConf
 
 from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import EXTERNAL, PERSON, roaming_settings
+from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import option_names
 from dune_rl.config.renaming import rename_in_section
 from dune_rl.metrics.episode import MetricsConf
@@ -40,7 +40,7 @@ class _OptionReader:
     def changed(self, group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         """The settings of an option with `changes`, but for the name, which need not be that of its file."""
         if (group, name) not in self._settings:
-            composed = OmegaConf.to_container(hydra_compose(f"{group}/{name}")[group], resolve=True)
+            composed = OmegaConf.to_container(compose_words(f"{group}/{name}")[group], resolve=True)
             assert isinstance(composed, dict)
             settings = {str(key): value for key, value in composed.items()}
             rename_in_section(group, settings, group, warn=self._warn)

@@ -34,6 +34,18 @@ def offer_user_parts(folders: Sequence[str] = ()) -> None:
                 store.store(name, _stated_values(registry, name), group=group, provider=_PROVIDER)
 
 
+def stored_options() -> str:
+    """What users' parts state as options, to compare: equal where they state the same."""
+    repo = ConfigStore.instance().repo
+    stated = {
+        f"{group}/{file}": node.node
+        for group in REGISTRIES
+        for file, node in repo.get(group, {}).items()
+        if node.provider == _PROVIDER
+    }
+    return repr(stated)
+
+
 def load_user_part(group: str, name: str) -> None:
     """Have the option of a user's part, now that it is chosen, state its defaults."""
     registry = REGISTRIES.get(group)

@@ -1,5 +1,7 @@
 """Terrain as a regular grid of heights with two triangles per cell."""
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -77,7 +79,12 @@ class HeightField:
 
     def slope(self, xy: ArrayLike) -> Array:
         """Angle between the ground and the horizontal [rad], shape (...), at points (..., 2)."""
-        return np.arccos(np.minimum(self.normal(xy)[..., 2], 1.0))
+        return self._slopes[self._locate(xy)[0]]
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Slope of each triangle [rad]."""
+        return np.arccos(np.minimum(self._normals[:, 2], 1.0))
 
     def mesh(self) -> tuple[Array, NDArray[np.int32]]:
         """Vertices (V, 3) [m] and faces (F, 3), counter-clockwise seen from above."""
