@@ -109,6 +109,68 @@ def test_a_system_without_the_means_returns_nothing(monkeypatch):
         assert resident(array).all()
 
 
+# -- free lists --------------------------------------------------------------------------------------
+
+
+def link(array: np.ndarray, stride: int, count: int) -> np.ndarray:
+    """Make a free list at the array's start of so many elements of `stride` words; where its links are."""
+    words = array.view(np.uint64)
+    places = stride * np.arange(count)
+    words[places[:-1]] = array.ctypes.data + 8 * places[1:]
+    words[places[-1]] = 0
+    return places
+
+
+def walk(array: np.ndarray) -> int:
+    """Elements that can be taken from a free list at the array's start."""
+    words, count, place = array.view(np.uint64), 1, 0
+    while words[place]:
+        count, place = count + 1, int(words[place] - np.uint64(array.ctypes.data)) // 8
+    return count
+
+
+@on_linux
+@pytest.mark.usefixtures("no_other_threads")
+@pytest.mark.parametrize("stride", [35, 196, 512])
+def test_a_long_free_list_ends_earlier_and_its_elements_can_be_used(stride):
+    with returned_zero_pages():
+        _block, array = allocate(32 * MIB)
+        link(array, stride, 4096)
+    kept = walk(array)
+    assert memory._KEPT_ELEMENTS <= kept < 2 * memory._KEPT_ELEMENTS
+    assert resident(array).sum() <= 8 * stride * kept // mmap.PAGESIZE + 20
+    array[:] = 7
+    assert (array == 7).all()
+
+
+def _holds_something(words, places):
+    words[places + 1] = 5
+
+
+def _does_not_end(words, places):
+    words[places[-1]] = 5
+
+
+def _leads_back(words, places):
+    words[places[-1]] = words[places[0]]
+
+
+def _is_short(words, places):
+    words[places[memory._LEAST_ELEMENTS - 2] :] = 0
+
+
+@on_linux
+@pytest.mark.usefixtures("no_other_threads")
+@pytest.mark.parametrize("change", [_holds_something, _does_not_end, _leads_back, _is_short])
+def test_what_looks_like_a_long_free_list_but_is_none_keeps_its_content(change):
+    with returned_zero_pages():
+        _block, array = allocate(16 * MIB)
+        words = array.view(np.uint64)
+        change(words, link(array, 196, 4096))
+        before = words.copy()
+    assert (words == before).all()
+
+
 def test_an_error_in_the_block_comes_through():
     with pytest.raises(KeyError), returned_zero_pages():
         raise KeyError
@@ -135,9 +197,9 @@ def test_runs_of_pages():
 # -- simulations -------------------------------------------------------------------------------------
 
 
-def drive(size_m: float = 0.4) -> tuple[bytes, int]:
-    """States of a rover that drives into a box, and the client that it did so in."""
-    walls = [plane(), box((1.0, 0.1), size_m, 2.0, 1.0)]
+def drive(size_m: float = 0.4, boxes: int = 1) -> tuple[bytes, int]:
+    """States of a rover that drives into a box, or many in one another, and the client that it did so in."""
+    walls = [plane(), *(box((1.0, 0.1), size_m, 2.0, 1.0) for _ in range(boxes))]
     company = Company(BulletScene, [rover_body()], walls, [walker()])
     company.place([0.0, 0.0, 0.13], actors=[[0.0, 0.9, 0.0, 0.0]])
     states = []
@@ -165,6 +227,42 @@ def test_returned_memory_changes_no_simulation(no_spare_client, monkeypatch):
     pybullet.disconnect(clients._spare.pop())
     monkeypatch.setattr(clients, "returned_zero_pages", nullcontext)
     assert drive()[0] == returned
+
+
+@pytest.fixture
+def client_with_short_pools(no_spare_client, no_other_threads, monkeypatch):
+    """A client whose pools of contacts and of collision algorithms are cut to a few, for the next scene."""
+    cut: list[int] = []
+    find = memory._free_lists
+
+    def spied(*given):
+        for found in find(*given):
+            cut.append(found[-1])
+            yield found
+
+    monkeypatch.setattr(memory, "_free_lists", spied)
+    monkeypatch.setattr(memory, "_KEPT_ELEMENTS", 4)
+    opened = []
+    # In memory that others have left nothing is cut, and the first clients may fill that.
+    while len(cut) < 2 and len(opened) < 20:
+        cut.clear()
+        opened.append(clients.open_client())
+    assert cut == [4096, 4096]
+    clients._spare.append(opened[-1])
+    yield opened[-1]
+    for client in opened:
+        if client in clients._spare:
+            clients._spare.remove(client)
+        pybullet.disconnect(client)
+
+
+@on_linux
+def test_more_contacts_than_a_cut_pool_has_change_no_simulation(client_with_short_pools, no_spare_client):
+    # Each box is in contact with the hull and two tyres.
+    cut, client = drive(boxes=40)
+    assert client == client_with_short_pools
+    # What was in the client is gone, and its pools are whole again.
+    assert drive(boxes=40) == (cut, client)
 
 
 def test_one_client_is_kept_and_others_are_closed(no_spare_client):
