@@ -68,10 +68,13 @@ class HeightField:
 
     def normal(self, xy: ArrayLike) -> Array:
         """Upward unit normal in the world frame, shape (..., 3), at points (..., 2)."""
+        return self._normals[self._triangles(xy)]
+
+    def _triangles(self, xy: ArrayLike) -> NDArray[np.int64]:
         points = np.ascontiguousarray(xy, np.float64)
-        triangles = np.empty(points.shape[:-1], np.int64)
-        find_triangles(points.reshape(-1, 2), *self._grid, triangles.reshape(-1))
-        return self._normals[triangles]
+        found = np.empty(points.shape[:-1], np.int64)
+        find_triangles(points.reshape(-1, 2), *self._grid, found.reshape(-1))
+        return found
 
     def height_and_normal(self, xy: ArrayLike) -> tuple[Array, Array]:
         """`height` and `normal`."""
@@ -79,7 +82,7 @@ class HeightField:
 
     def slope(self, xy: ArrayLike) -> Array:
         """Angle between the ground and the horizontal [rad], shape (...), at points (..., 2)."""
-        return self._slopes[self._locate(xy)[0]]
+        return self._slopes[self._triangles(xy)]
 
     @cached_property
     def _slopes(self) -> Array:
