@@ -66,7 +66,11 @@ class Spawner:
         self._max_slope = np.deg2rad(conf.max_slope_deg)
         self.region: Rectangle = self._resolve_region()
         self._points_by_radius: dict[float, Array] = {}
-        self.free_space = FreeSpace(world, footprint_radius_m, conf.max_slope_deg)
+        # Kept with the world, which other environments may be in, such as that of the evaluation.
+        self.free_space = world.memoize(
+            ("free space", footprint_radius_m, conf.max_slope_deg),
+            lambda: FreeSpace(world, footprint_radius_m, conf.max_slope_deg),
+        )
         self._part, self._cells = self._largest_part(self.free_space, footprint_radius_m + conf.margin_m)
         self._starts = self._with_goal_in_reach()
 

@@ -254,7 +254,8 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     ]
     for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
-    assert cameras["overhead_ratio_camera"] > 1 and cameras["overhead_ratio_depth"] > 1
+    # Two steps say nothing of how long a step takes.
+    assert cameras["overhead_ratio_camera"] > 0 and cameras["overhead_ratio_depth"] > 0
     for name in ("lidar_speedup", "camera_speedup", "camera_speedup_heightfield", "picture_1280x720_s"):
         assert sensors[name] > 0
     for name in ("height", "normal", "slope", "roughness", "nearest_obstacle"):

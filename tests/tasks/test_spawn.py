@@ -224,3 +224,11 @@ def test_another_goal_comes_as_close_as_it_can() -> None:
 def samples_of_goals(spawner: Spawner, start: np.ndarray, taken: np.ndarray, apart: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng(0)
     return np.array([spawner.sample_goal(rng, start, taken, apart) for _ in range(30)])
+
+
+def test_the_free_space_of_a_world_is_worked_out_once_for_all_who_are_in_it():
+    world = inspection(0)
+    one, other = (Spawner(world, SpawnConf(margin_m=margin), 0.3) for margin in (0.1, 0.2))
+    assert one.free_space is other.free_space
+    for conf, radius in ((SpawnConf(max_slope_deg=20.0), 0.3), (SpawnConf(), 0.4)):
+        assert Spawner(world, conf, radius).free_space is not one.free_space
