@@ -84,20 +84,6 @@ class HeightField:
         """Angle between the ground and the horizontal [rad], shape (...), at points (..., 2)."""
         return self._slopes[self._triangles(xy)]
 
-    def slopes_on_grid(self, x: Array, y: Array) -> Array:
-        """`slope` at all points of the columns `x` (C,) and the rows `y` (R,) of a grid, shape (R, C)."""
-        (column, along), (row, up) = self._cells(x, 0), self._cells(y, 1)
-        corner = row[:, None] * self._strides[1] + column * self._strides[0]
-        slopes: Array = self._slopes[corner + (along >= up[:, None])]
-        return slopes
-
-    def _cells(self, along: Array, axis: int) -> tuple[NDArray[np.intp], Array]:
-        # As `_locate`, of one coordinate.
-        at = (along - self._origin[axis]) * self._inverse_spacing
-        at = np.fmin(np.fmax(at, 0.0), self._last[axis])
-        cell = np.minimum(at.astype(np.intp), self._last_cell[axis])
-        return cell, at - cell
-
     @cached_property
     def _slopes(self) -> Array:
         """Slope of each triangle [rad]."""

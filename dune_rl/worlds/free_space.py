@@ -42,7 +42,7 @@ class FreeSpace:
             part = slice(first, first + rows)
             centres = np.stack(np.meshgrid(self.x, self.y[part]), axis=-1)
             self.clearance[part] = world.clearance(centres)
-            self.steep[part] = world.terrain.slopes_on_grid(self.x, self.y[part]) > np.deg2rad(max_slope_deg)
+            self.steep[part] = world.terrain.slope(centres) > np.deg2rad(max_slope_deg)
         self.blocked: NDArray[np.bool_] = self.clearance < footprint_radius_m
         for prop in world.props:
             if prop.solid and prop.drivable:

@@ -58,19 +58,6 @@ def test_slope_of_an_inclined_plane():
     np.testing.assert_allclose(field.normal(xy), np.tile([-0.3, 0.4, 1.0] / np.sqrt(1.25), (50, 1)))
 
 
-def test_slopes_on_a_grid_are_those_of_its_points():
-    field = bumpy()
-    xmin, xmax, ymin, ymax = field.extent
-    # Beyond the edges, too, and on lines between triangles.
-    for x, y in (
-        (np.linspace(xmin - 1.0, xmax + 1.0, 57), np.linspace(ymin - 1.0, ymax + 1.0, 43)),
-        (np.arange(xmin, xmax, 0.35), np.arange(ymin, ymax, 0.35)),
-    ):
-        expected = field.slope(np.stack(np.meshgrid(x, y), axis=-1))
-        np.testing.assert_array_equal(field.slopes_on_grid(x, y), expected)
-        assert len(np.unique(expected)) > 100
-
-
 @given(x=st.floats(-50, 50), y=st.floats(-50, 50))
 def test_beyond_the_edge_the_edge_answers(x, y):
     field = bumpy()
