@@ -119,21 +119,22 @@ class DuneEnv(EnvBase):
         }
         root = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         for name, flags in root.items():
-            out[name] = torch.from_numpy(flags).unsqueeze(-1)
-        return _unchecked(out, [scenes])
+            out[name] = torch.from_numpy(flags[:, None])
+        return _unchecked(out, (scenes,))
 
     def _group_part(self, group: AgentGroup, step: GroupStep | None) -> TensorDict:
-        shape = [self._simulation.num_scenes, group.count]
+        shape = (self._simulation.num_scenes, group.count)
+        each = (*shape, 1)
         parts = {key: _by_agent(value, shape) for key, value in group.observe().items()}
         part: dict[str, Any] = {"observation": _unchecked(parts, shape)}
         if step is None:
             terminated, truncated = group.terminated, group.truncated
         else:
             terminated, truncated = step.terminated, step.truncated
-            part["reward"] = _by_agent(step.reward, shape).unsqueeze(-1)
-        part["done"] = _by_agent(terminated | truncated, shape).unsqueeze(-1)
-        part["terminated"] = _by_agent(terminated.copy(), shape).unsqueeze(-1)
-        part["truncated"] = _by_agent(truncated.copy(), shape).unsqueeze(-1)
+            part["reward"] = torch.from_numpy(step.reward.reshape(each))
+        part["done"] = torch.from_numpy((terminated | truncated).reshape(each))
+        part["terminated"] = torch.from_numpy(terminated.reshape(each).copy())
+        part["truncated"] = torch.from_numpy(truncated.reshape(each).copy())
         return _unchecked(part, shape)
 
     # -- state ------------------------------------------------------------------------------------
@@ -157,14 +158,15 @@ class DuneEnv(EnvBase):
         super().close(raise_if_closed=raise_if_closed)
 
 
-def _unchecked(values: dict[str, Any], shape: list[int]) -> TensorDict:
+def _unchecked(values: dict[str, Any], shape: tuple[int, ...]) -> TensorDict:
     # Shapes are correct by construction; checking them takes as long as a whole observation.
     return TensorDict._new_unsafe(values, batch_size=torch.Size(shape), device=_CPU)
 
 
-def _by_agent(values: NDArray[Any], shape: list[int]) -> torch.Tensor:
+def _by_agent(values: NDArray[Any], shape: tuple[int, int]) -> torch.Tensor:
     """Rows (N, ...) as a tensor (M, G, ...)."""
-    return torch.from_numpy(values).unflatten(0, shape)
+    # NumPy takes a fifth of the time that torch takes for a view.
+    return torch.from_numpy(values.reshape(*shape, *values.shape[1:]))
 
 
 def _end_specs(shape: tuple[int, ...]) -> dict[str, Categorical]:
