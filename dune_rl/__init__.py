@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from dune_rl.decorators import RegisterDecorator
-from dune_rl.env.registration import register_env, register_envs
+from dune_rl.env.registration import RENDER_METADATA, register_env, register_envs
 from dune_rl.errors import (
     CheckpointError,
     ConfigError,
@@ -21,6 +21,7 @@ from dune_rl.errors import (
 
 if TYPE_CHECKING:
     from dune_rl.env.gymnasium import GymnasiumEnv
+    from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
     from dune_rl.env.pettingzoo import ParallelDuneEnv
     from dune_rl.env.torchrl import DuneEnv
 
@@ -35,6 +36,7 @@ __all__ = [
     "RobotError",
     "WorldError",
     "gym_env",
+    "gym_vector_env",
     "make",
     "parallel_env",
     "register_algorithm",
@@ -60,7 +62,7 @@ def parallel_env(
     world: str = "inspection",
     seed: int = 0,
     *,
-    render_mode: Literal["rgb_array"] | None = None,
+    render_mode: Literal["human", "rgb_array"] | None = None,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
@@ -76,7 +78,7 @@ def parallel_env(
     "friction": 0.5}`). `overrides` are command-line words
     (`["world.friction=0.5"]`), `config_dirs` further folders of options, as
     `--config-dir` has them. With `render_mode="rgb_array"`, `render()` gives
-    a picture of the first agent. Raises `ConfigError` naming every fault.
+    a picture of the first agent; with "human" a window shows it. Raises `ConfigError` naming every fault.
     """
     from dune_rl.config.build import make_parallel_env
     from dune_rl.config.compose import compose_environment
@@ -87,20 +89,59 @@ def parallel_env(
 
 def gym_env(
     world: str = "inspection",
-    seed: int = 0,
+    seed: int | None = None,
     *,
-    render_mode: Literal["rgb_array"] | None = None,
+    render_mode: Literal["human", "rgb_array"] | None = None,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "GymnasiumEnv":
-    """A Gymnasium `Env` of the one external agent; arguments as for `parallel_env`."""
+    """A Gymnasium `Env` of the one external agent; arguments as for `parallel_env`.
+
+    Without a `seed`, here or at `reset`, its episodes differ from those of others, as Gymnasium has it.
+    """
+    if "frameskip" in settings:
+        # TorchRL's GymEnv tries it, and repeats actions by itself after this very error.
+        raise TypeError(
+            "gym_env() got an unexpected keyword argument 'frameskip'; physics.control_hz sets how long an "
+            "action lasts"
+        )
     from dune_rl.config.build import make_gymnasium_env
     from dune_rl.config.compose import compose_environment
     from dune_rl.config.schema import SingleAgentConf
+    from dune_rl.env.arguments import random_seed
 
     conf = compose_environment(world, overrides, settings, SingleAgentConf, config_dirs=config_dirs)
-    return make_gymnasium_env(conf, seed, render_mode)
+    return make_gymnasium_env(conf, random_seed() if seed is None else seed, render_mode)
+
+
+gym_env.metadata = RENDER_METADATA  # type: ignore[attr-defined]
+
+
+def gym_vector_env(
+    world: str = "inspection",
+    num_envs: int = 16,
+    seed: int | None = None,
+    *,
+    autoreset_mode: Any = "next_step",
+    render_mode: Literal["rgb_array"] | None = None,
+    overrides: Iterable[str] = (),
+    config_dirs: Sequence[str] = (),
+    **settings: Any,
+) -> "GymnasiumVectorEnv":
+    """A Gymnasium `VectorEnv` of `num_envs` scenes in one process; the other arguments as for `gym_env`.
+
+    `gymnasium.make_vec("dune_rl:dune_rl/Inspection-v0", num_envs=16)` makes one, too. `autoreset_mode` is
+    "next_step", "same_step" or "disabled".
+    """
+    from dune_rl.config.build import make_gymnasium_vector_env
+    from dune_rl.config.compose import compose_environment
+    from dune_rl.config.schema import SingleAgentConf
+    from dune_rl.env.arguments import random_seed
+
+    conf = compose_environment(world, overrides, settings, SingleAgentConf, config_dirs=config_dirs)
+    seed = random_seed() if seed is None else seed
+    return make_gymnasium_vector_env(conf, num_envs, seed, render_mode, autoreset_mode)
 
 
 def make(

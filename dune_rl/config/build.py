@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
+from gymnasium.vector import AutoresetMode
+
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import PATH
 from dune_rl.config.controllers import controller_factory
@@ -17,6 +19,7 @@ from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.arguments import check_whole
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
+from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
@@ -118,7 +121,9 @@ def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
     from dune_rl.env.torchrl import DuneEnv
 
-    return DuneEnv(make_simulation(conf, num_scenes, seed))
+    env = DuneEnv(make_simulation(conf, num_scenes, seed))
+    env.remake = partial(make_torchrl_env, conf, num_scenes, seed)
+    return env
 
 
 def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedEnv:
@@ -132,9 +137,26 @@ def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedE
 
 def make_parallel_env(conf: EnvConf, seed: int, render_mode: RenderMode = None) -> ParallelDuneEnv:
     """A PettingZoo environment of one scene."""
-    return ParallelDuneEnv(make_simulation(conf, 1, seed), render_mode)
+    env = ParallelDuneEnv(make_simulation(conf, 1, seed), render_mode)
+    env.remake = partial(make_parallel_env, conf, seed, render_mode)
+    return env
 
 
 def make_gymnasium_env(conf: SingleAgentConf, seed: int, render_mode: RenderMode = None) -> GymnasiumEnv:
     """A Gymnasium environment of one scene with one external agent."""
-    return GymnasiumEnv(make_simulation(conf, 1, seed), render_mode)
+    env = GymnasiumEnv(make_simulation(conf, 1, seed), render_mode)
+    env.remake = partial(make_gymnasium_env, conf, seed, render_mode)
+    return env
+
+
+def make_gymnasium_vector_env(
+    conf: SingleAgentConf,
+    num_scenes: int,
+    seed: int,
+    render_mode: RenderMode = None,
+    autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+) -> GymnasiumVectorEnv:
+    """A Gymnasium vector environment of scenes with one external agent each."""
+    env = GymnasiumVectorEnv(make_simulation(conf, num_scenes, seed), render_mode, autoreset_mode)
+    env.remake = partial(make_gymnasium_vector_env, conf, num_scenes, seed, render_mode, autoreset_mode)
+    return env

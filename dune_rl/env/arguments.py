@@ -1,6 +1,6 @@
 """Checks of what users give to environments: errors that name the argument and what it must be."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,21 @@ def check_whole(name: str, value: object, *, at_least: int) -> None:
     """Raise ConfigError unless `value` is a whole number of at least so much."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
         raise ConfigError(f"{name} must be a whole number of at least {at_least} (got {value!r})")
+
+
+def combined_seed(seeds: Sequence[int | None]) -> int:
+    """One seed that depends on all of `seeds`; a random one where one of them is None."""
+    if any(seed is None for seed in seeds):
+        return random_seed()
+    for seed in seeds:
+        check_whole("seed", seed, at_least=0)
+    entropy = [int(seed) for seed in seeds if seed is not None]
+    return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+
+
+def random_seed() -> int:
+    """A seed that differs from call to call."""
+    return int(np.random.SeedSequence().generate_state(1)[0])
 
 
 def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[np.float32]:

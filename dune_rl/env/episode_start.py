@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.episode_request import EpisodeRequest
 from dune_rl.env.goals import PathGoals, RegionGoals
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
@@ -52,15 +53,19 @@ class EpisodeStart:
     def _on_paths(self) -> list[AgentGroup]:
         return [group for group in self._kinematic if isinstance(group.goals.source, PathGoals)]
 
-    def start(self, scene: int, seed: int, episode: int) -> None:
-        """Start an episode in a scene; raises `WorldError` if there is no room."""
+    def start(self, scene: int, seed: int, episode: int, request: EpisodeRequest) -> None:
+        """Start an episode in a scene; raises `WorldError` if there is no room.
+
+        `request` has starts and goals of robots in place of sampled ones; raises ValueError if they are not
+        free, or not of robots.
+        """
         scenes = self._scenes
         world = scenes.enter(scene, seed, episode, partial(self.check_room, seed))
         if scenes.randomizer.randomizes_worlds:
             used = scenes.used_worlds()
             for group in self._groups:
                 group.spawners.keep(used)
-        starts = self._place_robots(scene, world, seed, episode)
+        starts = self._place_robots(scene, world, seed, episode, request)
         avoid = np.array([position[:2] for poses in starts for position, _ in poses]).reshape(-1, 2)
         draws = stream(seed, "actors", episode)
         for index, group in enumerate(self._on_paths()):
@@ -74,9 +79,13 @@ class EpisodeStart:
         scenes.settle(scene)
 
     def _place_robots(
-        self, scene: int, world: World, seed: int, episode: int
+        self, scene: int, world: World, seed: int, episode: int, request: EpisodeRequest
     ) -> list[list[tuple[Array, Array]]]:
-        """Sample start poses, by group, and goals of the robots."""
+        """Sample start poses, by group, and goals of the robots, or take those of `request`."""
+        robots = [name for group in self._robots for name in group.names]
+        others = [name for name in request if name not in robots]
+        if others:
+            raise ValueError(f"{', '.join(others)}: only robots start and go where they are told")
         taken: list[tuple[Placement, float]] = []
         found = []
         for group, engines in zip(self._robots, self._engines_of(scene), strict=True):
@@ -84,6 +93,10 @@ class EpisodeStart:
             assert isinstance(source, RegionGoals)
             assert isinstance(body, ArticulatedBody)
             placements = source.place(scene, seed, episode, taken)
+            for agent, name in enumerate(group.names):
+                if name in request:
+                    asked = request[name].applied(placements[agent])
+                    placements[agent] = source.move(scene, agent, name, asked)
             taken += [(placement, source.footprint_radius_m) for placement in placements]
             poses = [standing_pose(world, body.robot, one.x, one.y, one.yaw) for one in placements]
             for engine, (position, quaternion) in zip(engines, poses, strict=True):

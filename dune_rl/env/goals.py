@@ -100,6 +100,19 @@ class RegionGoals:
             self.goals_w[row] = placement.goal_x, placement.goal_y
         return [placement for placement, _ in found[len(taken) :]]
 
+    def move(self, scene: int, agent: int, name: str, placement: Placement) -> Placement:
+        """Place an agent, called `name`, somewhere else; raises ValueError where it has no room."""
+        spawner = self._spawners.of_scene(scene)
+        for what, x, y in (
+            ("start", placement.x, placement.y),
+            ("goal", placement.goal_x, placement.goal_y),
+        ):
+            reason = spawner.why_not(x, y)
+            if reason:
+                raise ValueError(f"the {what} of {name} ({x:g}, {y:g}) {reason}: choose another")
+        self.goals_w[scene * self._count + agent] = placement.goal_x, placement.goal_y
+        return placement
+
     def renew(self, mask: Flags) -> None:
         """Sample new goals for the agents in `mask` (N,), at a distance from their positions, from the other
         robots and from these robots' goals.

@@ -6,18 +6,20 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.pettingzoo import Observation, ParallelDuneEnv, RenderMode
+from dune_rl.env.registration import RENDER_METADATA
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
 
 
-class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
+class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
     """The PettingZoo environment's only agent, for libraries that know one.
 
     All other groups are driven by behaviours or frozen policies; `info` holds the episode's running metrics.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+    metadata = RENDER_METADATA
 
     def __init__(self, simulation: VectorSimulation, render_mode: RenderMode = None) -> None:
         parallel = ParallelDuneEnv(simulation, render_mode)
@@ -37,7 +39,10 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, float]]:
-        """Start the next episode; with `seed` the first of that seed."""
+        """Start the next episode; with `seed` the first of that seed.
+
+        `options` as of `ParallelDuneEnv.reset`: `episode`, `start` and `goal`.
+        """
         super().reset(seed=seed)
         observations, infos = self._parallel.reset(seed, options)
         return observations[self.agent], infos[self.agent]
@@ -53,8 +58,17 @@ class GymnasiumEnv(gymnasium.Env):  # type: ignore[misc]
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB (480, 640, 3) of the agent from behind, where `render_mode` is "rgb_array"."""
+        """RGB (480, 640, 3) of the agent from behind, where `render_mode` is "rgb_array".
+
+        With "human", a window shows it at every step, and None is returned.
+        """
         return self._parallel.render()
+
+    def _own_point(self) -> dict[str, Any]:
+        return {"agents": self._parallel.agents}
+
+    def _return_to(self, own: dict[str, Any]) -> None:
+        self._parallel.agents = own["agents"]
 
     def close(self) -> None:
         """Free the physics engine's memory."""

@@ -1,5 +1,6 @@
 """The PettingZoo parallel environment of one scene's external agents."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import gymnasium
@@ -9,20 +10,35 @@ from pettingzoo import ParallelEnv
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.arguments import agent_action
+from dune_rl.env.copying import CopiedByReplay
+from dune_rl.env.episode_infos import EpisodeInfos
+from dune_rl.env.episode_request import parse_options
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
+from dune_rl.env.window import Window
 from dune_rl.errors import ConfigError
 from dune_rl.sensors.sensor import Bounds, Reading
 
 Observation = dict[str, Reading]
-RenderMode = Literal["rgb_array"] | None
+RenderMode = Literal["human", "rgb_array"] | None
 
 
-def _box(bounds: Bounds) -> gymnasium.spaces.Box:
+# Numbers of each agent in the state.
+_STATE_SIZE = 14
+
+
+def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
+    """Raise ConfigError unless `mode` is None or one of `modes`."""
+    if mode is not None and mode not in modes:
+        raise ConfigError(f"render_mode must be {', '.join(map(repr, modes))} or None (got {mode!r})")
+
+
+def box(bounds: Bounds) -> gymnasium.spaces.Box:
+    """The space between two bounds, of their type."""
     return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=bounds[0].dtype.type)
 
 
-class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
+class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     """PettingZoo `ParallelEnv` of the agents GROUP_0, GROUP_1, ... of every external group.
 
     Agents of a group have equal spaces. All agents act at every step until the episode ends, when all agents
@@ -37,7 +53,7 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
 
     metadata = {  # noqa: RUF012
         "name": "dune_rl_v0",
-        "render_modes": ["rgb_array"],
+        "render_modes": ["human", "rgb_array"],
         "render_fps": 20,
         "is_parallelizable": True,
     }
@@ -47,27 +63,25 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
             raise ValueError(
                 f"the PettingZoo environment wraps a simulation of one scene, not of {simulation.num_scenes}"
             )
-        if render_mode not in (None, "rgb_array"):
-            raise ConfigError(f"render_mode must be 'rgb_array' or None (got {render_mode!r})")
+        check_render_mode(render_mode, ("human", "rgb_array"))
         if not simulation.external:
             raise ConfigError("there is no external agent: give a group controller=external")
         self.simulation = simulation
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": simulation.physics.control_hz}
         self._pictures = Pictures(simulation)
+        fps = simulation.physics.control_hz
+        self._window = Window("dune_rl", fps) if render_mode == "human" else None
         self.possible_agents = list(simulation.agents)
         self.agents: list[str] = []
         self.observation_spaces, self.action_spaces = {}, {}
         for group in simulation.external:
             for name in group.names:
                 self.observation_spaces[name] = gymnasium.spaces.Dict(
-                    {key: _box(bounds) for key, bounds in group.observation_bounds.items()}
+                    {key: box(bounds) for key, bounds in group.observation_bounds.items()}
                 )
-                self.action_spaces[name] = _box(group.action_bounds)
-        self._metric_names = {
-            group.name: simulation.metric_names(group.name) if group.metric_names else ()
-            for group in simulation.external
-        }
+                self.action_spaces[name] = box(group.action_bounds)
+        self._infos_of = [(group, EpisodeInfos(simulation, group)) for group in simulation.external]
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Dict:
         """Observation space of an agent; the same object at every call."""
@@ -80,11 +94,18 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, float]]]:
-        """Start the next episode, or the first one of `seed`; `options` are ignored."""
-        if seed is not None:
-            self.simulation.reseed(seed)
-        self.simulation.reset()
+        """Start the next episode, or the first one of `seed`.
+
+        `options` may have the number of the `episode`, and `start` (x, y) or (x, y, yaw) and `goal` (x, y) of
+        the agent, or of several in mappings. Raises ValueError for other options and for places that are not
+        free.
+        """
+        episode, request = parse_options(options, self.possible_agents)
+        if seed is not None or episode is not None:
+            self.simulation.reseed(self.simulation.seed if seed is None else seed, episode or 0)
+        self.simulation.reset(requests={0: request} if request else {})
         self.agents = self.possible_agents[:]
+        self._show()
         return self._observations(), self._infos()
 
     def step(
@@ -111,6 +132,7 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
         observations, infos = self._observations(), self._infos()
         if result.done[0]:
             self.agents = []
+        self._show()
         return observations, rewards, terminations, truncations, infos
 
     def _actions(self, group: AgentGroup, actions: dict[str, NDArray[np.floating]]) -> NDArray[np.float32]:
@@ -142,21 +164,58 @@ class ParallelDuneEnv(ParallelEnv):  # type: ignore[misc]
 
     def _infos(self) -> dict[str, dict[str, float]]:
         infos: dict[str, dict[str, float]] = {}
-        for group in self.simulation.external:
-            names = self._metric_names[group.name]
-            if not names:
-                infos |= {name: {} for name in group.names}
-                continue
-            # Wrappers compare infos and rely on constant keys, so NaN and missing keys would break them.
-            values = np.nan_to_num(self.simulation.metrics(group.name)[0], nan=-1.0)
-            for name, row in zip(group.names, values.tolist(), strict=True):
-                infos[name] = dict(zip(names, row, strict=True))
+        for group, of_group in self._infos_of:
+            infos |= zip(group.names, of_group.each(), strict=True)
         return infos
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB image (480, 640, 3) from behind the first agent; None unless `render_mode` is "rgb_array"."""
+        """RGB image (480, 640, 3) from behind the first agent, where `render_mode` is "rgb_array".
+
+        With "human", a window shows it at every step, and None is returned.
+        """
         return self._pictures.from_behind() if self.render_mode == "rgb_array" else None
 
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._pictures.from_behind())
+
+    def state(self) -> NDArray[np.float32]:
+        """The true state of all groups, scripted ones as well, in `state_space`: what no agent observes.
+
+        For each agent x, y, z [m], roll, pitch, yaw [rad], the velocity (3) [m/s], the angular velocity (3)
+        [rad/s], both in the world frame, and the goal's x and y [m].
+        """
+        self.simulation.check_begun()
+        groups = self.simulation.state.groups.values()
+        rows = [
+            np.concatenate(
+                [
+                    group.motion.position_w,
+                    group.motion.roll_pitch_yaw,
+                    group.motion.velocity_w,
+                    group.motion.angular_w,
+                    group.goal.position_w,
+                ],
+                axis=1,
+            )
+            for group in groups
+        ]
+        return np.concatenate(rows).ravel().astype(np.float32)
+
+    @property
+    def state_space(self) -> gymnasium.spaces.Box:
+        """Space of `state`."""
+        agents = sum(group.count for group in self.simulation.groups)
+        return gymnasium.spaces.Box(-np.inf, np.inf, (_STATE_SIZE * agents,), np.float32)
+
+    def _own_point(self) -> dict[str, Any]:
+        return {"agents": self.agents}
+
+    def _return_to(self, own: dict[str, Any]) -> None:
+        self.agents = own["agents"]
+
     def close(self) -> None:
-        """Release the physics engine."""
+        """Release the physics engine, and close the window."""
+        if self._window is not None:
+            self._window.close()
         self.simulation.close()

@@ -6,6 +6,9 @@ import gymnasium
 
 from dune_rl import plugins
 
+# `gymnasium.make` reads it from the entry point, before there is an environment.
+RENDER_METADATA = {"render_modes": ["human", "rgb_array"], "render_fps": 20}
+
 _WORLDS = ("flat", "inspection", "construction", "rubicon", "island")
 
 
@@ -20,4 +23,9 @@ def register_env(world: str) -> None:
     title = "".join(part[:1].upper() + part[1:] for part in re.split("[_-]", world))
     name = f"dune_rl/{title}-v0"
     if name not in gymnasium.registry:
-        gymnasium.register(name, entry_point="dune_rl:gym_env", kwargs={"world": world})
+        gymnasium.register(
+            name,
+            entry_point="dune_rl:gym_env",
+            vector_entry_point="dune_rl:gym_vector_env",
+            kwargs={"world": world},
+        )

@@ -13,6 +13,7 @@ from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import add_sensors, build_groups, scene_bodies
 from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.episode_request import EpisodeRequest, plain_request, request_from_plain
 from dune_rl.env.episode_start import EpisodeStart
 from dune_rl.env.restore import RestoreError, check_arrival, state_digest
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
@@ -89,6 +90,7 @@ class VectorSimulation:
         self._ends = np.cumsum([group.count * group.action_size for group in self.external]).tolist()
         self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
         self.seed = seed
+        self._requests: dict[int, EpisodeRequest] = {}
         self._refusal = "call reset() before step()"
         self.reseed(seed, first_episode)
 
@@ -125,10 +127,15 @@ class VectorSimulation:
         self.seed = seed
         self.episodes = first_episode + np.arange(self.num_scenes) - self.num_scenes
 
-    def reset(self, mask: Flags | None = None) -> None:
-        """Start the next episode in the scenes in `mask` (M,); None: in all."""
+    def reset(self, mask: Flags | None = None, requests: Mapping[int, EpisodeRequest] | None = None) -> None:
+        """Start the next episode in the scenes in `mask` (M,); None: in all.
+
+        `requests` are starts and goals in place of sampled ones, by scene; ValueError says which is not free.
+        """
         if mask is None:
             mask = np.ones(self.num_scenes, bool)
+        kept = {scene: request for scene, request in self._requests.items() if not mask[scene]}
+        self._requests = {**kept, **(requests or {})}
         self.episodes = np.where(mask, self.episodes + self.num_scenes, self.episodes)
         self._start(mask)
 
@@ -140,7 +147,8 @@ class VectorSimulation:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)
         for scene in np.flatnonzero(mask).tolist():
-            self._starter.start(scene, self.seed, int(self.episodes[scene]))
+            request = self._requests.get(scene, {})
+            self._starter.start(scene, self.seed, int(self.episodes[scene]), request)
         self._engines = self._starter.engines()
         self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
         for group in self.groups:
@@ -260,8 +268,24 @@ class VectorSimulation:
             "seed": self.seed,
             "episodes": self.episodes.tolist(),
             "actions": self._log.plain(self.steps),
+            "requests": {scene: plain_request(request) for scene, request in self._requests.items()},
             "digest": state_digest(self.state),
         }
+
+    def save_point(self) -> dict[str, Any]:
+        """As `save_state`, also before the first episode and after `close`."""
+        begun = {} if self._refusal else self.save_state()
+        return {"refusal": self._refusal, "seed": self.seed, "episodes": self.episodes.tolist(), **begun}
+
+    def return_to(self, point: dict[str, Any]) -> None:
+        """Restore what `save_point` returned; raises as `restore`."""
+        if not point["refusal"]:
+            self.restore(point)
+            return
+        self.reseed(point["seed"])
+        self.episodes = np.array(point["episodes"], np.int64)
+        if point["refusal"] == _CLOSED:
+            self.close()
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Restore a saved state bit for bit, by repeating its episodes' actions from their starts.
@@ -277,6 +301,8 @@ class VectorSimulation:
             )
         self.reseed(int(saved["seed"]))
         self.episodes = np.array(saved["episodes"], np.int64)
+        requests = saved.get("requests", {})
+        self._requests = {int(scene): request_from_plain(plain) for scene, plain in requests.items()}
         lengths = np.array([len(actions) for actions in saved["actions"]])
         rows = self._log.aligned(saved["actions"])
         self._start(np.ones(self.num_scenes, bool))

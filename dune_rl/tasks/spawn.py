@@ -216,6 +216,22 @@ class Spawner:
             raise WorldError(self._too_full(len(points)))
         return cells[free]
 
+    def why_not(self, x: float, y: float) -> str:
+        """Why a robot cannot be at a point, in words that follow it; empty where it can."""
+        xmin, xmax, ymin, ymax = self._world.extent
+        if not (xmin <= x <= xmax and ymin <= y <= ymax):
+            return f"is outside the world, which covers {_rectangle(self._world.extent)}"
+        xy = np.array([x, y])
+        clearance = float(self._world.clearance(xy))
+        if clearance < self._footprint_radius_m:
+            return (
+                f"is {clearance:.2f} m from an obstacle, and the robot needs {self._footprint_radius_m:.2f} m"
+            )
+        slope = float(np.rad2deg(self._world.terrain.slope(xy)))
+        if slope > self._conf.max_slope_deg:
+            return f"is on a slope of {slope:.0f} degrees, above task.spawn.max_slope_deg"
+        return ""
+
     def _too_full(self, robots: int) -> str:
         return (
             f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r} has no room for "

@@ -11,6 +11,9 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from dune_rl.env.agent_group import AgentGroup, GroupStep
+from dune_rl.env.copying import CopiedByReplay
+from dune_rl.env.pettingzoo import check_render_mode
+from dune_rl.env.pictures import Pictures
 from dune_rl.env.restore import RestoreError
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, DuneWarning
@@ -21,7 +24,7 @@ Flags = NDArray[np.bool_]
 _CPU = torch.device("cpu")
 
 
-class DuneEnv(EnvBase):
+class DuneEnv(CopiedByReplay, EnvBase):
     """TorchRL environment of M scenes, with the keys of TorchRL's multi-agent convention.
 
     Each group of G external agents has (`group`, `observation`, NAME) of shape (M, G, ...), (`group`,
@@ -39,6 +42,7 @@ class DuneEnv(EnvBase):
             raise ConfigError("there is no external agent: give a group controller=external")
         self._simulation = simulation
         self._resume_from: dict[str, Any] | None = None
+        self._pictures: Pictures | None = None
         self._groups = simulation.external
         self.group_map = {group.name: list(group.names) for group in self._groups}
         self._make_specs()
@@ -136,6 +140,13 @@ class DuneEnv(EnvBase):
         part["terminated"] = torch.from_numpy(terminated.reshape(each).copy())
         part["truncated"] = torch.from_numpy(truncated.reshape(each).copy())
         return _unchecked(part, shape)
+
+    def render(self, mode: str = "rgb_array", scene: int = 0) -> NDArray[np.uint8]:
+        """RGB (480, 640, 3) of a scene from behind its first agent; `PixelRenderTransform` calls it."""
+        check_render_mode(mode, ("rgb_array",))
+        if self._pictures is None:
+            self._pictures = Pictures(self._simulation)
+        return self._pictures.from_behind(scene)
 
     # -- state ------------------------------------------------------------------------------------
 

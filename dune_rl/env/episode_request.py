@@ -1,0 +1,104 @@
+"""Starts and goals that a user asks for, in place of sampled ones."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dune_rl.env.arguments import check_whole
+from dune_rl.tasks.spawn import Placement
+
+_KEYS = ("start", "goal", "episode")
+
+
+@dataclass(frozen=True)
+class AgentRequest:
+    """Where an agent starts (x, y, yaw) and where it is to go (x, y) [m, rad]; None: as sampled."""
+
+    start: tuple[float, float, float | None] | None = None
+    goal: tuple[float, float] | None = None
+
+    def applied(self, sampled: Placement) -> Placement:
+        """`sampled` with what is asked for."""
+        placement = sampled
+        if self.start is not None:
+            x, y, yaw = self.start
+            placement = replace(placement, x=x, y=y, yaw=sampled.yaw if yaw is None else yaw)
+        if self.goal is not None:
+            placement = replace(placement, goal_x=self.goal[0], goal_y=self.goal[1])
+        return placement
+
+
+EpisodeRequest = dict[str, AgentRequest]
+
+
+def parse_options(
+    options: Mapping[str, Any] | None, agents: Sequence[str]
+) -> tuple[int | None, EpisodeRequest]:
+    """The number of the episode, and starts and goals by agent, of the `options` of `reset`.
+
+    `start` is (x, y) or (x, y, yaw) and `goal` (x, y) where there is one agent; with several they are
+    mappings from agents. Raises ValueError for anything else.
+    """
+    options = {} if options is None else options
+    unknown = [repr(key) for key in options if key not in _KEYS]
+    if unknown:
+        raise ValueError(f"reset has no options {', '.join(unknown)}; there are {', '.join(_KEYS)}")
+    episode = options.get("episode")
+    if episode is not None:
+        check_whole("options['episode']", episode, at_least=0)
+    starts = _by_agent("start", options.get("start"), agents)
+    goals = _by_agent("goal", options.get("goal"), agents)
+    request: EpisodeRequest = {}
+    for agent in agents:
+        start, goal = _numbers("start", starts.get(agent), (2, 3)), _numbers("goal", goals.get(agent), (2,))
+        if start is None and goal is None:
+            continue
+        request[agent] = AgentRequest(
+            None if start is None else (start[0], start[1], start[2] if len(start) == 3 else None),
+            None if goal is None else (goal[0], goal[1]),
+        )
+    return episode, request
+
+
+def plain_request(request: EpisodeRequest) -> dict[str, list[Any]]:
+    """Plain data of a request, for `request_from_plain`."""
+    return {agent: [one.start and [*one.start], one.goal and [*one.goal]] for agent, one in request.items()}
+
+
+def request_from_plain(plain: Mapping[str, Sequence[Any]]) -> EpisodeRequest:
+    """The request of which `plain_request` made `plain`."""
+    return {
+        agent: AgentRequest(start and (start[0], start[1], start[2]), goal and (goal[0], goal[1]))
+        for agent, (start, goal) in plain.items()
+    }
+
+
+def _by_agent(key: str, value: Any, agents: Sequence[str]) -> Mapping[str, Any]:
+    if value is None:
+        return {}
+    if isinstance(value, Mapping):
+        unknown = [str(agent) for agent in value if agent not in agents]
+        if unknown:
+            raise ValueError(
+                f"options[{key!r}] names no agent {', '.join(unknown)}; there are {', '.join(agents)}"
+            )
+        return value
+    if len(agents) > 1:
+        raise ValueError(f"options[{key!r}] must be a mapping from agents: {', '.join(agents)}")
+    return {agents[0]: value}
+
+
+def _numbers(key: str, value: Any, sizes: tuple[int, ...]) -> list[float] | None:
+    if value is None:
+        return None
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.ndim != 1 or len(numbers) not in sizes or not np.isfinite(numbers).all():
+        count = " or ".join(map(str, sizes))
+        raise ValueError(f"options[{key!r}] must be {count} finite numbers (got {value!r})")
+    found: list[float] = numbers.tolist()
+    return found

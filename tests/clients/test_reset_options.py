@@ -1,0 +1,100 @@
+"""Options of `reset`: the episode, and starts and goals."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import dune_rl
+from dune_rl.errors import ConfigError
+
+
+@pytest.fixture
+def env():
+    env = dune_rl.parallel_env("inspection", 0)
+    yield env
+    env.close()
+
+
+def place(env) -> list[float]:
+    motion = env.simulation.group().body.motion
+    return [*motion.position_w[0, :2], float(motion.yaw[0])]
+
+
+def test_the_episode_by_its_number(env) -> None:
+    starts = []
+    for _ in range(3):
+        env.reset()
+        starts.append(place(env))
+    _, infos = env.reset(options={"episode": 1})
+    assert place(env) == starts[1] and infos["rover_0"]["episode_id"] == 1.0
+    env.reset()
+    assert place(env) == starts[2]
+
+
+def test_start_and_goal(env) -> None:
+    env.reset()
+    x, y, _ = place(env)
+    goal = env.simulation.group().goals.source.goals_w[0].tolist()
+    env.reset(seed=4, options={"start": (x, y, 1.0), "goal": goal})
+    np.testing.assert_allclose(place(env), [x, y, 1.0], atol=0.1)
+    np.testing.assert_array_equal(env.simulation.state.groups["rover"].goal.position_w[0], goal)
+    env.reset(seed=4, options={"start": [x, y]})
+    first = place(env)
+    np.testing.assert_allclose(first[:2], [x, y], atol=0.1)
+    # The next episode is as it would have been.
+    env.reset()
+    after = place(env)
+    env.reset(seed=4, options={"episode": 1})
+    assert place(env) == after
+
+
+def test_of_several_agents() -> None:
+    env = dune_rl.parallel_env("flat", 0, robots=["rover_zero", "rover_zero"])
+    env.reset(options={"start": {"rover_1": (3.0, 3.0, 0.0)}})
+    np.testing.assert_allclose(env.simulation.group().body.motion.position_w[1, :2], [3.0, 3.0], atol=0.05)
+    with pytest.raises(ValueError, match="must be a mapping from agents: rover_0, rover_1"):
+        env.reset(options={"start": (3.0, 3.0)})
+    with pytest.raises(ValueError, match="names no agent rover_7"):
+        env.reset(options={"goal": {"rover_7": (3.0, 3.0)}})
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"places": 1}, "reset has no options 'places'; there are start, goal, episode"),
+        ({"start": (1.0,)}, r"options\['start'\] must be 2 or 3 finite numbers"),
+        ({"goal": (np.nan, 0.0)}, r"options\['goal'\] must be 2 finite numbers"),
+        ({"goal": "there"}, "must be 2 finite numbers"),
+        ({"start": (999.0, 0.0)}, "the start of rover_0 .* is outside the world"),
+    ],
+)
+def test_wrong_options(env, options, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+
+
+def test_a_place_in_an_obstacle_is_refused(env) -> None:
+    env.reset()
+    world = env.simulation.worlds.worlds[0]
+    xmin, xmax, ymin, ymax = world.extent
+    xy = np.random.default_rng(0).uniform((xmin, ymin), (xmax, ymax), (4000, 2))
+    inside = xy[world.clearance(xy) == 0.0][0]
+    with pytest.raises(ValueError, match=r"the goal of rover_0 .* from an obstacle.*choose another"):
+        env.reset(options={"goal": inside})
+    with pytest.raises(ConfigError, match=r"options\['episode'\] must be a whole number"):
+        env.reset(options={"episode": -1})
+
+
+def test_walkers_do_not_start_where_they_are_told() -> None:
+    env = dune_rl.parallel_env("flat", 0, actors="external_walkers")
+    with pytest.raises(ValueError, match="walker_0: only robots"):
+        env.reset(options={"start": {"walker_0": (1.0, 1.0)}})
+    env.close()
+
+
+def test_gymnasium_passes_them_on() -> None:
+    env = gymnasium.make("dune_rl:dune_rl/Flat-v0")
+    env.reset(options={"start": (2.0, 1.0, 0.0)})
+    np.testing.assert_allclose(place(env.unwrapped)[:2], [2.0, 1.0], atol=0.05)
+    env.close()
