@@ -63,6 +63,7 @@ def parallel_env(
     seed: int = 0,
     *,
     render_mode: Literal["human", "rgb_array"] | None = None,
+    flatten: bool = False,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
@@ -78,13 +79,14 @@ def parallel_env(
     "friction": 0.5}`). `overrides` are command-line words
     (`["world.friction=0.5"]`), `config_dirs` further folders of options, as
     `--config-dir` has them. With `render_mode="rgb_array"`, `render()` gives
-    a picture of the first agent; with "human" a window shows it. Raises `ConfigError` naming every fault.
+    a picture of the first agent; with "human" a window shows it. With
+    `flatten=True` an observation is one vector in place of a dict. Raises `ConfigError` naming every fault.
     """
     from dune_rl.config.build import make_parallel_env
     from dune_rl.config.compose import compose_environment
 
     conf = compose_environment(world, overrides, settings, config_dirs=config_dirs)
-    return make_parallel_env(conf, seed, render_mode)
+    return make_parallel_env(conf, seed, render_mode, flatten)
 
 
 def gym_env(
@@ -92,6 +94,7 @@ def gym_env(
     seed: int | None = None,
     *,
     render_mode: Literal["human", "rgb_array"] | None = None,
+    flatten: bool = False,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
@@ -112,7 +115,7 @@ def gym_env(
     from dune_rl.env.arguments import random_seed
 
     conf = compose_environment(world, overrides, settings, SingleAgentConf, config_dirs=config_dirs)
-    return make_gymnasium_env(conf, random_seed() if seed is None else seed, render_mode)
+    return make_gymnasium_env(conf, random_seed() if seed is None else seed, render_mode, flatten)
 
 
 gym_env.metadata = RENDER_METADATA  # type: ignore[attr-defined]
@@ -125,6 +128,7 @@ def gym_vector_env(
     *,
     autoreset_mode: Any = "next_step",
     render_mode: Literal["rgb_array"] | None = None,
+    flatten: bool = False,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
@@ -141,7 +145,7 @@ def gym_vector_env(
 
     conf = compose_environment(world, overrides, settings, SingleAgentConf, config_dirs=config_dirs)
     seed = random_seed() if seed is None else seed
-    return make_gymnasium_vector_env(conf, num_envs, seed, render_mode, autoreset_mode)
+    return make_gymnasium_vector_env(conf, num_envs, seed, render_mode, autoreset_mode, flatten)
 
 
 def make(

@@ -173,10 +173,13 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
     observes = is_external or isinstance(group.controller, FrozenPolicyConf)
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
+    metrics: MetricsConf | None = None
     if observes:
         sensors = walker_sensors() if is_person else defaults.sensors
     if is_external:
         task = walking_task() if is_person else defaults.task
+        # Persons have no motors.
+        metrics = defaults.metrics.model_copy(update={"energy": False}) if is_person else defaults.metrics
     elif not is_person:
         task = roaming_task(defaults.task)
     return ResolvedGroup(
@@ -187,7 +190,7 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         (group.path or PathConf()) if is_person else None,
         group.sensors or sensors,
         group.task or task,
-        group.metrics or (defaults.metrics if is_external and not is_person else None),
+        group.metrics or metrics,
     )
 
 

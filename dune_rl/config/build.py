@@ -135,17 +135,21 @@ def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedE
     return TransformedEnv(make_torchrl_env(conf, num_scenes, seed), EpisodeMetrics())
 
 
-def make_parallel_env(conf: EnvConf, seed: int, render_mode: RenderMode = None) -> ParallelDuneEnv:
+def make_parallel_env(
+    conf: EnvConf, seed: int, render_mode: RenderMode = None, flatten: bool = False
+) -> ParallelDuneEnv:
     """A PettingZoo environment of one scene."""
-    env = ParallelDuneEnv(make_simulation(conf, 1, seed), render_mode)
-    env.remake = partial(make_parallel_env, conf, seed, render_mode)
+    env = ParallelDuneEnv(make_simulation(conf, 1, seed), render_mode, flatten=flatten)
+    env.remake = partial(make_parallel_env, conf, seed, render_mode, flatten)
     return env
 
 
-def make_gymnasium_env(conf: SingleAgentConf, seed: int, render_mode: RenderMode = None) -> GymnasiumEnv:
+def make_gymnasium_env(
+    conf: SingleAgentConf, seed: int, render_mode: RenderMode = None, flatten: bool = False
+) -> GymnasiumEnv:
     """A Gymnasium environment of one scene with one external agent."""
-    env = GymnasiumEnv(make_simulation(conf, 1, seed), render_mode)
-    env.remake = partial(make_gymnasium_env, conf, seed, render_mode)
+    env = GymnasiumEnv(make_simulation(conf, 1, seed), render_mode, flatten=flatten)
+    env.remake = partial(make_gymnasium_env, conf, seed, render_mode, flatten)
     return env
 
 
@@ -155,8 +159,11 @@ def make_gymnasium_vector_env(
     seed: int,
     render_mode: RenderMode = None,
     autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+    flatten: bool = False,
 ) -> GymnasiumVectorEnv:
     """A Gymnasium vector environment of scenes with one external agent each."""
-    env = GymnasiumVectorEnv(make_simulation(conf, num_scenes, seed), render_mode, autoreset_mode)
-    env.remake = partial(make_gymnasium_vector_env, conf, num_scenes, seed, render_mode, autoreset_mode)
+    simulation = make_simulation(conf, num_scenes, seed)
+    env = GymnasiumVectorEnv(simulation, render_mode, autoreset_mode, flatten=flatten)
+    arguments = conf, num_scenes, seed, render_mode, autoreset_mode, flatten
+    env.remake = partial(make_gymnasium_vector_env, *arguments)
     return env

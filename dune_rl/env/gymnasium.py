@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.env.copying import CopiedByReplay
-from dune_rl.env.pettingzoo import Observation, ParallelDuneEnv, RenderMode
+from dune_rl.env.observation_layout import Observation
+from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.registration import RENDER_METADATA
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
@@ -21,8 +22,10 @@ class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
 
     metadata = RENDER_METADATA
 
-    def __init__(self, simulation: VectorSimulation, render_mode: RenderMode = None) -> None:
-        parallel = ParallelDuneEnv(simulation, render_mode)
+    def __init__(
+        self, simulation: VectorSimulation, render_mode: RenderMode = None, *, flatten: bool = False
+    ) -> None:
+        parallel = ParallelDuneEnv(simulation, render_mode, flatten=flatten)
         if len(parallel.possible_agents) > 1:
             raise ConfigError(
                 f"Gymnasium has one agent, and here are {', '.join(parallel.possible_agents)}: use "

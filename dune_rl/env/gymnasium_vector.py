@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from dune_rl.env.arguments import check_whole, combined_seed
 from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.episode_infos import EpisodeInfos
-from dune_rl.env.pettingzoo import RenderMode, box, check_render_mode
+from dune_rl.env.observation_layout import ObservationLayout, box
+from dune_rl.env.pettingzoo import RenderMode, check_render_mode
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
 
 Flags = NDArray[np.bool_]
-Observations = dict[str, NDArray[Any]]
+Observations = dict[str, NDArray[Any]] | NDArray[np.float32]
 
 
 class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
@@ -39,6 +40,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         simulation: VectorSimulation,
         render_mode: RenderMode = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        *,
+        flatten: bool = False,
     ) -> None:
         if len(simulation.agents) != 1:
             raise ConfigError(
@@ -55,8 +58,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
             "autoreset_mode": self._mode,
         }
         (self._group,) = simulation.external
-        bounds = self._group.observation_bounds.items()
-        self.single_observation_space = gymnasium.spaces.Dict({key: box(each) for key, each in bounds})
+        self._layout = ObservationLayout(self._group, flatten)
+        self.single_observation_space = self._layout.space
         self.single_action_space = box(self._group.action_bounds)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -143,7 +146,11 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         """Observations and infos of the episodes that have ended, as Gymnasium's wrappers expect them."""
         observations, final_obs = self._observations(), np.full(self.num_envs, None, object)
         for scene in np.flatnonzero(ended).tolist():
-            final_obs[scene] = {key: value[scene] for key, value in observations.items()}
+            final_obs[scene] = (
+                observations[scene]
+                if isinstance(observations, np.ndarray)
+                else {key: value[scene] for key, value in observations.items()}
+            )
         return {
             "final_obs": final_obs,
             "_final_obs": ended.copy(),
@@ -152,7 +159,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         }
 
     def _observations(self) -> Observations:
-        return self._group.observe()
+        observations: Observations = self._layout.batch()
+        return observations
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """RGB (480, 640, 3) of each scene from behind its agent, where `render_mode` is "rgb_array"."""

@@ -1,6 +1,7 @@
 """The PettingZoo parallel environment of one scene's external agents."""
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, Literal
 
 import gymnasium
@@ -13,13 +14,12 @@ from dune_rl.env.arguments import agent_action
 from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.episode_infos import EpisodeInfos
 from dune_rl.env.episode_request import parse_options
+from dune_rl.env.observation_layout import Observation, ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.env.window import Window
 from dune_rl.errors import ConfigError
-from dune_rl.sensors.sensor import Bounds, Reading
 
-Observation = dict[str, Reading]
 RenderMode = Literal["human", "rgb_array"] | None
 
 
@@ -33,11 +33,6 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
         raise ConfigError(f"render_mode must be {', '.join(map(repr, modes))} or None (got {mode!r})")
 
 
-def box(bounds: Bounds) -> gymnasium.spaces.Box:
-    """The space between two bounds, of their type."""
-    return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=bounds[0].dtype.type)
-
-
 class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     """PettingZoo `ParallelEnv` of the agents GROUP_0, GROUP_1, ... of every external group.
 
@@ -45,8 +40,8 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     of the groups with terminations are done. An agent that is done before the others stays in the scene and
     in `agents`: its actions have no effect and its rewards are 0. All agents are terminated or truncated in
     the episode's last step: those that were done as they were then, the others are truncated. Observations
-    are dicts of boxes. `infos` hold each agent's metrics so far, under the same keys at every step; a value
-    that is not defined yet is -1.
+    are dicts of boxes or, with `flatten`, vectors. `infos` hold each agent's metrics so far, under the same
+    keys at every step; a value that is not defined yet is -1.
 
     Raises ValueError if the simulation has several scenes, and ConfigError if no group is external.
     """
@@ -58,7 +53,9 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         "is_parallelizable": True,
     }
 
-    def __init__(self, simulation: VectorSimulation, render_mode: RenderMode = None) -> None:
+    def __init__(
+        self, simulation: VectorSimulation, render_mode: RenderMode = None, *, flatten: bool = False
+    ) -> None:
         if simulation.num_scenes != 1:
             raise ValueError(
                 f"the PettingZoo environment wraps a simulation of one scene, not of {simulation.num_scenes}"
@@ -75,15 +72,14 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         self.possible_agents = list(simulation.agents)
         self.agents: list[str] = []
         self.observation_spaces, self.action_spaces = {}, {}
-        for group in simulation.external:
+        self._layouts = [(group, ObservationLayout(group, flatten)) for group in simulation.external]
+        for group, layout in self._layouts:
             for name in group.names:
-                self.observation_spaces[name] = gymnasium.spaces.Dict(
-                    {key: box(bounds) for key, bounds in group.observation_bounds.items()}
-                )
+                self.observation_spaces[name] = copy(layout.space)
                 self.action_spaces[name] = box(group.action_bounds)
         self._infos_of = [(group, EpisodeInfos(simulation, group)) for group in simulation.external]
 
-    def observation_space(self, agent: str) -> gymnasium.spaces.Dict:
+    def observation_space(self, agent: str) -> gymnasium.Space[Any]:
         """Observation space of an agent; the same object at every call."""
         return self.observation_spaces[agent]
 
@@ -155,12 +151,10 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         return rewards, terminations, truncations
 
     def _observations(self) -> dict[str, Observation]:
-        out = {}
-        for group in self.simulation.external:
-            readings = group.observe()
-            for row, name in enumerate(group.names):
-                out[name] = {key: value[row] for key, value in readings.items()}
-        return out
+        found: dict[str, Observation] = {}
+        for group, layout in self._layouts:
+            found |= zip(group.names, layout.each(), strict=True)
+        return found
 
     def _infos(self) -> dict[str, dict[str, float]]:
         infos: dict[str, dict[str, float]] = {}

@@ -11,6 +11,7 @@ from dune_rl.config.agents import FrozenPolicyConf, ResolvedGroup, walker_sensor
 from dune_rl.config.compose import compose, compose_environment, compose_evaluation, from_hydra
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.errors import ConfigError
+from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.tasks.task import TaskConf, walking_task
@@ -64,7 +65,7 @@ def test_the_default_is_one_rover_and_two_walkers_on_paths() -> None:
     groups = groups_of("actors=external_walkers")
     assert summary(groups) == {"rover": (1, "external"), "walker": (2, "external")}
     assert (groups["walker"].task, groups["walker"].sensors) == (walking_task(), walker_sensors())
-    assert groups["walker"].metrics is None
+    assert groups["walker"].metrics == MetricsConf()
 
 
 def test_equal_robots_are_one_group() -> None:
