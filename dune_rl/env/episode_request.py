@@ -10,6 +10,8 @@ from dune_rl.env.arguments import check_whole
 from dune_rl.tasks.spawn import Placement
 
 _KEYS = ("start", "goal", "episode")
+# PettingZoo's test of parallel environments passes {"options": 1}.
+_IGNORED = "options"
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ def parse_options(
     mappings from agents. Raises ValueError for anything else.
     """
     options = {} if options is None else options
-    unknown = [repr(key) for key in options if key not in _KEYS]
+    unknown = [repr(key) for key in options if key not in (*_KEYS, _IGNORED)]
     if unknown:
         raise ValueError(f"reset has no options {', '.join(unknown)}; there are {', '.join(_KEYS)}")
     episode = options.get("episode")

@@ -137,8 +137,7 @@ def test_a_team_is_trained_and_several_groups_are_evaluated(
     told = capsys.readouterr().out
     assert "flat, rover: 1 episodes" in told and "flat, leo_rover: 1 episodes" in told
     rows = list(csv.DictReader((folder / "both.csv").read_text().splitlines()))
-    # Walkers have no metrics.
-    assert [row["agent"] for row in rows] == ["rover_0", "leo_rover_0"]
+    assert [row["agent"] for row in rows] == ["rover_0", "leo_rover_0", "walker_0", "walker_1"]
 
 
 def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(

@@ -183,8 +183,8 @@ def test_render_gives_a_picture_where_it_was_asked_for(make):
 @pytest.mark.parametrize("make", [dune_rl.parallel_env, dune_rl.gym_env])
 def test_an_unknown_way_to_render_is_refused_in_words(make):
     with pytest.raises(ConfigError) as refused:
-        make("flat", render_mode="human")
-    assert str(refused.value) == "render_mode must be 'rgb_array' or None (got 'human')"
+        make("flat", render_mode="ansi")
+    assert str(refused.value) == "render_mode must be 'human', 'rgb_array' or None (got 'ansi')"
 
 
 def test_gymnasium_s_own_wrappers_can_render():
