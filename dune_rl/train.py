@@ -1,5 +1,6 @@
 """Train a rover: `python -m dune_rl.train +world=inspection`."""
 
+import multiprocessing
 import os
 import sys
 from argparse import Namespace
@@ -86,11 +87,18 @@ def _run_hydra(words: Sequence[str]) -> None:
         raise ConfigError(str(error).splitlines()[0]) from error
 
 
-def _job(config: DictConfig) -> None:
+def _job(config: DictConfig) -> float | None:
+    """Train; returns the objective, which sweepers optimise."""
     engine = HydraConfig.get()
+    # In joblib's workers new processes would start in a way of theirs, which TorchRL's collectors cannot.
+    if multiprocessing.get_start_method(allow_none=True) not in (None, "spawn", "fork", "forkserver"):
+        multiprocessing.set_start_method("spawn", force=True)
     try:
         conf = from_hydra(config)
-        train(conf.model_copy(update={"run_dir": engine.runtime.output_dir}))
+        result = train(conf.model_copy(update={"run_dir": engine.runtime.output_dir}))
+        from dune_rl.learning.objective import measure_objective
+
+        return measure_objective(conf.objective, result.evaluation[conf.driven_group.name])
     except (DuneError, OSError) as error:
         message = command.describe_user_error(error)
         if message is None:
@@ -100,6 +108,7 @@ def _job(config: DictConfig) -> None:
         # The other jobs of the sweep go on; Hydra raises this one's error after the last.
         command.print_error(f"job {engine.job.num} failed: {message}")
         raise command.ReportedError from error
+    return None
 
 
 def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, OverrideType
+from hydra.core.override_parser.types import IntervalSweep, Override, OverrideType
 from hydra.errors import HydraException
 
 from dune_rl.config.options import load_user_part
@@ -100,6 +100,10 @@ def sweep_values(override: Override) -> list[Override]:
         return [override]
     key = override.get_key_element()
     parser = OverridesParser.create()
+    interval = override.value()
+    if isinstance(interval, IntervalSweep):
+        # Its values lie between the two that it has.
+        return [parser.parse_override(f"{key}={value}") for value in (interval.start, interval.end)]
     return [parser.parse_override(f"{key}={value}") for value in override.sweep_string_iterator()]
 
 

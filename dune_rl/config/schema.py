@@ -10,7 +10,7 @@ from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.learning.settings import LearningConf
-from dune_rl.metrics.episode import MetricsConf
+from dune_rl.metrics.episode import MetricsConf, metric_names
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.registry import ROBOTS
@@ -172,7 +172,17 @@ class Conf(OneGroupConf):
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
     run_dir: str = Field("runs", min_length=1)
+    objective: str = Field("success", min_length=1)
     resume: str | None = None
+
+    @model_validator(mode="after")
+    def _objective_is_a_metric(self) -> Self:
+        known = [] if self.driven_group.metrics is None else metric_names(self.driven_group.metrics)
+        if self.objective not in known:
+            near = closest(self.objective, known)
+            remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+            raise ValueError(f"objective: there is no metric {self.objective!r}; {remedy}")
+        return self
 
 
 class BenchmarkConf(EnvConf):

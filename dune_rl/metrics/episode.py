@@ -63,6 +63,11 @@ class MetricsConf(Settings):
         return {**self.terms, **MetricsConf(terms=ENERGY_METRICS).terms}
 
 
+def metric_names(conf: MetricsConf) -> tuple[str, ...]:
+    """Names of the metrics of episodes, without those of reward terms."""
+    return (*BUILT_IN, *conf.all_terms)
+
+
 class MetricSet:
     """Running metrics of N agents; a row is final when its episode is.
 
@@ -71,7 +76,7 @@ class MetricSet:
 
     def __init__(self, conf: MetricsConf, num_rows: int) -> None:
         confs = conf.all_terms
-        self.names = (*BUILT_IN, *confs)
+        self.names = metric_names(conf)
         reductions: list[Reduction] = ["last", "last", "sum", *(term.reduce for term in confs.values())]
         self._reductions = np.array([_REDUCTIONS.index(reduction) for reduction in reductions])
         self._initial = np.array([[0.0]] * len(BUILT_IN) + [[_initial(term)] for term in confs.values()])

@@ -1,0 +1,67 @@
+"""Sweeps by other people's launchers and sweepers: joblib, submitit and Optuna."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+# With the default collector, which starts a process of its own.
+SMALL = [
+    "+world=flat",
+    "actors=none",
+    "total_frames=128",
+    "learning.learning_starts=64",
+    "learning.batch_size=8",
+    "learning.hidden=[8]",
+    "learning.replay.capacity=1000",
+    "learning.threads=1",
+    "learning.collector.scenes=2",
+    "learning.collector.steps=16",
+    "learning.evaluation.episodes=2",
+    "learning.evaluation.scenes=2",
+    "task.terminations.time_limit.max_steps=10",
+]
+
+
+def train(folder: Path, *words: str) -> str:
+    """Output of a sweep in a process of its own, as a user runs it."""
+    command = [sys.executable, "-m", "dune_rl.train", "-m", *SMALL, "hydra.sweep.dir=sweep", *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr[-3000:] + done.stdout[-1000:]
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("package", "launcher"),
+    [
+        ("hydra_plugins.hydra_joblib_launcher", ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]),
+        ("hydra_plugins.hydra_submitit_launcher", ["hydra/launcher=submitit_local"]),
+    ],
+    ids=["joblib", "submitit"],
+)
+def test_launchers_run_the_jobs(package: str, launcher: list[str], tmp_path: Path) -> None:
+    pytest.importorskip(package)
+    train(tmp_path, "seed=1,2", *launcher)
+    for number, seed in enumerate((1, 2)):
+        folder = tmp_path / "sweep" / f"{number}_flat_seed{seed}"
+        assert (folder / "policy.pt").exists()
+        assert yaml.safe_load((folder / "config.yaml").read_text())["seed"] == seed
+
+
+def test_optuna_optimises_the_objective(tmp_path: Path) -> None:
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
+    train(
+        tmp_path,
+        "hydra/sweeper=optuna",
+        "hydra.sweeper.direction=minimize",
+        "hydra.sweeper.n_trials=2",
+        "hydra.sweeper.n_jobs=1",
+        "learning.gamma=interval(0.9,0.99)",
+        "objective=min_clearance",
+    )
+    found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
+    assert 0.9 <= found["best_params"]["learning.gamma"] <= 0.99
+    # Nothing is near on flat ground without actors.
+    assert found["best_value"] == pytest.approx(12.0)
