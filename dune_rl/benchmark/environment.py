@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from dune_rl.benchmark.steppers import core_stepper, pettingzoo_stepper, torchrl_stepper
+from dune_rl.benchmark.steppers import (
+    core_stepper,
+    gymnasium_vector_stepper,
+    pettingzoo_stepper,
+    torchrl_stepper,
+)
 from dune_rl.benchmark.timing import median_ratio, peak_memory_mib, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
 from dune_rl.config.schema import BenchmarkConf
@@ -36,7 +41,8 @@ def measure_overhead(conf: BenchmarkConf, outputs: tuple[str, ...]) -> dict[str,
 def measure_environment(conf: BenchmarkConf) -> dict[str, Any]:
     """Cost of one process on one core: steps of a scene per second, and ratios between the interfaces.
 
-    `agents` is the number of external agents in a scene, and `core_agent_steps_per_s` counts each of them.
+    Gymnasium's vector environment is among them where a scene has one external agent. `agents` is the number
+    of external agents in a scene, and `core_agent_steps_per_s` counts each of them.
     """
     torch.set_num_threads(1)
     simulation = make_simulation(conf, conf.scenes, conf.seed)
@@ -50,6 +56,8 @@ def measure_environment(conf: BenchmarkConf) -> dict[str, Any]:
         "torchrl": (torchrl, conf.steps),
         "pettingzoo": (pettingzoo, single),
     }
+    if len(simulation.agents) == 1:
+        steppers["gymnasium_vector"] = gymnasium_vector_stepper(conf), conf.steps
     for name, (step, _) in steppers.items():
         time_calls(step, _WARM_UP * (conf.scenes if name == "pettingzoo" else 1))
     per_scene = {
@@ -61,7 +69,7 @@ def measure_environment(conf: BenchmarkConf) -> dict[str, Any]:
     median = {name: float(np.median(values)) for name, values in per_scene.items()}
     agents = len(simulation.agents)
     simulation.close()
-    return {
+    found = {
         "scenes": conf.scenes,
         "agents": agents,
         "overhead_ratio": median_ratio(per_scene["core"], per_scene["raw"]),
@@ -77,6 +85,10 @@ def measure_environment(conf: BenchmarkConf) -> dict[str, Any]:
         "reset_ms": float(np.median(resets)) * 1e3,
         "peak_memory_mib": peak_memory_mib(),
     }
+    if "gymnasium_vector" in per_scene:
+        found["gymnasium_vector_ratio"] = median_ratio(per_scene["core"], per_scene["gymnasium_vector"])
+        found["gymnasium_vector_steps_per_s"] = 1.0 / median["gymnasium_vector"]
+    return found
 
 
 def _worker(conf: BenchmarkConf, seed: int, barrier: Any, results: Any) -> None:

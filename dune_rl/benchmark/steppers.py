@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dune_rl.config.build import make_parallel_env, make_torchrl_env
+from dune_rl.config.build import make_parallel_env, make_simulation, make_torchrl_env
 from dune_rl.config.schema import BenchmarkConf
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.simulation import VectorSimulation
 
 Actions = dict[str, NDArray[np.float32]]
@@ -79,6 +80,19 @@ def torchrl_stepper(conf: BenchmarkConf) -> Callable[[], None]:
         for name, values in actions.draw().items():
             now.set((name, "action"), torch.from_numpy(values))
         _, now = env.step_and_maybe_reset(now)
+
+    return step
+
+
+def gymnasium_vector_stepper(conf: BenchmarkConf) -> Callable[[], None]:
+    """A step of Gymnasium's vector environment of all scenes, which have one external agent each."""
+    env = GymnasiumVectorEnv(make_simulation(conf, conf.scenes, conf.seed))
+    actions = RandomActions(env.simulation)
+    (group,) = env.simulation.external
+    env.reset()
+
+    def step() -> None:
+        env.step(actions.draw()[group.name][:, 0])
 
     return step
 

@@ -251,7 +251,8 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert [line["benchmark"] for line in lines] == [
         *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
     ]
-    for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "core_steps_per_s", "reset_ms"):
+    ratios = ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "gymnasium_vector_ratio")
+    for name in (*ratios, "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
     # Two steps say nothing of how long a step takes.
     assert cameras["overhead_ratio_camera"] > 0 and cameras["overhead_ratio_depth"] > 0
