@@ -25,6 +25,10 @@ class CheckpointError(DuneError):
     """A checkpoint that is missing, damaged, or made for another environment."""
 
 
+class TrainingError(DuneError):
+    """A training run that cannot go on."""
+
+
 class PhysicsError(DuneError):
     """A scene that the physics engine refuses, or an engine that is not installed."""
 

@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from dune_rl.errors import DuneWarning
 from dune_rl.learning.group_policy import JointPolicy
 from dune_rl.learning.settings import CollectorConf
+from dune_rl.learning.worker_watch import WorkerWatch
 from dune_rl.seeding import stream
 
 MakeEnv = Callable[[int, int], EnvBase]
@@ -111,6 +112,7 @@ class TransitionCollector:
             if state is not None:
                 self._env.resume(state)
                 self._collector.reset()
+            self._watch = WorkerWatch(())
             return
         factories = [
             partial(_worker_env, make_env, conf.scenes, environment_seed(seed, worker, frames))
@@ -119,9 +121,17 @@ class TransitionCollector:
         kind = MultiAsyncCollector if conf.mode == "async" else MultiSyncCollector
         with _blocked_signals():
             self._collector = kind(factories, num_threads=threads, num_sub_threads=1, **common)
+        self._watch = WorkerWatch(self._collector.procs)
 
     def __iter__(self) -> Iterator[TensorDictBase]:
-        yield from self._collector
+        """The batches; raises `TrainingError` when a worker process has ended."""
+        batches = iter(self._collector)
+        while True:
+            with self._watch:
+                batch = next(batches, None)
+            if batch is None:
+                return
+            yield batch
 
     @torch.no_grad()
     def send(self, policies: Mapping[str, TensorDictModuleBase]) -> None:
@@ -132,7 +142,9 @@ class TransitionCollector:
                 if isinstance(value, torch.Tensor):
                     ours[key].data.copy_(value)
         if self._env is None and policies:
-            self._collector.update_policy_weights_(self._policy)
+            # The workers confirm what they got.
+            with self._watch:
+                self._collector.update_policy_weights_(self._policy)
 
     def state(self) -> dict[str, Any] | None:
         """Where the scenes are in their episodes, as plain data; None where that is not kept."""
@@ -141,5 +153,6 @@ class TransitionCollector:
     def close(self) -> None:
         """End the workers and close the environments."""
         threads = torch.get_num_threads()
+        self._watch.close()
         self._collector.shutdown()
         torch.set_num_threads(threads)

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
+from dune_rl.errors import TrainingError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
@@ -156,6 +157,12 @@ class Trainer:
                 self._save(collector, with_experience=self._conf.checkpoint.replay or not finished)
                 self._log.write()
                 self._log.draw(self._title)
+            except TrainingError as error:
+                self._save(collector, with_experience=True)
+                self._log.write()
+                raise TrainingError(
+                    f"{error}\nAll is saved at {self.frames:,} frames; go on with resume={self._folder.path}"
+                ) from error
             finally:
                 collector.close()
                 self._evaluation.close()
