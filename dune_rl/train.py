@@ -24,6 +24,7 @@ from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_h
 from dune_rl.config.schema import Conf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
+from dune_rl.learning.run_lock import refuse_locked
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
@@ -126,6 +127,7 @@ def _refuse_used_folder(run_dir: Path) -> None:
         raise CheckpointError(
             f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
         )
+    refuse_locked(run_dir)
 
 
 def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":

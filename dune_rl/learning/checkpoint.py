@@ -25,9 +25,11 @@ def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> 
     try:
         with write_atomically(path) as temporary:
             torch.save({"format": FORMAT, "version": VERSION, "kind": kind, **content}, temporary)
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
+        # PyTorch's writer raises a RuntimeError where the disk is full.
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise CheckpointError(
-            f"{path} cannot be written: {error.strerror or error}.\n"
+            f"{path} cannot be written: {reason}.\n"
             "Free some space or allow writing there; what was saved before is intact."
         ) from error
 

@@ -14,6 +14,7 @@ from dune_rl.learning.checkpoint import (
     write_checkpoint_file,
 )
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.run_lock import RunLock
 from dune_rl.learning.saved_policies import policy_entry
 
 _EXPERIENCE = "replay"
@@ -22,7 +23,8 @@ _EXPERIENCE = "replay"
 class RunFolder:
     """Writes what a run keeps in `path`; `config` is the resolved configuration, stored beside the weights.
 
-    Raises CheckpointError if the folder cannot be written, or with `fresh` if it already holds a run.
+    Raises CheckpointError if the folder cannot be written, if another run is writing there, or with `fresh`
+    if it already holds a run.
     """
 
     def __init__(self, path: Path, config: Mapping[str, Any], *, fresh: bool) -> None:
@@ -42,6 +44,11 @@ class RunFolder:
                 f"The folder {path} cannot be written: {error.strerror or error}.\n"
                 "Name another folder for the run."
             ) from error
+        self._lock = RunLock(path)
+
+    def release(self) -> None:
+        """Let other runs write to the folder."""
+        self._lock.release()
 
     def save_policies(self, learners: Mapping[str, Algorithm], frames: int, *, best: bool) -> None:
         """Write the policies of all groups: as the best ones so far, or as the latest."""

@@ -170,6 +170,7 @@ class Trainer:
                     learner.close()
                 torch.set_num_threads(threads)
                 self._log.close()
+                self._folder.release()
         return TrainingResult(
             self._folder.path,
             self.frames,

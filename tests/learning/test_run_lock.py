@@ -1,0 +1,71 @@
+"""A run's folder: two runs at once, and a disk that is full."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from training import trainer
+
+from dune_rl.errors import CheckpointError
+from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
+from dune_rl.learning.run_lock import RunLock, refuse_locked
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from dune_rl.learning.run_lock import RunLock
+lock = RunLock(Path(sys.argv[1]))
+print("locked", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_second_run_in_a_folder_is_refused(tmp_path: Path) -> None:
+    first = trainer(tmp_path)
+    with pytest.raises(
+        CheckpointError, match=r"Another run is writing to .*\nName another folder with run_dir"
+    ):
+        trainer(tmp_path)
+    with pytest.raises(CheckpointError, match="Another run"):
+        refuse_locked(tmp_path)
+    first.train(stop_after_frames=128)
+    refuse_locked(tmp_path)
+    assert not list(tmp_path.glob(".lock"))
+    trainer(tmp_path, resume=tmp_path).train(stop_after_frames=256)
+
+
+def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
+    holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert holder.stdout is not None and holder.stdout.readline() == "locked\n"
+    with pytest.raises(CheckpointError, match="Another run"):
+        RunLock(tmp_path)
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.wait()
+    holder.stdout.close()
+    for _ in range(50):
+        try:
+            refuse_locked(tmp_path)
+            break
+        except CheckpointError:
+            time.sleep(0.1)
+    RunLock(tmp_path).release()
+
+
+def test_where_nothing_more_can_be_written_the_last_save_is_intact(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint_file(path, "checkpoint", {"value": 1})
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    try:
+        with pytest.raises(CheckpointError, match=r"checkpoint\.pt cannot be written: .*\nFree some space"):
+            write_checkpoint_file(path, "checkpoint", {"value": torch.zeros(1_000_000)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert read_checkpoint_file(path, "checkpoint")["value"] == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
