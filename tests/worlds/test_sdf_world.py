@@ -146,6 +146,21 @@ def test_a_height_map_is_the_terrain_and_things_stand_on_it(tmp_path):
     assert world.clearance(np.array([4.0, 3.0])) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "size"), [(-0.98, 5.59, 6.575), (-3.0, -1.0, 2.0), (100.0, 104.0, 8.0)]
+)
+def test_heights_in_metres_are_scaled_about_the_lowest(tmp_path, low, high, size):
+    # As of a public site whose rocks lay underground.
+    x, y = np.meshgrid(np.linspace(0.0, 1.0, 81), np.linspace(0.0, 1.0, 81))
+    samples = (low + (high - low) * (0.5 + 0.5 * np.sin(3.0 * x) * np.cos(2.0 * y))).astype(np.float64)
+    samples = low + (samples - samples.min()) * ((high - low) / np.ptp(samples))
+    np.save(tmp_path / "h.npy", samples)
+    world = build(tmp_path, model("land", height_map("h.npy", size=f"20 20 {size}"), "0 0 0 0 0 0"))
+    heights = world.terrain.heights
+    assert heights.min() == pytest.approx(low, abs=1e-6)
+    assert heights.max() == pytest.approx(low + size, abs=1e-6)
+
+
 def test_a_turned_height_map_is_sampled(tmp_path):
     write_heights(tmp_path / "h.png")
     world = build(tmp_path, model("land", height_map("h.png"), "0 0 -0.4 0 0 1.5707963267948966"))

@@ -94,12 +94,9 @@ def _in_metres(height_map: SdfHeightMap, report: ImportReport) -> Array:
     samples, top = heights.samples, float(height_map.size[2])
     if not heights.metric:
         return samples * top
-    highest = float(np.nanmax(samples))
-    # The largest height becomes the size along z. Below zero, where Gazebo has no rule, the range is scaled.
-    if highest > 0:
-        return samples * (top / highest)
-    low = float(np.nanmin(samples))
-    return (samples - low) * (top / max(highest - low, 1e-9))
+    # Gazebo scales the range to the size along z, and the lowest height stays where it is.
+    low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
+    return low + (samples - low) * (top / max(high - low, 1e-9))
 
 
 def _build_on_height_map(
