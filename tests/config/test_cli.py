@@ -1,8 +1,10 @@
 """The command lines, end to end on a run of seconds: what they write, say and return."""
 
 import csv
+import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -221,6 +223,20 @@ def test_signals_save_and_end(
     monkeypatch.setattr(progress, "LineReporter", LineReporter)
     assert call(train.main, "resume=run") == 0
     assert "after 192 frames" in capsys.readouterr().out
+
+
+def test_the_commands_are_listed() -> None:
+    listed = subprocess.run(
+        [sys.executable, "-m", "dune_rl"], capture_output=True, text=True, check=True
+    ).stdout
+    names = re.findall(r"python -m dune_rl\.(\w+) ", listed)
+    assert set(names) == {"train", "evaluate", "view", "benchmark", "engines"}
+    for name in names:
+        assert importlib.util.find_spec(f"dune_rl.{name}") is not None
+    asked = subprocess.run(
+        [sys.executable, "-m", "dune_rl", "drive"], capture_output=True, text=True, check=False
+    )
+    assert asked.returncode == 2 and "choose a command" in asked.stderr
 
 
 @pytest.mark.parametrize("program", [train, evaluate])

@@ -1,0 +1,27 @@
+"""`python -m dune_rl`: the commands."""
+
+import sys
+
+COMMANDS = (
+    ("train", "train a rover: +world=inspection"),
+    ("evaluate", "measure a policy on numbered episodes: checkpoint=runs/NAME"),
+    ("view", "pictures, films and maps: +world=inspection"),
+    ("benchmark", "what a step costs on this machine"),
+    ("engines", "compare PyBullet and DART"),
+)
+
+
+def main() -> int:
+    """Print the commands; the exit code is 0, or 2 if something else was asked for."""
+    lines = ["dune_rl: off-road navigation among moving actors", ""]
+    lines += [f"  python -m dune_rl.{name:<10} {meaning}" for name, meaning in COMMANDS]
+    lines += ["", "Each has --help. First steps: python -m dune_rl.train +experiment=quick"]
+    asked = [word for word in sys.argv[1:] if word not in ("-h", "--help")]
+    if asked:
+        print(f"python -m dune_rl takes no words ({asked[0]!r}): choose a command", file=sys.stderr)
+    print("\n".join(lines), file=sys.stderr if asked else sys.stdout)
+    return 2 if asked else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
