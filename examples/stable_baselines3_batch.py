@@ -77,9 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> PPO:
     chosen = parser.parse_args(arguments)
     envs = VecMonitor(DuneVecEnv(chosen.world, chosen.scenes))
     envs.seed(0)
-    model = PPO(
-        "MultiInputPolicy", envs, n_steps=chosen.rollout, batch_size=256, seed=0, device="cpu", verbose=1
-    )
+    settings = {"n_steps": chosen.rollout, "batch_size": chosen.rollout * chosen.scenes // 8, "seed": 0}
+    model = PPO("MultiInputPolicy", envs, **settings, device="cpu", verbose=1)
     model.learn(chosen.frames)
     envs.close()
     return model

@@ -35,3 +35,13 @@ def _restored(remake: Callable[[], Any], point: dict[str, Any], own: dict[str, A
     env.simulation.return_to(point)
     env._return_to(own)
     return env
+
+
+# What Gymnasium's `make`, `reset` and `sample` set: how the environment was made, and random states.
+_GYMNASIUM = ("spec", "_np_random", "_np_random_seed", "action_space", "observation_space")
+_OF_VECTORS = ("single_action_space", "single_observation_space")
+
+
+def gymnasium_state(env: Any) -> dict[str, Any]:
+    """What Gymnasium keeps in an environment, by the attributes' names."""
+    return {name: vars(env)[name] for name in (*_GYMNASIUM, *_OF_VECTORS) if name in vars(env)}

@@ -28,7 +28,9 @@ class EpisodeInfos:
         """The infos of the agents of scene 0."""
         if not self._names:
             return [{} for _ in range(self._group.count)]
-        return [dict(zip(self._names, row, strict=True)) for row in self._values()[0].tolist()]
+        values = self._values()[0].tolist()
+        exact = {"episode_id": float(self._simulation.episodes[0])}
+        return [{**dict(zip(self._names, row, strict=True)), **exact} for row in values]
 
     def batched(self, mask: NDArray[np.bool_] | None = None) -> dict[str, Any]:
         """Arrays (M,) by name for a group of one agent, and under "_" + name which are valid: `mask`."""
@@ -37,6 +39,8 @@ class EpisodeInfos:
         values = np.ascontiguousarray(self._values()[:, 0].T, np.float64)
         valid = np.ones(values.shape[1], bool) if mask is None else mask
         infos: dict[str, Any] = dict(zip(self._names, values, strict=True))
+        # Metrics are float32, in which large numbers are rounded.
+        infos["episode_id"] = self._simulation.episodes.astype(np.float64)
         infos.update((f"_{name}", valid.copy()) for name in self._names)
         return infos
 

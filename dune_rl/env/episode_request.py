@@ -10,6 +10,7 @@ from dune_rl.env.arguments import check_whole
 from dune_rl.tasks.spawn import Placement
 
 _KEYS = ("start", "goal", "episode")
+_LAST_EPISODE = 2**40 - 1
 # PettingZoo's test of parallel environments passes {"options": 1}.
 _IGNORED = "options"
 
@@ -44,12 +45,16 @@ def parse_options(
     mappings from agents. Raises ValueError for anything else.
     """
     options = {} if options is None else options
+    if not isinstance(options, Mapping):
+        raise ValueError(f"options must be a mapping with {', '.join(_KEYS)} (got {options!r})")
     unknown = [repr(key) for key in options if key not in (*_KEYS, _IGNORED)]
     if unknown:
         raise ValueError(f"reset has no options {', '.join(unknown)}; there are {', '.join(_KEYS)}")
     episode = options.get("episode")
     if episode is not None:
         check_whole("options['episode']", episode, at_least=0)
+        if episode > _LAST_EPISODE:
+            raise ValueError(f"options['episode'] must be at most {_LAST_EPISODE} (got {episode})")
     starts = _by_agent("start", options.get("start"), agents)
     goals = _by_agent("goal", options.get("goal"), agents)
     request: EpisodeRequest = {}

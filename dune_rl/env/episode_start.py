@@ -1,7 +1,9 @@
 """Starts an episode in a scene: world, start poses, goals, and settling of the robots."""
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +89,7 @@ class EpisodeStart:
         if others:
             raise ValueError(f"{', '.join(others)}: only robots start and go where they are told")
         taken: list[tuple[Placement, float]] = []
+        placed: list[tuple[str, Placement, float]] = []
         found = []
         for group, engines in zip(self._robots, self._engines_of(scene), strict=True):
             source, body = group.goals.source, group.body
@@ -97,11 +100,14 @@ class EpisodeStart:
                 if name in request:
                     asked = request[name].applied(placements[agent])
                     placements[agent] = source.move(scene, agent, name, asked)
+            placed += zip(group.names, placements, [source.footprint_radius_m] * group.count, strict=True)
             taken += [(placement, source.footprint_radius_m) for placement in placements]
             poses = [standing_pose(world, body.robot, one.x, one.y, one.yaw) for one in placements]
             for engine, (position, quaternion) in zip(engines, poses, strict=True):
                 engine.set_start_pose(position.tolist(), quaternion.tolist())
             found.append(poses)
+        if request:
+            _check_apart(placed)
         return found
 
     def _reset_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:
@@ -144,3 +150,13 @@ class EpisodeStart:
         scenes = len(self._scenes.worlds)
         poses = [group.body.poses.reshape(scenes, group.count, 4) for group in self._kinematic]
         return np.concatenate(poses, axis=1) if poses else np.zeros((scenes, 0, 4))
+
+
+def _check_apart(placed: Sequence[tuple[str, Placement, float]]) -> None:
+    """Raise ValueError if two robots, by name, placement and footprint radius [m], start in one another."""
+    for (one, first, radius), (other, second, other_radius) in combinations(placed, 2):
+        if math.hypot(first.x - second.x, first.y - second.y) < radius + other_radius:
+            raise ValueError(
+                f"{one} and {other} would start in one another, at ({first.x:g}, {first.y:g}) and "
+                f"({second.x:g}, {second.y:g}): give both of them starts that are apart"
+            )

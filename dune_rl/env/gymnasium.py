@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.env.copying import CopiedByReplay
+from dune_rl.env.copying import CopiedByReplay, gymnasium_state
 from dune_rl.env.observation_layout import Observation
 from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
 from dune_rl.env.registration import RENDER_METADATA
@@ -68,10 +68,11 @@ class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
         return self._parallel.render()
 
     def _own_point(self) -> dict[str, Any]:
-        return {"agents": self._parallel.agents}
+        return {"agents": self._parallel.agents, "gymnasium": gymnasium_state(self)}
 
     def _return_to(self, own: dict[str, Any]) -> None:
         self._parallel.agents = own["agents"]
+        self.__dict__.update(own["gymnasium"])
 
     def close(self) -> None:
         """Free the physics engine's memory."""

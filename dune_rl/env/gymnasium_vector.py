@@ -1,5 +1,6 @@
 """Gymnasium's vector environment: the whole batch of scenes as one."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -9,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dune_rl.env.arguments import check_whole, combined_seed
-from dune_rl.env.copying import CopiedByReplay
+from dune_rl.env.copying import CopiedByReplay, gymnasium_state
 from dune_rl.env.episode_infos import EpisodeInfos
 from dune_rl.env.observation_layout import ObservationLayout, box
 from dune_rl.env.pettingzoo import RenderMode, check_render_mode
@@ -51,7 +52,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         check_render_mode(render_mode, ("rgb_array",))
         self.simulation, self.render_mode = simulation, render_mode
         self.num_envs = simulation.num_scenes
-        self._mode = _autoreset_mode(autoreset_mode)
+        # By this name clients look for it in Gymnasium's own vector environments.
+        self.autoreset_mode = self._mode = _autoreset_mode(autoreset_mode)
         self.metadata = {
             **self.metadata,
             "render_fps": simulation.physics.control_hz,
@@ -79,7 +81,9 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         if seed is not None:
             if not mask.all():
                 raise ValueError("a seed is of all scenes: reset without reset_mask, or without seed")
-            self.simulation.reseed(self._one_seed(seed))
+            one = self._one_seed(seed)
+            super().reset(seed=one)
+            self.simulation.reseed(one)
         self.simulation.reset(mask)
         self._ended = self._ended & ~mask
         return self._observations(), self._infos.batched(mask)
@@ -93,7 +97,9 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         return int(seed)
 
     def _reset_mask(self, options: dict[str, Any] | None) -> Flags:
-        unknown = sorted({*(options or {})} - {"reset_mask"})
+        if options is not None and not isinstance(options, Mapping):
+            raise ValueError(f"options must be a mapping with reset_mask (got {options!r})")
+        unknown = sorted(map(str, {*(options or {})} - {"reset_mask"}))
         if unknown:
             raise ValueError(f"there are no reset options {', '.join(unknown)}; there is reset_mask")
         if not options:
@@ -123,7 +129,10 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         group = self._group
         shape = (self.num_envs, 1, group.action_size)
         # What is restored is repeated in this precision.
-        values = np.asarray(actions, np.float32)
+        try:
+            values = np.asarray(actions, np.float32)
+        except (TypeError, ValueError):
+            values = np.zeros(0, np.float32)
         if values.shape != (self.num_envs, group.action_size):
             raise ValueError(f"actions must have the shape {shape[::2]} (got {values.shape})")
         if begins.any():
@@ -166,13 +175,15 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         """RGB (480, 640, 3) of each scene from behind its agent, where `render_mode` is "rgb_array"."""
         if self.render_mode is None:
             return None
+        self.simulation.check_begun()
         return tuple(self._pictures.from_behind(scene) for scene in range(self.num_envs))
 
     def _own_point(self) -> dict[str, Any]:
-        return {"ended": self._ended.tolist()}
+        return {"ended": self._ended.tolist(), "gymnasium": gymnasium_state(self)}
 
     def _return_to(self, own: dict[str, Any]) -> None:
         self._ended = np.array(own["ended"], bool)
+        self.__dict__.update(own["gymnasium"])
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the physics engine's memory."""
@@ -181,7 +192,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
 
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
     names = {each.name.lower(): each for each in AutoresetMode}
-    found = mode if isinstance(mode, AutoresetMode) else names.get(str(mode).lower())
+    values = {each.value.lower(): each for each in AutoresetMode}
+    found = mode if isinstance(mode, AutoresetMode) else {**values, **names}.get(str(mode).lower())
     if found is None:
         raise ConfigError(f"autoreset_mode must be one of {', '.join(names)} (got {mode!r})")
     return found

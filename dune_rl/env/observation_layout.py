@@ -15,8 +15,8 @@ Observation = dict[str, Reading] | NDArray[np.float32]
 class ObservationLayout:
     """Space and values of the observations of a group's agents.
 
-    They are dicts of boxes by the sensors' names or, if `flatten`, one float32 vector: the readings, in the
-    order of the sensors, each row after row.
+    They are dicts of boxes by the sensors' names or, if `flatten`, one float32 vector: the readings in the
+    order of their names, each row after row, as `gymnasium.spaces.flatten` has them.
     """
 
     def __init__(self, group: AgentGroup, flatten: bool) -> None:
@@ -25,7 +25,7 @@ class ObservationLayout:
         self.space: gymnasium.spaces.Dict | gymnasium.spaces.Box
         if flatten:
             low, high = (
-                np.concatenate([np.ravel(each[side]).astype(np.float32) for each in bounds.values()])
+                np.concatenate([np.ravel(bounds[key][side]).astype(np.float32) for key in sorted(bounds)])
                 for side in (0, 1)
             )
             self.space = gymnasium.spaces.Box(low, high, dtype=np.float32)
@@ -37,7 +37,7 @@ class ObservationLayout:
         readings = self._group.observe()
         if not self._flatten:
             return readings
-        rows = [value.reshape(len(value), -1) for value in readings.values()]
+        rows = [readings[key].reshape(len(readings[key]), -1) for key in sorted(readings)]
         return np.concatenate(rows, axis=1, dtype=np.float32, casting="unsafe")
 
     def each(self) -> list[Observation]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.arguments import agent_action
+from dune_rl.env.arguments import agent_action, check_whole
 from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.episode_infos import EpisodeInfos
 from dune_rl.env.episode_request import parse_options
@@ -97,6 +97,8 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         free.
         """
         episode, request = parse_options(options, self.possible_agents)
+        if seed is not None:
+            check_whole("seed", seed, at_least=0)
         if seed is not None or episode is not None:
             self.simulation.reseed(self.simulation.seed if seed is None else seed, episode or 0)
         self.simulation.reset(requests={0: request} if request else {})
@@ -167,7 +169,10 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
 
         With "human", a window shows it at every step, and None is returned.
         """
-        return self._pictures.from_behind() if self.render_mode == "rgb_array" else None
+        if self.render_mode != "rgb_array":
+            return None
+        self.simulation.check_begun()
+        return self._pictures.from_behind()
 
     def _show(self) -> None:
         if self._window is not None:

@@ -31,6 +31,7 @@ Flags = NDArray[np.bool_]
 
 _CLEAR = WeatherConf()
 _CLOSED = "the environment is closed: make another"
+_NOT_BEGUN = "call reset() before step()"
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class VectorSimulation:
         self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
         self.seed = seed
         self._requests: dict[int, EpisodeRequest] = {}
-        self._refusal = "call reset() before step()"
+        self._refusal = _NOT_BEGUN
         self.reseed(seed, first_episode)
 
     # -- contents ---------------------------------------------------------------------------------
@@ -131,18 +132,27 @@ class VectorSimulation:
         """Start the next episode in the scenes in `mask` (M,); None: in all.
 
         `requests` are starts and goals in place of sampled ones, by scene; ValueError says which is not free.
+        After an error all scenes must be reset, and the episode's number is not used up.
         """
         if mask is None:
             mask = np.ones(self.num_scenes, bool)
         kept = {scene: request for scene, request in self._requests.items() if not mask[scene]}
+        before = self._requests, self.episodes
         self._requests = {**kept, **(requests or {})}
         self.episodes = np.where(mask, self.episodes + self.num_scenes, self.episodes)
-        self._start(mask)
+        try:
+            self._start(mask)
+        except Exception:
+            self._requests, self.episodes = before
+            raise
 
     def _start(self, mask: Flags) -> None:
         """Start the present episodes of the scenes in `mask` (M,)."""
         if self._refusal == _CLOSED:
             raise RuntimeError(_CLOSED)
+        if self._refusal and not mask.all():
+            raise RuntimeError("the first reset must be of all scenes")
+        self._refusal = _NOT_BEGUN
         for group in self.groups:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)

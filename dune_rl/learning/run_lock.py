@@ -2,8 +2,8 @@
 
 import contextlib
 import os
+import weakref
 from pathlib import Path
-from typing import IO
 
 from dune_rl.errors import CheckpointError
 
@@ -22,37 +22,42 @@ class RunLock:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._file = None if fcntl is None else _lock(folder)
+        handle = None if fcntl is None else _lock(folder)
+        # The lock of a run that fails before it begins goes with this object.
+        self._release = None if handle is None else weakref.finalize(self, _unlock, handle, folder)
 
     def release(self) -> None:
         """Let others have the folder; a second call does nothing."""
-        if self._file is not None:
-            with contextlib.suppress(OSError):
-                (Path(self._file.name)).unlink()
-            self._file.close()
-            self._file = None
+        if self._release is not None:
+            self._release()
 
 
-def _lock(folder: Path) -> IO[str] | None:
+def _lock(folder: Path) -> int | None:
     while True:
-        file = (folder / _LOCK_FILE).open("a")
+        handle = os.open(folder / _LOCK_FILE, os.O_CREAT | os.O_RDWR, 0o644)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            file.close()
+            os.close(handle)
             raise CheckpointError(
                 f"Another run is writing to {folder}.\n"
                 "Name another folder with run_dir, or wait until it ends."
             ) from None
         except OSError:
             # As some network file systems answer.
-            file.close()
+            os.close(handle)
             return None
         # Who had it before may have removed the file since it was opened here.
         with contextlib.suppress(FileNotFoundError):
-            if os.fstat(file.fileno()).st_ino == os.stat(folder / _LOCK_FILE).st_ino:
-                return file
-        file.close()
+            if os.fstat(handle).st_ino == os.stat(folder / _LOCK_FILE).st_ino:
+                return handle
+        os.close(handle)
+
+
+def _unlock(handle: int, folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        (folder / _LOCK_FILE).unlink()
+    os.close(handle)
 
 
 def refuse_locked(folder: Path) -> None:

@@ -87,6 +87,24 @@ def test_a_torchrl_environment_is_copied_too() -> None:
     other.close()
 
 
+def test_gymnasium_s_own_state_is_copied() -> None:
+    for env in (
+        gymnasium.make("dune_rl:dune_rl/Flat-v0"),
+        gymnasium.make_vec("dune_rl:dune_rl/Flat-v0", num_envs=2),
+    ):
+        env.reset(seed=3)
+        env.action_space.seed(5)
+        other = copy.deepcopy(env)
+        assert other.unwrapped.spec == env.unwrapped.spec is not None
+        assert env.unwrapped.np_random_seed == other.unwrapped.np_random_seed == 3
+        assert env.unwrapped.np_random.random() == other.unwrapped.np_random.random()
+        space, copied = env.unwrapped.action_space, other.unwrapped.action_space
+        for _ in range(3):
+            np.testing.assert_array_equal(space.sample(), copied.sample())
+        env.close()
+        other.close()
+
+
 def test_what_was_made_of_a_simulation_refuses() -> None:
     env = dune_rl.parallel_env("flat", 0)
     own = ParallelDuneEnv(env.simulation)

@@ -15,7 +15,7 @@ def flat_and_dict(make):
 
 
 def joined(observation: dict[str, np.ndarray], lead: int = 0) -> np.ndarray:
-    parts = [value.reshape(*value.shape[:lead], -1) for value in observation.values()]
+    parts = [observation[key].reshape(*observation[key].shape[:lead], -1) for key in sorted(observation)]
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
@@ -49,6 +49,16 @@ def test_gymnasium_and_its_vector_environment() -> None:
     assert envs.observation_space.contains(seen)
     for env in (one, envs, plain):
         env.close()
+
+
+def test_the_order_is_gymnasium_s() -> None:
+    flat, plain = flat_and_dict(lambda flatten: dune_rl.gym_env("flat", 2, flatten=flatten))
+    (seen, _), (expected, _) = flat.reset(seed=2), plain.reset(seed=2)
+    np.testing.assert_array_equal(seen, gymnasium.spaces.flatten(plain.observation_space, expected))
+    flattened = gymnasium.spaces.flatten_space(plain.observation_space)
+    np.testing.assert_array_equal(flat.observation_space.low, flattened.low)
+    flat.close()
+    plain.close()
 
 
 def test_agents_have_spaces_of_their_own() -> None:

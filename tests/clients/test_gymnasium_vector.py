@@ -165,6 +165,22 @@ def test_wrong_input() -> None:
         envs.unwrapped.step(np.zeros((3, 2), np.float32))
 
 
+def test_the_first_reset_is_of_all_scenes() -> None:
+    envs = make(render_mode="rgb_array")
+    with pytest.raises(RuntimeError, match="the first reset must be of all scenes"):
+        envs.reset(options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(RuntimeError, match="reset"):
+        envs.render()
+    with pytest.raises(ValueError, match="options must be a mapping"):
+        envs.reset(options=3)
+    envs.reset(seed=4)
+    assert envs.unwrapped.np_random_seed == 4
+    with pytest.raises(ValueError, match=r"shape \(3, 2\)"):
+        envs.step("abc")
+    envs.close()
+    assert make(autoreset_mode="SameStep").unwrapped.autoreset_mode is AutoresetMode.SAME_STEP
+
+
 def test_gymnasium_s_vector_wrappers() -> None:
     envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(make())
     envs.reset(seed=0)

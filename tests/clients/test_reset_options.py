@@ -1,5 +1,7 @@
 """Options of `reset`: the episode, and starts and goals."""
 
+import copy
+
 import gymnasium
 import numpy as np
 import pytest
@@ -84,6 +86,51 @@ def test_a_place_in_an_obstacle_is_refused(env) -> None:
         env.reset(options={"goal": inside})
     with pytest.raises(ConfigError, match=r"options\['episode'\] must be a whole number"):
         env.reset(options={"episode": -1})
+
+
+def test_a_refused_reset_leaves_nothing_half_done(env) -> None:
+    env.reset(seed=3)
+    env.step({"rover_0": np.zeros(2, np.float32)})
+    with pytest.raises(ValueError, match="outside the world"):
+        env.reset(seed=9, options={"goal": (999.0, 0.0)})
+    with pytest.raises(RuntimeError, match="reset"):
+        env.step({"rover_0": np.zeros(2, np.float32)})
+    # Neither the number of the episode is used up, nor is the place remembered.
+    other = copy.deepcopy(env)
+    for each in (env, other):
+        _, infos = each.reset()
+        assert infos["rover_0"]["episode_id"] == 0.0
+    assert place(env) == place(other)
+    other.close()
+    fresh = dune_rl.parallel_env("inspection", 0)
+    for each in (env, fresh):
+        each.reset(seed=9)
+    assert place(env) == place(fresh)
+    fresh.close()
+
+
+def test_robots_do_not_start_in_one_another() -> None:
+    env = dune_rl.parallel_env("flat", 1, robots=["rover_zero"] * 2)
+    with pytest.raises(ValueError, match="rover_0 and rover_1 would start in one another, at"):
+        env.reset(options={"start": {"rover_0": (1.0, 1.0), "rover_1": (1.2, 1.0)}})
+    env.reset(seed=3)
+    x, y = env.simulation.group().body.motion.position_w[1, :2]
+    with pytest.raises(ValueError, match="give both of them starts"):
+        env.reset(seed=3, options={"start": {"rover_0": (x, y)}})
+    env.close()
+
+
+def test_the_number_of_an_episode_is_exact(env) -> None:
+    _, infos = env.reset(options={"episode": 16_777_217})
+    assert infos["rover_0"]["episode_id"] == 16_777_217
+
+
+@pytest.mark.parametrize("options", [1, ["goal"]])
+def test_options_are_a_mapping(env, options) -> None:
+    with pytest.raises(ValueError, match="options must be a mapping"):
+        env.reset(options=options)
+    with pytest.raises(ValueError, match="must be at most"):
+        env.reset(options={"episode": 2**63})
 
 
 def test_walkers_do_not_start_where_they_are_told() -> None:
