@@ -16,6 +16,7 @@ from dune_rl.env.episode_infos import EpisodeInfos
 from dune_rl.env.episode_request import parse_options
 from dune_rl.env.observation_layout import Observation, ObservationLayout, box
 from dune_rl.env.pictures import Pictures
+from dune_rl.env.registration import RENDER_MODES
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.env.window import Window
 from dune_rl.errors import ConfigError
@@ -48,7 +49,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
 
     metadata = {  # noqa: RUF012
         "name": "dune_rl_v0",
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": RENDER_MODES,
         "render_fps": 20,
         "is_parallelizable": True,
     }

@@ -1,13 +1,16 @@
 """Gymnasium ids under `dune_rl/`, registered by entry point: `gymnasium.make` needs no import."""
 
+import importlib.util
 import re
 
 import gymnasium
 
 from dune_rl import plugins
 
+# A window needs pygame; Gymnasium's own check of environments tries every mode that is named here.
+RENDER_MODES = ["human", "rgb_array"] if importlib.util.find_spec("pygame") else ["rgb_array"]
 # `gymnasium.make` reads it from the entry point, before there is an environment.
-RENDER_METADATA = {"render_modes": ["human", "rgb_array"], "render_fps": 20}
+RENDER_METADATA = {"render_modes": RENDER_MODES, "render_fps": 20}
 
 _WORLDS = ("flat", "inspection", "construction", "rubicon", "island")
 

@@ -15,6 +15,10 @@ from dune_rl.errors import TrainingError
 _SIGNAL = getattr(signal, "SIGURG", None)
 
 
+# How long a process that is ending may take.
+_EXIT_S = 10.0
+
+
 class _WorkerEnded(BaseException):
     """Ends a wait; libraries catch an `Exception` and go on to wait."""
 
@@ -48,8 +52,11 @@ class WorkerWatch:
             self._check()
 
     def _check(self) -> None:
+        ended = connection.wait([process.sentinel for process in self._processes], 0.0)
         for process in self._processes:
-            if process.exitcode is not None:
+            if process.sentinel in ended:
+                # Its end is told a moment before it has an exit code.
+                process.join(_EXIT_S)
                 raise TrainingError(_describe(process.exitcode)) from None
 
     def _interrupt(self, _number: int, _frame: FrameType | None) -> None:
@@ -76,8 +83,8 @@ class WorkerWatch:
         os.close(self._writer)
 
 
-def _describe(code: int) -> str:
-    if code >= 0:
+def _describe(code: int | None) -> str:
+    if code is None or code >= 0:
         return f"a process that steps environments ended, with exit code {code}"
     name = signal.Signals(-code).name
     hint = (
