@@ -146,9 +146,7 @@ def test_a_height_map_is_the_terrain_and_things_stand_on_it(tmp_path):
     assert world.clearance(np.array([4.0, 3.0])) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "size"), [(-0.98, 5.59, 6.575), (-3.0, -1.0, 2.0), (100.0, 104.0, 8.0)]
-)
+@pytest.mark.parametrize(("low", "high", "size"), [(-0.98, 5.59, 6.575), (-3.0, -1.0, 2.0)])
 def test_heights_in_metres_are_scaled_about_the_lowest(tmp_path, low, high, size):
     # As of a public site whose rocks lay underground.
     x, y = np.meshgrid(np.linspace(0.0, 1.0, 81), np.linspace(0.0, 1.0, 81))

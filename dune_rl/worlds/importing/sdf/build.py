@@ -94,8 +94,11 @@ def _in_metres(height_map: SdfHeightMap, report: ImportReport) -> Array:
     samples, top = heights.samples, float(height_map.size[2])
     if not heights.metric:
         return samples * top
-    # Gazebo scales the range to the size along z, and the lowest height stays where it is.
     low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
+    if low >= 0.0 and high > 0.0:
+        # The largest height becomes the size along z.
+        return samples * (top / high)
+    # Below zero the range is scaled to the size along z, and the lowest height stays where it is.
     return low + (samples - low) * (top / max(high - low, 1e-9))
 
 
