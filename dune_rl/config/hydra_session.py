@@ -96,7 +96,8 @@ def _state_of_sources() -> tuple[object, ...]:
     for source in GlobalHydra.instance().config_loader().get_search_path().get_path():
         state.append(source.path)
         folder = Path(str(source.path).removeprefix("file://"))
-        for path, _, files in os.walk(folder):
+        for path, folders, files in os.walk(folder):
+            folders[:] = [name for name in folders if not name.startswith(".")]
             for file in files:
                 if file.endswith((".yaml", ".yml")):
                     status = os.stat(os.path.join(path, file))

@@ -127,8 +127,7 @@ class TransitionCollector:
         """The batches; raises `TrainingError` when a worker process has ended."""
         batches = iter(self._collector)
         while True:
-            with self._watch:
-                batch = next(batches, None)
+            batch = self._watch.wait(partial(next, batches, None))
             if batch is None:
                 return
             yield batch
@@ -143,8 +142,7 @@ class TransitionCollector:
                     ours[key].data.copy_(value)
         if self._env is None and policies:
             # The workers confirm what they got.
-            with self._watch:
-                self._collector.update_policy_weights_(self._policy)
+            self._watch.wait(partial(self._collector.update_policy_weights_, self._policy))
 
     def state(self) -> dict[str, Any] | None:
         """Where the scenes are in their episodes, as plain data; None where that is not kept."""

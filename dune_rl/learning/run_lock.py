@@ -24,7 +24,9 @@ class RunLock:
     def __init__(self, folder: Path) -> None:
         handle = None if fcntl is None else _lock(folder)
         # The lock of a run that fails before it begins goes with this object.
-        self._release = None if handle is None else weakref.finalize(self, _unlock, handle, folder)
+        self._release = (
+            None if handle is None else weakref.finalize(self, _unlock, handle, folder, os.getpid())
+        )
 
     def release(self) -> None:
         """Let others have the folder; a second call does nothing."""
@@ -54,7 +56,10 @@ def _lock(folder: Path) -> int | None:
         os.close(handle)
 
 
-def _unlock(handle: int, folder: Path) -> None:
+def _unlock(handle: int, folder: Path, owner: int) -> None:
+    if os.getpid() != owner:
+        # After a fork, the lock still belongs to the parent.
+        return
     with contextlib.suppress(OSError):
         (folder / _LOCK_FILE).unlink()
     os.close(handle)

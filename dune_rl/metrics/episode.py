@@ -109,7 +109,8 @@ class MetricSet:
                 for row in rows:
                     row[:] = values
         except Exception as error:
-            note_term(error, "metric", self._first_names[[each for each, _ in self._terms].index(term)])
+            named = zip(self._first_names, self._terms, strict=True)
+            note_term(error, "metric", next(name for name, (each, _) in named if each is term))
             raise
         _reduce(self._reductions, self._new, group.done, self._values, self._sums, self._counts)
 

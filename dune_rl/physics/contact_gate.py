@@ -11,7 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from dune_rl.physics.gate_loops import CAPSULE_COLUMNS, FOUND_COLUMNS, TYRE_COLUMNS, find_near
+from dune_rl.physics.gate_loops import (
+    CAPSULE_COLUMNS,
+    FOUND_COLUMNS,
+    ROBOT_COLUMNS,
+    TYRE_COLUMNS,
+    find_near,
+)
 from dune_rl.physics.interface import KinematicCapsule, RobotBody, StaticBody, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
 
@@ -99,7 +105,7 @@ class ContactGate:
         found, near = self._found, self._found_capsules
         find_near(
             *self.obstacles.arrays,
-            np.array(rows),
+            np.array(rows).reshape(-1, ROBOT_COLUMNS),
             self._tyres,
             np.array(capsules) if capsules else _NO_CAPSULES,
             duration_s,

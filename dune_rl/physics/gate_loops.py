@@ -14,6 +14,8 @@ ROBOT_COLUMNS = 14
 TYRE_COLUMNS = 5
 # Columns of a capsule: x and y before and after the step, and radius [m].
 CAPSULE_COLUMNS = 5
+# Columns of what is found of a robot: x, y and radius [m] of its disc, whether it can touch anything, and the
+# bits of its tyres, of which there may be 53: numbers are exact up to there.
 FOUND_COLUMNS = 5
 
 

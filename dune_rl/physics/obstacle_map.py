@@ -31,7 +31,7 @@ class ObstacleMap:
         numbers = [number for number, body in enumerate(statics) if not body.ground and len(body.faces)]
         obstacles = [statics[number] for number in numbers]
         corners = [(body.vertices[:, :2].min(axis=0), body.vertices[:, :2].max(axis=0)) for body in obstacles]
-        self._numbers, self._found = np.array(numbers, np.int64), np.zeros(len(numbers), np.int64)
+        self._numbers = np.array(numbers, np.int64)
         self._boxes = np.array(corners).reshape(-1, 4)
         # What `gate_loops` calls `grid` and `quarters`; without obstacles there are none.
         self.arrays = np.zeros(6), np.zeros(0, np.uint8)
@@ -61,8 +61,9 @@ class ObstacleMap:
 
     def bodies_near(self, x: float, y: float, distance_m: float) -> list[int]:
         """Numbers, among the statics, of obstacles with bounding boxes within a distance along x and y."""
-        count = find_boxes(self._boxes, x, y, distance_m, self._found)
-        near: list[int] = self._numbers[self._found[:count]].tolist()
+        found = np.empty(len(self._numbers), np.int64)
+        count = find_boxes(self._boxes, x, y, distance_m, found)
+        near: list[int] = self._numbers[found[:count]].tolist()
         return near
 
 

@@ -177,7 +177,8 @@ class Task:
             for row, term in zip(self._rows, self._rewards, strict=True):
                 row[:] = term(state, group)
         except Exception as error:
-            note_term(error, "reward", [*self.conf.rewards][self._rewards.index(term)])
+            named = zip(self.conf.rewards, self._rewards, strict=True)
+            note_term(error, "reward", next(name for name, each in named if each is term))
             raise
         suppressing = values.take(self._suppressing, axis=0)
         if np.count_nonzero(suppressing):

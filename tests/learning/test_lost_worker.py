@@ -1,9 +1,11 @@
 """A worker process that is killed: the run ends with a line that says so, and with all saved."""
 
+import multiprocessing
 import os
 import signal
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from training import small, trainer
 from dune_rl.errors import TrainingError
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.trainer import Trainer
+from dune_rl.learning.worker_watch import WorkerWatch
 
 
 def kill_a_worker_after(trained: Trainer, frames: int) -> None:
@@ -46,3 +49,29 @@ def test_a_killed_worker_ends_the_run_with_all_saved(mode: str, tmp_path: Path) 
     resumed = trainer(tmp_path / "run", conf, resume=tmp_path / "run", total_frames=frames + 128)
     assert resumed.frames == frames
     assert resumed.train().frames >= frames + 128
+
+
+def test_a_worker_that_ends_at_any_moment_is_told() -> None:
+    before = signal.getsignal(signal.SIGURG)
+    for lifetime in (0.0, 0.02, 0.05):
+        child = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(lifetime,))
+        child.start()
+        watch = WorkerWatch([child])
+        with pytest.raises(TrainingError, match="ended, with exit code 0"):
+            for _ in range(100_000):
+                watch.wait(partial(time.sleep, 0.001))
+        # Nothing interrupts what is done afterwards, such as to save.
+        time.sleep(0.7)
+        with pytest.raises(TrainingError):
+            watch.wait(partial(time.sleep, 60.0))
+        watch.close()
+        watch.close()
+    assert signal.getsignal(signal.SIGURG) == before
+
+
+def test_nobody_is_watched_without_processes() -> None:
+    threads = threading.active_count()
+    watch = WorkerWatch(())
+    assert threading.active_count() == threads
+    assert watch.wait(lambda: 3) == 3
+    watch.close()

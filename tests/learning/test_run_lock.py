@@ -69,3 +69,19 @@ def test_where_nothing_more_can_be_written_the_last_save_is_intact(tmp_path: Pat
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert read_checkpoint_file(path, "checkpoint")["value"] == 1
     assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_child_does_not_free_its_parent_s_lock(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from dune_rl.learning.run_lock import RunLock\n"
+        "lock = RunLock(Path(sys.argv[1])); child = os.fork()\n"
+        "if child == 0: lock.release(); os._exit(0)\n"
+        "os.waitpid(child, 0)\n"
+        "try: RunLock(Path(sys.argv[1]))\n"
+        "except Exception as error: print(type(error).__name__)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "CheckpointError\n"
