@@ -99,7 +99,8 @@ class EpisodeStart:
             for agent, name in enumerate(group.names):
                 if name in request:
                     asked = request[name].applied(placements[agent])
-                    placements[agent] = source.move(scene, agent, name, asked)
+                    has_goal = request[name].goal is not None
+                    placements[agent] = source.move(scene, agent, name, asked, has_goal=has_goal)
             placed += zip(group.names, placements, [source.footprint_radius_m] * group.count, strict=True)
             taken += [(placement, source.footprint_radius_m) for placement in placements]
             poses = [standing_pose(world, body.robot, one.x, one.y, one.yaw) for one in placements]

@@ -1,6 +1,7 @@
 """Where the agents of a group start and where they are to go."""
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -100,9 +101,19 @@ class RegionGoals:
             self.goals_w[row] = placement.goal_x, placement.goal_y
         return [placement for placement, _ in found[len(taken) :]]
 
-    def move(self, scene: int, agent: int, name: str, placement: Placement) -> Placement:
-        """Place an agent, called `name`, somewhere else; raises ValueError where it has no room."""
-        spawner = self._spawners.of_scene(scene)
+    def move(self, scene: int, agent: int, name: str, placement: Placement, *, has_goal: bool) -> Placement:
+        """Place an agent, called `name`, somewhere else; raises ValueError where it has no room.
+
+        Unless it `has_goal`, its goal is drawn anew, at the usual distance from the new start. It is not
+        checked that a way leads from a given start to a given goal.
+        """
+        spawner, row = self._spawners.of_scene(scene), scene * self._count + agent
+        draws = self._streams[row]
+        if not has_goal:
+            assert draws is not None, "an agent is placed before it is moved"
+            start = np.array([placement.x, placement.y])
+            goal_x, goal_y = spawner.sample_goal(draws, start, np.zeros((0, 2)), np.zeros(0))
+            placement = replace(placement, goal_x=goal_x, goal_y=goal_y)
         for what, x, y in (
             ("start", placement.x, placement.y),
             ("goal", placement.goal_x, placement.goal_y),
@@ -110,7 +121,7 @@ class RegionGoals:
             reason = spawner.why_not(x, y)
             if reason:
                 raise ValueError(f"the {what} of {name} ({x:g}, {y:g}) {reason}: choose another")
-        self.goals_w[scene * self._count + agent] = placement.goal_x, placement.goal_y
+        self.goals_w[row] = placement.goal_x, placement.goal_y
         return placement
 
     def renew(self, mask: Flags) -> None:

@@ -50,6 +50,17 @@ def test_start_and_goal(env) -> None:
     assert place(env) == after
 
 
+def test_a_start_alone_gets_a_goal_of_its_own(env) -> None:
+    goals = []
+    for episode in range(12):
+        env.reset(options={"episode": episode})
+        sampled = env.simulation.group().goals.source.goals_w[0].copy()
+        # Where the goal was to be.
+        env.reset(options={"episode": episode, "start": sampled})
+        goals.append(float(env.simulation.state.groups["rover"].goal.distance[0]))
+    assert min(goals) > 1.8
+
+
 def test_of_several_agents() -> None:
     env = dune_rl.parallel_env("flat", 0, robots=["rover_zero", "rover_zero"])
     env.reset(options={"start": {"rover_1": (3.0, 3.0, 0.0)}})
