@@ -7,34 +7,23 @@ import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
-import yaml
-from hydra._internal.utils import get_args_parser
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-from dune_rl.config.compose import override_value
-from dune_rl.config.options import REGISTRIES
-from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneError, DuneWarning
-from dune_rl.learning.checkpoint import (
-    BEST_POLICY_FILE,
-    CHECKPOINT_FILE,
-    find_checkpoint_file,
-    read_checkpoint_file,
-)
-from dune_rl.paths import conf_folder
+from dune_rl.help_page import HelpPage, show_help
+
+# Everything else is imported in the functions that need it: `--help` shall be there at once.
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dune_rl.config.schema import EnvConf
 
 _SHOW_WARNING = warnings.showwarning
 
-HelpRows = Sequence[tuple[str, str]]
 RawConfig = Mapping[str, Any]
-ConfT = TypeVar("ConfT", bound=EnvConf, covariant=True)
+ConfT = TypeVar("ConfT", bound="EnvConf", covariant=True)
 
 
 class ComposeSettings(Protocol[ConfT]):
@@ -65,16 +54,6 @@ class Terminated(BaseException):
     """SIGTERM as an exception, so that every `finally` runs."""
 
 
-@dataclass(frozen=True)
-class HelpPage:
-    """The text of `--help`: what the command does, how it is called, what can be set, and a closing note."""
-
-    title: str
-    usage: HelpRows
-    settings: HelpRows
-    closing: str
-
-
 def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bool = False) -> NoReturn:
     """Call `body` with the parsed command line and end the process.
 
@@ -88,7 +67,7 @@ def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bo
     try:
         parsed = parse_arguments(sys.argv[1:])
         if parsed.help:
-            _show_help(page)
+            show_help(page)
         elif parsed.multirun and not sweeps:
             raise ConfigError("this command runs once; leave -m out")
         else:
@@ -135,6 +114,8 @@ def print_error(message: str) -> None:
 
 def parse_arguments(words: Sequence[str]) -> Namespace:
     """Hydra's flags and the overrides among the words of a command line; `ConfigError` for unknown flags."""
+    from hydra._internal.utils import get_args_parser
+
     parsed, unknown = get_args_parser().parse_known_args(list(words))
     flags = [word for word in unknown if word.startswith("-")]
     if flags:
@@ -159,6 +140,16 @@ def compose_with_checkpoint(
     `adapt` changes the run's settings before the overrides do. With `--cfg` the settings are printed and
     the result is None: there is no more to do.
     """
+    import yaml
+
+    from dune_rl.config.compose import override_value
+    from dune_rl.learning.checkpoint import (
+        BEST_POLICY_FILE,
+        CHECKPOINT_FILE,
+        find_checkpoint_file,
+        read_checkpoint_file,
+    )
+
     checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None
     if checkpoint is not None:
@@ -171,37 +162,11 @@ def compose_with_checkpoint(
     return None
 
 
-def make_console() -> Console:
+def make_console() -> "Console":
     """A console for results: as wide as the terminal, and wide enough for a table elsewhere."""
+    from rich.console import Console
+
     return Console() if Console().is_terminal else Console(width=120)
-
-
-def option_group_rows() -> list[tuple[str, str]]:
-    """A row of help for each group of options, the world first; users' parts are among the options."""
-    rows = []
-    for folder in sorted(path for path in conf_folder().iterdir() if path.is_dir()):
-        if folder.name == "experiment":
-            continue
-        options = {path.stem for path in folder.glob("*.yaml")}
-        if folder.name in REGISTRIES:
-            options |= set(REGISTRIES[folder.name].user_names())
-        name = "+world=NAME" if folder.name == "world" else f"{folder.name}=NAME"
-        rows.append((name, ", ".join(sorted(options))))
-    return sorted(rows, key=lambda row: not row[0].startswith("+"))
-
-
-def _show_help(page: HelpPage) -> None:
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(f"[bold]{page.title}[/bold]")
-    for lines in (page.usage, [*option_group_rows(), *page.settings]):
-        table = Table(box=None, show_header=False, padding=(0, 2))
-        table.add_column(style="cyan", no_wrap=True, min_width=max(len(name) for name, _ in lines))
-        table.add_column()
-        for name, meaning in lines:
-            table.add_row(escape(name), escape(meaning))
-        console.print()
-        console.print(table)
-    console.print(f"\n{page.closing}", markup=False)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -2,9 +2,10 @@
 
 import importlib
 from collections.abc import Callable
-from typing import Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from dune_rl.registry import Registry
+if TYPE_CHECKING:
+    from dune_rl.registry import Registry
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 

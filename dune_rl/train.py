@@ -1,37 +1,13 @@
 """Train a rover: `python -m dune_rl.train +world=inspection`."""
 
-import multiprocessing
-import os
-import sys
 from argparse import Namespace
-from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-import hydra
-import yaml
-from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
-from rich.console import Console
-
-from dune_rl import command, paths
-from dune_rl.command import HelpPage
-from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
-from dune_rl.config.schema import Conf
-from dune_rl.errors import CheckpointError, ConfigError, DuneError
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
-from dune_rl.learning.run_lock import refuse_locked
-
-if TYPE_CHECKING:
-    from dune_rl.learning.trainer import TrainingResult
+from dune_rl import command
+from dune_rl.help_page import HelpPage
 
 USAGE = (
     ("python -m dune_rl.train +world=inspection", "train; settings follow"),
-    ("python -m dune_rl.train +experiment=quick", "a taste: three minutes"),
+    ("python -m dune_rl.train +experiment=quick", "a taste: some minutes"),
     ("python -m dune_rl.train resume=runs/NAME", "go on with a run"),
     ("python -m dune_rl.train -m +world=flat seed=1,2", "a sweep: a folder a job"),
 )
@@ -63,148 +39,11 @@ def main() -> None:
 
 
 def _main(parsed: Namespace) -> None:
-    folders = command.config_folders(parsed)
-    source = override_value(parsed.overrides, "resume")
-    if source is not None:
-        if parsed.multirun:
-            raise ConfigError("resume goes on with one run; leave -m out")
-        _resume(str(source), parsed.overrides, folders)
-        return
-    if not parsed.multirun:
-        conf = compose(parsed.overrides, folders)
-        _refuse_used_folder(Path(conf.run_dir))
-    ready = check_sweep(parsed.overrides, folders)
-    flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
-    _run_hydra([*flags, *ready])
+    # Only now: `--help` shall be there at once, and collectors' processes, which import this module too, need
+    # neither Hydra nor the settings.
+    from dune_rl.train_job import run
 
-
-def _run_hydra(words: Sequence[str]) -> None:
-    # Hydra raises what happens in a job only if told so; otherwise it prints a traceback and exits with 1.
-    os.environ["HYDRA_FULL_ERROR"] = "1"
-    sys.argv[1:] = words
-    try:
-        hydra.main(version_base="1.3", config_path=str(paths.conf_folder()), config_name="train")(_job)()
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
-
-
-def _job(config: DictConfig) -> float | None:
-    """Train; returns the objective, which sweepers optimise."""
-    engine = HydraConfig.get()
-    # In joblib's workers new processes would start in a way of theirs, which TorchRL's collectors cannot.
-    if multiprocessing.get_start_method(allow_none=True) not in (None, "spawn", "fork", "forkserver"):
-        multiprocessing.set_start_method("spawn", force=True)
-    try:
-        conf = from_hydra(config)
-        result = train(conf.model_copy(update={"run_dir": engine.runtime.output_dir}))
-        from dune_rl.learning.objective import measure_objective
-
-        return measure_objective(conf.objective, result.evaluation[conf.driven_group.name])
-    except (DuneError, OSError) as error:
-        message = command.describe_user_error(error)
-        if message is None:
-            raise
-        if engine.mode is not RunMode.MULTIRUN:
-            command.exit_with_error(message)
-        # The other jobs of the sweep go on; Hydra raises this one's error after the last.
-        command.print_error(f"job {engine.job.num} failed: {message}")
-        raise command.ReportedError from error
-    return None
-
-
-def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
-    checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
-    saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
-    if override_value(overrides, "run_dir") is None:
-        saved["run_dir"] = str(checkpoint.parent)
-    conf = compose_resumed(overrides, folders, saved)
-    train(conf, resume=checkpoint)
-
-
-def _refuse_used_folder(run_dir: Path) -> None:
-    # Before Hydra writes its own files there.
-    if (run_dir / CHECKPOINT_FILE).exists():
-        raise CheckpointError(
-            f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
-        )
-    refuse_locked(run_dir)
-
-
-def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
-    """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
-    # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
-    # import this module too, do not need.
-    from dune_rl.config.build import make_learning_env
-    from dune_rl.learning.progress import BarReporter, LineReporter
-    from dune_rl.learning.trainer import Trainer
-
-    _check_machine(conf)
-    console = command.make_console()
-    reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
-    run_dir = Path(conf.run_dir)
-    config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
-    trainer = Trainer(
-        partial(make_learning_env, conf),
-        run_dir,
-        conf.learning,
-        seed=conf.seed,
-        total_frames=conf.total_frames,
-        device=conf.device,
-        config=config,
-        resume=resume,
-        reporter=reporter,
-        title=f"{conf.world.name}, seed {conf.seed}",
-    )
-    (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
-    console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
-    result = trainer.train()
-    if result.signal is not None:
-        command.print_error(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
-        sys.exit(128 + result.signal)
-    _show_end(console, conf, result)
-    return result
-
-
-def _check_machine(conf: Conf) -> None:
-    import torch
-
-    if conf.device == "cuda" and not torch.cuda.is_available():
-        raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
-    processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
-    if processes + (conf.learning.threads or 1) > cores:
-        command.print_error(
-            f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
-            f"{cores} cores; fewer may be faster (learning.collector.workers, learning.threads)"
-        )
-
-
-def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
-    from dune_rl.learning.measures import estimate_metrics
-    from dune_rl.learning.policies import go_to_goal_fault
-    from dune_rl.learning.table import results_table
-
-    for group, rows in result.evaluation.items():
-        name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
-        episodes = conf.learning.evaluation.episodes
-        title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
-        table = results_table({"trained": estimate_metrics(rows)}, title, num_agents=len(rows) // episodes)
-        console.print(table)
-    lines = [f"Files in {result.run_dir}:"]
-    lines += [
-        f"  {path.name}"
-        for path in sorted(result.run_dir.iterdir())
-        if path.suffix in (".png", ".csv", ".pt")
-    ]
-    can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
-    reference = "go_to_goal" if can_go else "random"
-    lines += [
-        "Try next:",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
-        f"  tensorboard --logdir {result.run_dir.parent}",
-        f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * conf.total_frames}",
-    ]
-    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+    run(parsed)
 
 
 if __name__ == "__main__":

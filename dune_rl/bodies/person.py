@@ -3,7 +3,6 @@
 from typing import Literal, Self
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
@@ -55,6 +54,9 @@ class PersonConf(Settings):
 
 
 def _capsule_in_clothes(radius_m: float, height_m: float) -> ColouredMesh:
+    # Only now: it takes half a second to load, and those who read settings need none of it.
+    import trimesh
+
     bends = np.linspace(0.0, np.pi / 2, 7)
     round_end = np.column_stack([np.sin(bends), 1.0 - np.cos(bends)]) * radius_m
     seams = height_m * np.array([top for top, _ in _CLOTHES[:-1]])

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.geometry.heightfield import HeightField
@@ -81,6 +80,9 @@ def subdivide_mesh(shape: ColouredMesh, longest_m: float) -> ColouredMesh:
     """The same surface with edges of at most `longest_m`, so that baked light can vary over it."""
     if not len(shape.faces):
         return shape
+    # Only now: it takes half a second to load, and those who read settings need none of it.
+    import trimesh
+
     vertices, faces, origin = trimesh.remesh.subdivide_to_size(
         shape.vertices, shape.faces, longest_m, return_index=True
     )

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -132,6 +131,9 @@ def _occupied_cells(
     vertices, faces = merge_meshes(obstacles)
     hit = RayScene(vertices, faces).hits(origins, upward, np.full(len(below), _HIGHEST_M, np.float32))
     cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
+    # Only now: it takes half a second to load, and those who read settings need none of it.
+    import trimesh
+
     surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)
     above = surface[:, 2] > terrain.height(surface[:, :2]) - _CLEARED_BELOW_M
     points = np.concatenate([below[hit.face >= 0], surface[above, :2]])

@@ -17,7 +17,7 @@ from dune_rl.config.compose import (
     compose_view,
     override_value,
 )
-from dune_rl.engine_comparison.command_line import parse_settings as engines_settings
+from dune_rl.engine_comparison.job import parse_settings as engines_settings
 from dune_rl.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,0 +1,36 @@
+"""What the command lines load before they have to."""
+
+import subprocess
+import sys
+
+import pytest
+
+_HEAVY = ("torch", "torchrl", "tensordict", "trimesh", "scipy", "numba", "pybullet", "matplotlib", "pydantic")
+
+
+def loaded_packages(code: str) -> set[str]:
+    """Those of the heavy packages that a new process has loaded after `code`."""
+    report = f"import sys; print('loaded:', *[name for name in {_HEAVY!r} if name in sys.modules])"
+    wrapped = f"import atexit; atexit.register(lambda: exec({report!r})); {code}"
+    ran = subprocess.run([sys.executable, "-c", wrapped], capture_output=True, text=True, check=False)
+    last = ran.stdout.splitlines()[-1]
+    assert last.startswith("loaded:"), ran.stderr
+    return set(last.split()[1:])
+
+
+@pytest.mark.parametrize(
+    "module", ["train", "evaluate", "view.command_line", "benchmark.command_line", "engines"]
+)
+def test_help_loads_none_of_the_heavy_packages(module: str) -> None:
+    code = f"import sys; sys.argv = ['x', '--help']; from dune_rl.{module} import main; main()"
+    assert loaded_packages(code) == set()
+
+
+def test_a_misspelt_key_is_found_without_pytorch() -> None:
+    code = (
+        "import sys; sys.argv = ['x', '+world=flat', 'total_frame=1']; "
+        "from dune_rl.train import main; main()"
+    )
+    heavy = loaded_packages(code)
+    assert "pydantic" in heavy
+    assert not heavy & {"torch", "torchrl", "tensordict", "trimesh", "pybullet", "matplotlib"}
