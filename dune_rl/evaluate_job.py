@@ -2,17 +2,16 @@
 
 import os
 from argparse import Namespace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from dune_rl import command
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
+from dune_rl.learning.run.progress import show_episodes
 
 if TYPE_CHECKING:
     from dune_rl.env.torchrl import DuneEnv
@@ -39,12 +38,9 @@ def _evaluate(conf: EvaluateConf) -> None:
     env = make_learning_env(conf, min(conf.scenes, conf.episodes), conf.seed)
     agents: dict[str, list[str]] = env.group_map
     results: dict[str, dict[str, list[MetricsRow]]] = {}
-    with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
-        for name, policy in _policies(conf, env).items():
-            task = bar.add_task(name, total=conf.episodes)
-            # The task is bound now: the next round has another.
-            advance = partial(_advance, bar, task)
-            results[name] = evaluate(policy, env, conf.episodes, conf.seed, progress=advance)
+    for name, policy in _policies(conf, env).items():
+        with show_episodes(console, name, conf.episodes) as show:
+            results[name] = evaluate(policy, env, conf.episodes, conf.seed, progress=show)
     env.close()
     # Groups without metrics have no rows.
     for group in next(iter(results.values())):
@@ -58,10 +54,6 @@ def _evaluate(conf: EvaluateConf) -> None:
     ]
     write_csv(out, [dict.fromkeys(key for each in records for key in each) | record for record in records])
     console.print(f"Episodes: {out}", highlight=False, soft_wrap=True)
-
-
-def _advance(bar: Progress, task: TaskID, done: int) -> None:
-    bar.update(task, completed=done)
 
 
 def _show(

@@ -20,13 +20,15 @@ from rich.console import Console
 
 from dune_rl import command, paths
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
-from dune_rl.config.schema import Conf
+from dune_rl.config.schema import Conf, EnvConf, ViewConf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
-from dune_rl.learning.run_lock import refuse_locked
+from dune_rl.learning.run.lock import refuse_locked
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
+
+FILM_FILE = "film.mp4"
 
 
 def run(parsed: Namespace) -> None:
@@ -103,7 +105,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
     # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
-    from dune_rl.learning.progress import BarReporter, LineReporter
+    from dune_rl.learning.run.progress import BarReporter, LineReporter
     from dune_rl.learning.trainer import Trainer
 
     _check_machine(conf)
@@ -129,8 +131,32 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     if result.signal is not None:
         command.print_error(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
         sys.exit(128 + result.signal)
+    if conf.film:
+        _film(console, conf, result)
     _show_end(console, conf, result)
     return result
+
+
+def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    """Write the film of the best policy in the first episode of the run's evaluations."""
+    from dune_rl.view.episode import EpisodeView
+    from dune_rl.view.outputs import write_video
+
+    environment = {name: getattr(conf, name) for name in EnvConf.model_fields}
+    view = ViewConf(
+        **environment,
+        checkpoint=str(result.run_dir),
+        seed=conf.seed + conf.learning.evaluation.seed_offset,
+        width=640,
+        height=360,
+        samples=1,
+    )
+    console.print("Filming an episode of the trained policy", highlight=False)
+    episode = EpisodeView(view)
+    try:
+        write_video(episode, result.run_dir / FILM_FILE, console)
+    finally:
+        episode.close()
 
 
 def _check_machine(conf: Conf) -> None:
@@ -161,12 +187,13 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
     lines += [
         f"  {path.name}"
         for path in sorted(result.run_dir.iterdir())
-        if path.suffix in (".png", ".csv", ".pt")
+        if path.suffix in (".png", ".mp4", ".csv", ".pt")
     ]
     can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
     reference = "go_to_goal" if can_go else "random"
     lines += [
         "Try next:",
+        f"  python -m dune_rl.view checkpoint={result.run_dir}",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
         f"  tensorboard --logdir {result.run_dir.parent}",

@@ -173,6 +173,7 @@ class Conf(OneGroupConf):
     device: Literal["cpu", "cuda"] = "cpu"
     run_dir: str = Field("runs", min_length=1)
     objective: str = Field("success", min_length=1)
+    film: bool = True
     resume: str | None = None
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
 """Evaluation of the policies while they are trained."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -35,19 +36,43 @@ class PeriodicEvaluation:
         """Whether an evaluation is due after `frames`."""
         return frames >= self._next_at
 
+    def count_left(self, frames: int, total_frames: int) -> int:
+        """How many evaluations a run of `total_frames` still makes after `frames`, the last at its end."""
+        if self.is_done(total_frames):
+            return 0
+        every = self._conf.every_frames
+        return 1 + max(0, -(-(total_frames - max(frames, self._next_at)) // every))
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of an evaluation."""
+        return self._conf.episodes
+
+    @property
+    def success_rate(self) -> float:
+        """Of the last evaluation, the mean of the groups that have one; NaN before the first."""
+        rates = [average_metrics(rows).get("SR", math.nan) for rows in self.rows.values() if rows]
+        known = [rate for rate in rates if not math.isnan(rate)]
+        return sum(known) / len(known) if known else math.nan
+
     def is_done(self, frames: int) -> bool:
         """Whether the policies after `frames` have been evaluated."""
         return self._evaluated_at == frames
 
-    def run(self, frames: int, stop: Callable[[], bool]) -> bool:
+    def run(
+        self, frames: int, stop: Callable[[], bool], progress: Callable[[int], None] = lambda done: None
+    ) -> bool:
         """Evaluate the policies after `frames` into `rows`; returns whether they are the best so far.
 
+        `progress` is called with the number of finished episodes.
         When `stop` returns true meanwhile, nothing is kept: short episodes would be
         over-represented, and a resumed run will evaluate again.
         """
         for group, learner in self._learners.items():
             self._policies[group].load_state_dict(learner.policy.state_dict())
-        rows = evaluate(self._policy, self._env, self._conf.episodes, self._seed, stop=stop)
+        rows = evaluate(
+            self._policy, self._env, self._conf.episodes, self._seed, stop=stop, progress=progress
+        )
         if stop():
             return False
         while self._next_at <= frames:

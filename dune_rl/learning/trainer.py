@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,13 @@ from dune_rl.learning.interrupts import StopRequest, stop_on_signals
 from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.progress import Reporter, SilentReporter, TrainingStatus
 from dune_rl.learning.random_state import random_state, set_random_state
 from dune_rl.learning.registry import build_learner
-from dune_rl.learning.run_folder import RunFolder, restore_learners
-from dune_rl.learning.run_log import RunLog
+from dune_rl.learning.run.folder import RunFolder, restore_learners
+from dune_rl.learning.run.log import RunLog
+from dune_rl.learning.run.progress import Reporter, SilentReporter
+from dune_rl.learning.run.status import RunStatus
 from dune_rl.learning.settings import LearningConf
-from dune_rl.learning.speed import SpeedMeter
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class Trainer:
         self.frames = 0
         self._next_save = learning.checkpoint.every_frames
         self._warming_up: frozenset[str] = frozenset()
-        self._speed = SpeedMeter()
+        self._status = RunStatus(self._reporter, self._evaluation, total_frames)
         if self._saved is not None and source is not None:
             restore_learners(self._learners, self._saved["groups"], source)
             counters = self._saved["counters"]
@@ -196,12 +197,21 @@ class Trainer:
                 return
 
     def _learn(self, batch: TensorDictBase) -> None:
+        warmed_up = self._is_warmup()
         self.frames += batch.numel()
         for group, learner in self._learners.items():
             learner.absorb(select_group(batch, group), self.frames)
-        self._log.log_batch(batch, self.frames, self._updates)
+        self._log.log_batch(batch, self.frames, self._updates, "warmup" if warmed_up else "train")
         for group, learner in self._learners.items():
             self._log.scalars(group, learner.update(), self.frames)
+        if warmed_up and not self._is_warmup():
+            # What the learners' policies do is not to be mixed with what others did, nor with their speed.
+            self._log.clear_recent()
+            self._status.restart_speed()
+
+    def _is_warmup(self) -> bool:
+        """Whether a scripted policy or random actions drive at present, at least in one group."""
+        return any(self.frames < learner.warmup_frames for learner in self._learners.values())
 
     def _own_policies(self) -> dict[str, GroupPolicy]:
         """The learners' policies of the groups without an active warm-up policy."""
@@ -249,18 +259,19 @@ class Trainer:
         self._saved = None
         return collector
 
-    def _report(self, activity: str = "training") -> None:
-        frames_per_s, updates_per_s = self._speed.mark(self.frames, self.updates)
-        self._log.scalars(None, {"speed/frames": frames_per_s, "speed/updates": updates_per_s}, self.frames)
-        success = self._log.success_rate
-        self._reporter.update(
-            TrainingStatus(self.frames, self._total_frames, frames_per_s, updates_per_s, success, activity)
+    def _report(self) -> None:
+        warmup = ("scripted" if self._warming_up else "random") if self._is_warmup() else None
+        speeds = self._status.report_batch(
+            self.frames, self.updates, warmup=warmup, success_rate=self._log.success_rate
         )
+        self._log.scalars(None, speeds, self.frames)
 
     def _evaluate(self, stop: StopRequest) -> None:
-        self._report("evaluating")
-        is_best = self._evaluation.run(self.frames, stop)
-        self._speed.pause()
+        self._status.begin_evaluation(self.frames)
+        is_best = self._evaluation.run(
+            self.frames, stop, partial(self._status.report_evaluation, self.frames)
+        )
+        self._status.end_evaluation()
         if not self._evaluation.is_done(self.frames):
             return
         self._log.log_evaluation(self._evaluation.rows, self.frames, self._updates)

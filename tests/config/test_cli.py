@@ -16,12 +16,13 @@ import yaml
 from test_config import CHOOSE, NO_MOON
 
 from dune_rl import benchmark, command, engines, evaluate, train
-from dune_rl.learning import progress
-from dune_rl.learning.progress import LineReporter, TrainingStatus
+from dune_rl.learning.run import progress
+from dune_rl.learning.run.progress import LineReporter, TrainingStatus
 from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 TINY = [
     "total_frames=192",
+    "film=false",
     "learning.learning_starts=64",
     "learning.batch_size=32",
     "learning.hidden=[16]",

@@ -32,7 +32,7 @@ from dune_rl.env.torchrl import EpisodeMetrics
 from dune_rl.errors import ConfigError, WorldError
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
-from dune_rl.learning.run_log import RunLog
+from dune_rl.learning.run.log import RunLog
 from dune_rl.metrics.episode import BUILT_IN, PAPER_METRICS
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.rendering.weather import WeatherConf

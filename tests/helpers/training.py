@@ -10,6 +10,7 @@ from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.collector import MakeEnv
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.run.progress import Reporter
 from dune_rl.learning.sac.learner import Sac
 from dune_rl.learning.sac.settings import ReplayConf, SacConf
 from dune_rl.learning.settings import CheckpointConf, CollectorConf, EvaluationConf
@@ -48,6 +49,7 @@ def trainer(
     total_frames: int = 2048,
     resume: Path | None = None,
     seed: int = 3,
+    reporter: Reporter | None = None,
 ) -> Trainer:
     """A small run; tests of other environments give their own `make_env`."""
     return Trainer(
@@ -58,6 +60,7 @@ def trainer(
         total_frames=total_frames,
         resume=resume,
         config={"seed": 3},
+        reporter=reporter,
     )
 
 

@@ -25,7 +25,6 @@ from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policies import GoToGoal, UniformRandom
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.progress import LineReporter, TrainingStatus
 from dune_rl.learning.statistics import estimate_mean, estimate_proportion, mcnemar_test
 from dune_rl.learning.table import results_table
 
@@ -164,15 +163,6 @@ def test_csv_and_table_and_curve(tmp_path: Path) -> None:
     history = [{"kind": kind, "frames": 1000, **average_metrics(rows)} for kind in ("train", "eval")]
     draw_curve(history, tmp_path / "curve.png", "flat")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_lines_are_spaced_in_time() -> None:
-    told: list[str] = []
-    lines = LineReporter(told.append, interval_s=1000)
-    for frames in (500_000, 600_000):
-        lines.update(TrainingStatus(frames, 1_000_000, 2500.0, 120.0, 0.734))
-    counts, figures = "training  500,000 of 1,000,000 frames", "2,500 frames/s  120 updates/s  success 73 %"
-    assert told == [f"{counts}  {figures}  3:20 left"]
 
 
 def test_metrics_of_ones_own_are_summed_up_beside_the_known_ones() -> None:

@@ -14,12 +14,12 @@ from training import trainer
 
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
-from dune_rl.learning.run_lock import RunLock, refuse_locked
+from dune_rl.learning.run.lock import RunLock, refuse_locked
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from dune_rl.learning.run_lock import RunLock
+from dune_rl.learning.run.lock import RunLock
 lock = RunLock(Path(sys.argv[1]))
 print("locked", flush=True)
 time.sleep(60)
@@ -74,7 +74,7 @@ def test_where_nothing_more_can_be_written_the_last_save_is_intact(tmp_path: Pat
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_does_not_free_its_parent_s_lock(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from dune_rl.learning.run_lock import RunLock\n"
+        "import os, sys; from pathlib import Path; from dune_rl.learning.run.lock import RunLock\n"
         "lock = RunLock(Path(sys.argv[1])); child = os.fork()\n"
         "if child == 0: lock.release(); os._exit(0)\n"
         "os.waitpid(child, 0)\n"

@@ -17,8 +17,9 @@ from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.run.progress import SilentReporter, TrainingStatus
+from dune_rl.learning.run.speed import SpeedMeter
 from dune_rl.learning.settings import CollectorConf
-from dune_rl.learning.speed import SpeedMeter
 
 
 def test_halves_make_a_whole(tmp_path: Path) -> None:
@@ -122,22 +123,14 @@ def test_other_groups_do_not_resume(tmp_path: Path) -> None:
 
 
 def test_a_signal_stops_a_run_which_is_saved(tmp_path: Path) -> None:
-    class Stopper:
+    class Stopper(SilentReporter):
         """Sends SIGTERM to this process after 600 frames."""
 
-        def __enter__(self) -> "Stopper":
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            return None
-
-        def update(self, status: object) -> None:
-            if status.frames >= 600:  # type: ignore[attr-defined]
+        def update(self, status: TrainingStatus) -> None:
+            if status.frames >= 600:
                 signal.raise_signal(signal.SIGTERM)
 
-    stopped = trainer(tmp_path / "run")
-    stopped._reporter = Stopper()
-    result = stopped.train()
+    result = trainer(tmp_path / "run", reporter=Stopper()).train()
     assert result.signal == signal.SIGTERM and result.frames == 640
     assert trainer(tmp_path / "run", resume=tmp_path / "run").frames == 640
 
@@ -149,10 +142,9 @@ def test_training_seeds_are_no_evaluation_seeds() -> None:
     assert min(seeds) > 10_000_000
 
 
-def test_speeds_leave_out_a_pause_and_outlast_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_speeds_leave_out_a_pause_and_outlast_it() -> None:
     clock = iter([0.0, 2.0, 100.0, 101.0])
-    monkeypatch.setattr("dune_rl.learning.speed.time.monotonic", lambda: next(clock))
-    speed = SpeedMeter()
+    speed = SpeedMeter(lambda: next(clock))
     assert speed.mark(0, 0) == (0.0, 0.0)
     assert speed.mark(600, 40) == (300.0, 20.0)
     speed.pause()

@@ -14,7 +14,7 @@ from dune_rl.learning.checkpoint import (
     write_checkpoint_file,
 )
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.run_lock import RunLock
+from dune_rl.learning.run.lock import RunLock
 from dune_rl.learning.saved_policies import policy_entry
 
 _EXPERIENCE = "replay"

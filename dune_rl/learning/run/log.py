@@ -39,6 +39,11 @@ class RecentEpisodes:
             self._uncounted = 0
         return full
 
+    def clear(self) -> None:
+        """Forget the episodes: another policy drives from now on."""
+        self._rows.clear()
+        self._uncounted = 0
+
     def average_metrics(self) -> MetricsRow:
         """Means over the recent episodes."""
         return average_metrics([dict(zip(self.names, row, strict=True)) for row in self._rows])
@@ -77,8 +82,13 @@ class RunLog:
         # A resumed run repeats the steps after its checkpoint; their first version is dropped.
         self._events = SummaryWriter(str(folder), purge_step=frames or None)
 
-    def log_batch(self, batch: TensorDictBase, frames: int, updates: Mapping[str, int]) -> None:
-        """Log the episodes that ended in `batch`; every hundred of a group make a line of metrics.csv."""
+    def log_batch(
+        self, batch: TensorDictBase, frames: int, updates: Mapping[str, int], kind: str = "train"
+    ) -> None:
+        """Log the episodes that ended in `batch`; every hundred of a group make a line of metrics.csv.
+
+        `kind` is "warmup" while another policy than the learners' drives.
+        """
         finished = batch["next", "done"].squeeze(-1)
         if not finished.any():
             return
@@ -89,9 +99,9 @@ class RunLog:
                 if name.startswith(("reward/", "randomisation/")):
                     self.scalars(group, {name: value}, frames)
             statistics = recent.average_metrics()
-            self._log_statistics(group, "train", statistics, frames)
+            self._log_statistics(group, kind, statistics, frames)
             if complete:
-                self._record(group, "train", len(recent), statistics, frames, updates[group])
+                self._record(group, kind, len(recent), statistics, frames, updates[group])
 
     @property
     def success_rate(self) -> float:
@@ -99,6 +109,11 @@ class RunLog:
         rates = [recent.success_rate for recent in self._recent.values()]
         known = [rate for rate in rates if not math.isnan(rate)]
         return sum(known) / len(known) if known else math.nan
+
+    def clear_recent(self) -> None:
+        """Forget the recent episodes: another policy drives from now on."""
+        for recent in self._recent.values():
+            recent.clear()
 
     def scalars(self, group: str | None, values: Mapping[str, float], frames: int) -> None:
         """Log statistics of a group, or with None of the whole run, under their names."""

@@ -1,0 +1,1 @@
+"""A training run: its folder, lock and logs, and what it shows while it goes on."""

@@ -1,0 +1,117 @@
+"""What a run says of its progress: to a terminal, to a pipe, and how long it thinks it will take."""
+
+import io
+import math
+
+import pytest
+from rich.console import Console
+from training import small, trainer
+
+from dune_rl.learning.run.progress import (
+    BarReporter,
+    LineReporter,
+    SilentReporter,
+    TrainingStatus,
+    format_duration,
+    show_episodes,
+)
+from dune_rl.learning.run.speed import DurationEstimate, SpeedMeter
+
+STATUS = TrainingStatus(500_000, 1_000_000, 2500.0, 120.0, 0.734, 0.15, 3723.0)
+
+
+class Clock:
+    """A clock that a test sets."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_lines_are_spaced_in_time() -> None:
+    told: list[str] = []
+    lines = LineReporter(told.append, interval_s=1000)
+    lines.update(STATUS)
+    lines.update(STATUS)
+    counts, speeds = "training  500,000 of 1,000,000 frames", "2,500 frames/s  120 updates/s"
+    assert told == [f"{counts}  1:02:03 left  {speeds}  success in training 73 %  evaluated 15 %"]
+
+
+def test_what_is_unknown_is_left_out() -> None:
+    line = TrainingStatus(0, 10, 0.0, 0.0, activity="scripted warm-up").statistics()
+    assert line == "? left  0 frames/s  0 updates/s"
+
+
+@pytest.mark.parametrize("width", [80, 150])
+@pytest.mark.parametrize("activity", ["training", "scripted warm-up", "evaluating 100/100"])
+def test_the_bar_fits_the_terminal(width: int, activity: str) -> None:
+    console = Console(width=width, file=io.StringIO(), force_terminal=True, color_system=None)
+    with BarReporter(console) as bar:
+        bar.update(TrainingStatus(1_500_000, 2_500_000, 12_345.0, 120.0, 1.0, 1.0, 36_000.0, activity))
+    last = [line for line in console.file.getvalue().replace("\r", "\n").split("\n") if "%" in line][-1]  # type: ignore[attr-defined]
+    assert activity in last and "10:00:00 left" in last and "evaluated 100 %" in last
+    assert "…" not in last
+    assert last.count("━") >= 3
+    assert ("success in training 100 %" in last) == (width >= 150)
+
+
+def test_time_left_counts_frames_and_evaluations() -> None:
+    clock = Clock()
+    meter = SpeedMeter(clock)
+    assert math.isnan(meter.seconds_left(100, 1))
+    meter.mark(0, 0)
+    clock.now += 2.0
+    meter.mark(1000, 10)
+    meter.pause(evaluation_s=7.0)
+    assert meter.seconds_left(5000, 3) == pytest.approx(5000 / 500 + 3 * 7.0)
+    meter.restart()
+    assert math.isnan(meter.seconds_left(5000, 3))
+
+
+def test_an_estimate_is_given_once_after_a_minute() -> None:
+    clock = Clock()
+    estimate = DurationEstimate(clock)
+    assert estimate.line(600.0) is None
+    clock.now += 61.0
+    assert estimate.line(math.nan) is None
+    line = estimate.line(599.0)
+    assert line is not None and "about 11 minutes, until " in line
+    assert estimate.line(599.0) is None
+
+
+def test_episodes_are_counted_in_lines_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console(file=io.StringIO())
+    with show_episodes(console, "go_to_goal", 100, interval_s=0.0) as show:
+        show(25)
+    assert capsys.readouterr().out.startswith("go_to_goal: 25 of 100 episodes  0:00 left")
+
+
+def test_durations() -> None:
+    assert [format_duration(s) for s in (5.4, 65.0, 3600.0, math.nan)] == ["0:05", "1:05", "1:00:00", "?"]
+
+
+class Recording(SilentReporter):
+    """Keeps every status."""
+
+    def __init__(self) -> None:
+        self.seen: list[TrainingStatus] = []
+
+    def update(self, status: TrainingStatus) -> None:
+        self.seen.append(status)
+
+
+def test_success_is_that_of_the_policy_which_is_trained(tmp_path) -> None:
+    recording = Recording()
+    trainer(tmp_path / "run", small(), total_frames=2048, reporter=recording).train()
+    warmup = [status for status in recording.seen if status.activity == "random warm-up"]
+    assert warmup and all(math.isnan(status.success_rate) for status in warmup)
+    assert all(status.frames < small().learning_starts for status in warmup)
+    training = [status for status in recording.seen if status.activity == "training"]
+    assert training and any(not math.isnan(status.success_rate) for status in training)
+    evaluating = [status for status in recording.seen if status.activity.startswith("evaluating")]
+    assert evaluating[0].activity == "evaluating 0/10"
+    assert evaluating[-1].activity == "evaluating 10/10"
+    # Only after an evaluation there is one to tell of.
+    assert math.isnan(evaluating[0].evaluated) and not math.isnan(recording.seen[-1].evaluated)
