@@ -14,7 +14,11 @@ SETTINGS = (
     ("scenes=N", "scenes stepped as one batch"),
     ("rounds=N", "rounds in which everything compared takes its turn"),
     ("steps=N", "control steps of every scene in a turn"),
-    ("parts=[environment]", "environment, cameras, sensors, terrain, new_world, groups, processes, engines"),
+    (
+        "parts=[environment]",
+        "environment, cameras, sensors, terrain, new_world, world_memory, groups, processes, engines",
+    ),
+    ("worlds=N", "new worlds that the part world_memory enters"),
     ("processes=[1,2]", "numbers of processes at once, one after the other"),
 )
 CLOSING = "Ratios compare times of one run, so they hold on a busy machine, too."

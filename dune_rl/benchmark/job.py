@@ -12,6 +12,7 @@ from dune_rl.benchmark.groups import measure_groups
 from dune_rl.benchmark.new_world import measure_new_world
 from dune_rl.benchmark.sensors import measure_sensors
 from dune_rl.benchmark.terrain import measure_terrain
+from dune_rl.benchmark.world_memory import measure_world_memory
 from dune_rl.config.compose import compose_benchmark
 
 
@@ -38,6 +39,9 @@ def run(parsed: Namespace) -> None:
         _emit(benchmark="terrain", world=conf.world.name, **measure_terrain(conf))
     if "new_world" in conf.parts:
         _emit(benchmark="new_world", **setting, **measure_new_world(conf))
+    if "world_memory" in conf.parts:
+        engine = conf.physics.backend
+        _emit(benchmark="world_memory", **setting, engine=engine, **measure_world_memory(conf))
     if "groups" in conf.parts:
         _emit(benchmark="groups", world=conf.world.name, **measure_groups(conf))
     if "engines" in conf.parts:

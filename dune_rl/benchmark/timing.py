@@ -1,5 +1,6 @@
 """Timing of repeated calls, ratios of times taken in turn, and memory."""
 
+import os
 import resource
 import sys
 import time
@@ -46,3 +47,11 @@ def peak_memory_mib() -> float:
         return int(lines["VmHWM"].split()[0]) / 1024
     scale = 1024 if sys.platform != "darwin" else 1024**2
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale
+
+
+def resident_memory_mib() -> float:
+    """Resident memory of this process now [MiB]; its largest so far where the system tells no more."""
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        return peak_memory_mib()
+    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

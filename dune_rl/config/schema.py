@@ -191,7 +191,15 @@ class BenchmarkConf(EnvConf):
 
     parts: tuple[
         Literal[
-            "environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes", "engines"
+            "environment",
+            "cameras",
+            "sensors",
+            "terrain",
+            "new_world",
+            "world_memory",
+            "groups",
+            "processes",
+            "engines",
         ],
         ...,
     ] = (
@@ -206,6 +214,7 @@ class BenchmarkConf(EnvConf):
     scenes: int = Field(16, ge=1)
     rounds: int = Field(9, ge=1)
     steps: int = Field(60, ge=1)
+    worlds: int = Field(500, ge=1)
     processes: tuple[Annotated[int, Field(ge=1)], ...] = (1, 2)
     seed: int = Field(0, ge=0)
 

@@ -58,6 +58,16 @@ def test_the_table_of_memory_is_that_of_its_files() -> None:
     assert f"hold {after[-1][1]} MiB" in (EXPERIMENTS.parent / "README.md").read_text()
 
 
+def test_the_table_of_memory_of_imported_worlds_is_that_of_its_files() -> None:
+    folder = EXPERIMENTS / "memory"
+    files = [f"{world}_{when}.csv" for world in ("marsyard", "agriculture") for when in ("before", "after")]
+    tables = [dict(csv.reader((folder / name).read_text().splitlines()[1:])) for name in files]
+    text = (folder / "README.md").read_text()
+    shown = ("importing", "16 scenes", "reset and 200 steps", "together", "seconds to make 16 scenes")
+    for part in shown:
+        assert f"| {part} | {' | '.join(table[part] for table in tables)} |" in text
+
+
 def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
     folder = EXPERIMENTS / "inspection"
     with open(folder / "episodes.csv") as file:

@@ -1,13 +1,16 @@
-"""Memory of a process with 16 inspection scenes, part by part.
+"""Memory of a process with 16 scenes, part by part, and the time that making them takes.
 
-`python tests/helpers/measure_memory.py OUT.csv` writes how many MiB become resident with each part. It runs
-on older code too (with `PYTHONPATH` on that checkout).
+`python tests/helpers/measure_memory.py OUT.csv` writes how many MiB become resident with each part of a
+process with inspection scenes; `... OUT.csv WORLD FILE` does so for an imported world (`mesh` or `sdf`), after
+it has been imported once. It runs on older code too (with `PYTHONPATH` on that checkout).
 """
 
 import csv
 import importlib
 import os
 import sys
+import time
+import warnings
 from pathlib import Path
 
 
@@ -33,7 +36,7 @@ def main() -> None:
         ("import torchrl", ["torchrl", "torchrl.envs"]),
         ("import scipy, numba", ["scipy.ndimage", "scipy.spatial.transform", "numba"]),
         ("import trimesh", ["trimesh"]),
-        ("import dune_rl", ["dune_rl", "dune_rl.config.build"]),
+        ("import dune_rl", ["dune_rl", "dune_rl.config.build", "dune_rl.env.torchrl"]),
     ):
         for module in modules:
             importlib.import_module(module)
@@ -43,13 +46,23 @@ def main() -> None:
     import dune_rl
 
     torch.set_num_threads(1)
-    env = dune_rl.make(world="inspection", num_scenes=16, seed=0)
+    warnings.simplefilter("ignore")
+    world, *file = sys.argv[2:] or ["inspection"]
+    overrides = [f"world.path={path}" for path in file]
+    if file:
+        # Once, so that what follows is the cost of the scenes.
+        dune_rl.make(world, 1, overrides=overrides).close()
+        note("importing")
+    start = time.perf_counter()
+    env = dune_rl.make(world, 16, seed=0, overrides=overrides)
+    seconds = time.perf_counter() - start
     note("16 scenes")
     now = env.reset()
     for _ in range(200):
         _, now = env.step_and_maybe_reset(env.rand_action(now))
     note("reset and 200 steps")
     rows.append(("together", round(resident_mib())))
+    rows.append(("seconds to make 16 scenes", round(seconds, 1)))
     with open(sys.argv[1], "w", newline="") as file:
         csv.writer(file).writerows([("part", "resident_mib"), *rows])
 

@@ -13,7 +13,7 @@ from dune_rl.physics.bullet.clients import open_client, release_client
 from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
 from dune_rl.physics.bullet.joints import GEAR_ITERATIONS
 from dune_rl.physics.bullet.kinematics import BulletCapsules
-from dune_rl.physics.bullet.meshes import create_mesh_shape
+from dune_rl.physics.bullet.meshes import create_mesh_shape, release_mesh_lists
 from dune_rl.physics.bullet.robot import BulletRobot
 from dune_rl.physics.bullet.touch import ANY_BODY
 from dune_rl.physics.contact_gate import ContactGate
@@ -129,6 +129,7 @@ class BulletScene:
         return handle
 
     def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+        release_mesh_lists()
         # Setting poses and speeds back would keep the solver's warm-start
         # impulses (bullet3 #2442): a robot loaded anew has none.
         for handle, robot in zip(self._loaded, self.robots, strict=False):
