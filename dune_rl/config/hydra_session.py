@@ -2,11 +2,12 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import yaml
 from hydra import compose as hydra_compose
@@ -91,18 +92,30 @@ def _compose_words(name: str, words: tuple[str, ...], _state: object) -> DictCon
 
 
 def _state_of_sources() -> tuple[object, ...]:
-    """All that differs if Hydra would find other options: folders, their files' times, and stored options."""
-    state: list[object] = [stored_options()]
-    for source in GlobalHydra.instance().config_loader().get_search_path().get_path():
-        state.append(source.path)
+    """All that differs if Hydra would find other options: files of options, and stored options."""
+    loader = GlobalHydra.instance().config_loader()
+    # Looking through the folders takes milliseconds; a session does it once.
+    if loader not in _files_of_session:
+        _files_of_session[loader] = tuple(_file_states(loader))
+    return stored_options(), _files_of_session[loader]
+
+
+_files_of_session: WeakKeyDictionary[ConfigLoader, tuple[object, ...]] = WeakKeyDictionary()
+
+
+def _file_states(loader: ConfigLoader) -> Iterator[object]:
+    """The folders in which Hydra looks for options, and their files with times and sizes."""
+    for source in loader.get_search_path().get_path():
+        yield source.path
         folder = Path(str(source.path).removeprefix("file://"))
         for path, folders, files in os.walk(folder):
             folders[:] = [name for name in folders if not name.startswith(".")]
             for file in files:
-                if file.endswith((".yaml", ".yml")):
-                    status = os.stat(os.path.join(path, file))
-                    state.append((path, file, status.st_mtime_ns, status.st_size))
-    return tuple(state)
+                # A file that is gone by now is as good as none.
+                with suppress(OSError):
+                    if file.endswith((".yaml", ".yml")):
+                        status = os.stat(os.path.join(path, file))
+                        yield path, file, status.st_mtime_ns, status.st_size
 
 
 def present_groups(name: str, request: ParsedOverrides) -> frozenset[str]:

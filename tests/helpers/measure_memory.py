@@ -1,8 +1,8 @@
 """Memory of a process with 16 scenes, part by part, and the time that making them takes.
 
 `python tests/helpers/measure_memory.py OUT.csv` writes how many MiB become resident with each part of a
-process with inspection scenes; `... OUT.csv WORLD FILE` does so for an imported world (`mesh` or `sdf`), after
-it has been imported once. It runs on older code too (with `PYTHONPATH` on that checkout).
+process with inspection scenes; `... OUT.csv WORLD FILE` does so for an imported world (`mesh` or `sdf`),
+after it has been imported once. It runs on older code too (with `PYTHONPATH` on that checkout).
 """
 
 import csv
