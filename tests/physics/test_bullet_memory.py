@@ -16,9 +16,10 @@ import dune_rl.physics.bullet.clients as clients
 import dune_rl.physics.bullet.memory as memory
 from dune_rl.physics.bullet.memory import returned_zero_pages
 from dune_rl.physics.bullet.scene import BulletScene
+from dune_rl.physics.process_memory import return_free_memory
 
 MIB = 2**20
-on_linux = pytest.mark.skipif(not memory._IS_SUPPORTED, reason="other systems keep all memory")
+on_linux = pytest.mark.skipif(not memory.IS_SUPPORTED, reason="other systems keep all memory")
 
 
 def allocate(size: int) -> tuple[mmap.mmap, np.ndarray]:
@@ -94,17 +95,17 @@ def test_nothing_is_returned_while_other_threads_run():
 
 @on_linux
 def test_a_system_without_the_means_returns_nothing(monkeypatch):
-    monkeypatch.setattr(memory, "_IS_SUPPORTED", False)
+    monkeypatch.setattr(memory, "IS_SUPPORTED", False)
     with returned_zero_pages():
         _block, array = allocate(8 * MIB)
-    memory.return_free_memory()
+    return_free_memory()
     assert resident(array).all()
 
     def refuse(*_given):
         raise PermissionError
 
-    monkeypatch.setattr(memory, "_IS_SUPPORTED", True)
-    for part in ("_regions", "_resident"):
+    monkeypatch.setattr(memory, "IS_SUPPORTED", True)
+    for part in ("private_ranges", "_resident"):
         with monkeypatch.context() as patch:
             patch.setattr(memory, part, refuse)
             with returned_zero_pages():
@@ -182,13 +183,13 @@ def test_an_error_in_the_block_comes_through():
 def test_what_regions_have_beyond_known_ones():
     least = memory._LEAST_REGION
     known = [(2 * least, 3 * least), (5 * least, 6 * least)]
-    found = memory._subtract([(0, 8 * least), (9 * least, 9 * least + 10)], known)
+    found = memory.subtract_ranges([(0, 8 * least), (9 * least, 9 * least + 10)], known, least)
     assert list(found) == [(0, 2 * least), (3 * least, 5 * least), (6 * least, 8 * least)]
-    assert not list(memory._subtract(known, known))
+    assert not list(memory.subtract_ranges(known, known, least))
     # One that has grown upward and downward.
-    grown = memory._subtract([(0, 9 * least)], [(2 * least, 3 * least)])
+    grown = memory.subtract_ranges([(0, 9 * least)], [(2 * least, 3 * least)], least)
     assert list(grown) == [(0, 2 * least), (3 * least, 9 * least)]
-    assert list(memory._subtract([(0, 9 * least)], [])) == [(0, 9 * least)]
+    assert list(memory.subtract_ranges([(0, 9 * least)], [], least)) == [(0, 9 * least)]
 
 
 def test_runs_of_pages():

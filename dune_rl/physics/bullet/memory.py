@@ -12,8 +12,6 @@ given back as well: the list then ends at the first of them, which reads as zero
 """
 
 import ctypes
-import mmap
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,18 +19,24 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.physics.process_memory import (
+    IS_SUPPORTED,
+    PAGE,
+    private_ranges,
+    return_pages,
+    subtract_ranges,
+)
+
 Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 
-_PAGE = mmap.PAGESIZE
-_WORDS = _PAGE // 8
+_WORDS = PAGE // 8
 # Smaller regions and fewer pages in a row are not worth a look.
 _LEAST_REGION, _LEAST_RUN = 2**20, 16
 # Elements that a free list keeps, and its least length to be cut. A scene with one robot uses dozens.
 _KEPT_ELEMENTS, _LEAST_ELEMENTS = 256, 1024
 _WORDS_AT_ONCE = 2**17
 _PRESENT = np.uint64(1 << 63)
-_IS_SUPPORTED = sys.platform == "linux" and hasattr(mmap, "MADV_DONTNEED")
 
 
 @contextmanager
@@ -43,11 +47,11 @@ def returned_zero_pages() -> Iterator[None]:
     the process did not have before, so that nothing is touched that others own. Does nothing where the
     system has no such means, or while other threads of Python run, which might be writing to that memory.
     """
-    if not _IS_SUPPORTED or threading.active_count() > 1:
+    if not IS_SUPPORTED or threading.active_count() > 1:
         yield
         return
     try:
-        before = _regions()
+        before = private_ranges()
     except OSError:
         yield
         return
@@ -55,57 +59,23 @@ def returned_zero_pages() -> Iterator[None]:
     if threading.active_count() > 1:
         return
     try:
-        for start, end in _subtract(_regions(), before):
+        for start, end in subtract_ranges(private_ranges(), before, _LEAST_REGION):
             for first, count in _runs(_resident(start, end)):
-                _return_zeros(start + first * _PAGE, count)
+                _return_zeros(start + first * PAGE, count)
             for first, count in _runs(_resident(start, end)):
                 # The last link, which is zero, may have been alone in a page that is gone by now.
-                _cut_free_lists(start + first * _PAGE, min(count + 1, (end - start) // _PAGE - first))
+                _cut_free_lists(start + first * PAGE, min(count + 1, (end - start) // PAGE - first))
     except OSError:
         # A system that tells nobody which pages are resident.
         return
-
-
-def return_free_memory() -> None:
-    """Give back to the operating system what has been freed, where the C library can do it."""
-    if _IS_SUPPORTED:
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
-
-
-def _regions() -> list[tuple[int, int]]:
-    """Addresses (start, end) of private memory without a file that may be written, in ascending order."""
-    found = []
-    with open("/proc/self/maps") as maps:
-        for line in maps:
-            addresses, access, _, _, inode, *path = line.split()
-            if access == "rw-p" and inode == "0" and path in ([], ["[heap]"]):
-                start, end = addresses.split("-")
-                found.append((int(start, 16), int(end, 16)))
-    return found
-
-
-def _subtract(regions: list[tuple[int, int]], known: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """What large `regions` have beyond `known` ones; both ascend. What is left in small parts is left out."""
-    for start, end in regions:
-        if end - start < _LEAST_REGION:
-            continue
-        free = start
-        for first, last in [*known, (end, end)]:
-            if last <= free or first > end:
-                continue
-            if first - free >= _LEAST_REGION:
-                yield free, first
-            free = max(free, last)
 
 
 def _resident(start: int, end: int) -> Flags:
     """Which pages of the memory at these addresses are resident."""
     with open("/proc/self/pagemap", "rb", buffering=0) as pagemap:
         # Eight bytes a page; see pagemap in the kernel's documentation.
-        pagemap.seek(start // _PAGE * 8)
-        entries = np.frombuffer(pagemap.read((end - start) // _PAGE * 8), np.uint64)
+        pagemap.seek(start // PAGE * 8)
+        entries = np.frombuffer(pagemap.read((end - start) // PAGE * 8), np.uint64)
     flags: Flags = (entries & _PRESENT) != 0
     return flags
 
@@ -123,7 +93,7 @@ def _return_zeros(address: int, pages: int) -> None:
     words = _words(address, pages).reshape(pages, -1)
     zero: Flags = ~np.logical_or.reduce(words != 0, axis=1)
     for first, count in _runs(zero):
-        _discard(address + first * _PAGE, count)
+        return_pages(address + first * PAGE, count)
 
 
 def _cut_free_lists(address: int, pages: int) -> None:
@@ -138,7 +108,7 @@ def _cut_free_lists(address: int, pages: int) -> None:
         content = words[start * _WORDS : end * _WORDS]
         inside = links[(links >= start * _WORDS) & (links < end * _WORDS)]
         if np.count_nonzero(content) == len(inside):
-            _discard(address + start * _PAGE, end - start)
+            return_pages(address + start * PAGE, end - start)
 
 
 def _free_lists(words: Words, address: int) -> Iterator[tuple[int, int, int]]:
@@ -171,7 +141,7 @@ def _pointers_ahead(words: Words, address: int) -> tuple[NDArray[np.intp], Words
         start = address + first * words.itemsize
         # Unsigned: what points backward is far ahead.
         ahead = part - np.arange(start, start + part.nbytes, words.itemsize, dtype=np.uint64)
-        found = np.flatnonzero((ahead > 0) & (ahead <= _PAGE))
+        found = np.flatnonzero((ahead > 0) & (ahead <= PAGE))
         places.append(found + first)
         distances.append(ahead[found])
     return np.concatenate(places), np.concatenate(distances)
@@ -179,16 +149,5 @@ def _pointers_ahead(words: Words, address: int) -> tuple[NDArray[np.intp], Words
 
 def _words(address: int, pages: int) -> Words:
     """The memory of so many pages from an address on."""
-    content = (ctypes.c_uint8 * (pages * _PAGE)).from_address(address)
+    content = (ctypes.c_uint8 * (pages * PAGE)).from_address(address)
     return np.ctypeslib.as_array(content).view(np.uint64)
-
-
-def _discard(address: int, pages: int) -> None:
-    """Give back so many pages from an address on: they read as zeros."""
-    start, length = ctypes.c_void_p(address), ctypes.c_size_t(pages * _PAGE)
-    advise = ctypes.CDLL(None).madvise
-    # That it fails, as for memory that is locked, does no harm.
-    if hasattr(mmap, "MADV_NOHUGEPAGE"):
-        # Otherwise the system may join them with their neighbours, later, to a large page that is resident.
-        advise(start, length, mmap.MADV_NOHUGEPAGE)
-    advise(start, length, mmap.MADV_DONTNEED)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.bullet.memory import return_free_memory
+from dune_rl.physics.process_memory import return_free_memory
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():

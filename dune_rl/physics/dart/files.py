@@ -49,18 +49,22 @@ def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
     return tostring(root, encoding="unicode")
 
 
-def write_meshes(statics: Sequence[StaticBody], is_open: Sequence[bool], folder: Path) -> str:
-    """Text of a URDF with one link, whose collision shapes are the bodies' meshes, written to `folder`.
+def mesh_corners(body: StaticBody, is_open: bool) -> Array:
+    """The corners (F, 3, 3) [m] of a body's triangles, as DART gets them.
 
-    Those that are open surfaces get a fold far below: the engine would
-    otherwise treat flat ground as a convex solid, and search all its vertices
-    at every contact.
+    Open surfaces get a fold far below: the engine would otherwise treat flat
+    ground as a convex solid, and search all its vertices at every contact.
     """
+    corners = body.vertices[body.faces]
+    return np.concatenate([corners, _fold(body)]) if is_open else corners
+
+
+def write_meshes(meshes: Sequence[Array], folder: Path) -> str:
+    """Text of a URDF with one link, whose collision shapes are `meshes` (F, 3, 3), written to `folder`."""
     elements = []
-    for number, body in enumerate(statics):
+    for number, corners in enumerate(meshes):
         path = folder.resolve() / f"{number}.stl"
-        corners = body.vertices[body.faces]
-        path.write_bytes(_stl(np.concatenate([corners, _fold(body)]) if is_open[number] else corners))
+        path.write_bytes(_stl(corners))
         elements.append(f'<collision><geometry><mesh filename="file://{path}"/></geometry></collision>')
     return f'<robot name="statics"><link name="statics">{"".join(elements)}</link></robot>'
 

@@ -4,14 +4,20 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
-from weakref import WeakValueDictionary
+from weakref import WeakValueDictionary, finalize
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.errors import PhysicsError
-from dune_rl.physics.dart.files import is_open_surface, write_meshes
+from dune_rl.physics.dart.files import is_open_surface, mesh_corners, write_meshes
 from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.memory import MeshCopy, forget_copies, return_unused_copies, watch_copies
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
 from dune_rl.physics.interface import StaticBody
+
+Array = NDArray[np.float64]
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
 _TRIANGLE_MARGIN_M = 0.01
@@ -160,21 +166,26 @@ class CollisionMeshes:
         self.statics = statics
         self.detector = dartpy.collision.BulletCollisionDetector()
         self.is_open = [is_open_surface(body) for body in statics]
-        self.shapes = self._load()
+        meshes = [mesh_corners(body, is_open) for body, is_open in zip(statics, self.is_open, strict=True)]
+        self.shapes = self._load(meshes)
         # The detector drops meshes that are in no collision group.
         self._holder = dartpy.dynamics.Skeleton("meshes")
         body = self._holder.createWeldJointAndBodyNodePair()[1]
         for shape in self.shapes:
             add_shape(body, shape, 0.0)
         self._group = self.detector.createCollisionGroup()
-        self._group.addShapeFrames([*body.getShapeNodes()])
+        return_unused_copies()
+        copies: list[MeshCopy] = []
+        with watch_copies(meshes, copies):
+            self._group.addShapeFrames([*body.getShapeNodes()])
+        finalize(self, forget_copies, copies)
 
-    def _load(self) -> list[Any]:
+    def _load(self, meshes: Sequence[Array]) -> list[Any]:
         if not self.statics:
             return []
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            skeleton = parse_skeleton(write_meshes(self.statics, self.is_open, folder), folder)
+            skeleton = parse_skeleton(write_meshes(meshes, folder), folder)
             nodes = [] if skeleton is None else skeleton.getBodyNode(0).getShapeNodes()
             if len(nodes) != len(self.statics):
                 raise PhysicsError(
