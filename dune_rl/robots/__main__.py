@@ -3,7 +3,8 @@
 import sys
 
 from dune_rl.errors import RobotError
-from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
+from dune_rl.robots.urdf.conf import UrdfConf
+from dune_rl.robots.urdf.robot import UrdfRobot
 
 
 def main(words: list[str]) -> int:

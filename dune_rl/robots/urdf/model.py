@@ -8,9 +8,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.transformations import euler_matrix
+from trimesh.transformations import euler_matrix, rotation_matrix, translation_matrix
 
 from dune_rl.errors import RobotError, WorldError
+from dune_rl.robots.urdf.hints import UrdfHints, read_hints
 from dune_rl.worlds.importing.untrusted_files import printable, read_bytes, read_xml
 
 Array = NDArray[np.float64]
@@ -83,10 +84,23 @@ class Joint:
     damping: float
     mimic: tuple[str, float] | None
 
+    def rest_pose(self) -> Array:
+        """Motion (4, 4) of the child with the joint at zero, or at the limit nearest to zero."""
+        if self.kind not in ("revolute", "prismatic"):
+            return np.eye(4)
+        lower, upper = self.limits
+        value = min(max(0.0, lower), upper)
+        if self.kind == "revolute":
+            return np.asarray(rotation_matrix(value, self.axis))
+        return np.asarray(translation_matrix(value * self.axis))
+
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel:
-    """Links and joints of a robot by name, the root first; `materials` are top-level <material> elements."""
+    """Links and joints of a robot by name; `root` is the base link's.
+
+    `materials` are top-level <material> elements, and `hints` what other elements say.
+    """
 
     path: Path
     name: str
@@ -94,6 +108,23 @@ class UrdfModel:
     links: dict[str, Link]
     joints: dict[str, Joint]
     materials: tuple[Element, ...] = field(default=())
+    hints: UrdfHints = field(default_factory=UrdfHints)
+
+    def joints_above(self, link: str) -> list[Joint]:
+        """The joints between the root and `link`, the root's first."""
+        by_child = {joint.child: joint for joint in self.joints.values()}
+        found: list[Joint] = []
+        while link in by_child:
+            found.insert(0, by_child[link])
+            link = found[0].parent
+        return found
+
+    def pose_b(self, link: str) -> Array:
+        """Pose (4, 4) of `link` in the root's frame with all joints at rest: see `Joint.rest_pose`."""
+        pose = np.eye(4)
+        for joint in self.joints_above(link):
+            pose = pose @ joint.pose @ joint.rest_pose()
+        return pose
 
     def child_joints(self, link: str) -> list[Joint]:
         """The joints whose parent is `link`, in the file's order."""
@@ -122,7 +153,10 @@ def read_urdf(path: str | Path) -> UrdfModel:
 
 
 def _xacro_message(file: Path) -> str:
-    return f"{file.name} is a xacro file; expand it first: xacro {file.name} > {file.stem.split('.')[0]}.urdf"
+    # Never the file itself: the shell empties it before xacro reads it.
+    stem = file.name.split(".")[0]
+    expanded = f"{stem}.urdf" if f"{stem}.urdf" != file.name else f"{stem}_expanded.urdf"
+    return f"{file.name} is a xacro file; expand it first: xacro {file.name} > {expanded}"
 
 
 class _FaultError(Exception):
@@ -152,7 +186,8 @@ class _Reader:
             joints[joint.name] = joint
         base = _base_of(links, list(joints.values()))
         materials = tuple(root.findall("material"))
-        return UrdfModel(self._path, root.get("name", "robot"), base, links, joints, materials)
+        name = root.get("name", "robot")
+        return UrdfModel(self._path, name, base, links, joints, materials, read_hints(root))
 
     def _link(self, element: Element) -> Link:
         name = _name(element)
