@@ -32,9 +32,8 @@ def small_link(name: str, mass_kg: float = 0.2) -> str:
 def wheel_link(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
     """A wheel about y."""
     across, along = mass_kg * radius_m**2 / 2, mass_kg * (3 * radius_m**2 + width_m**2) / 12
-    shape = (
-        f'<origin rpy="{HALF_PI} 0 0"/><geometry><cylinder radius="{radius_m}" length="{width_m}"/></geometry>'
-    )
+    cylinder = f'<cylinder radius="{radius_m}" length="{width_m}"/>'
+    shape = f'<origin rpy="{HALF_PI} 0 0"/><geometry>{cylinder}</geometry>'
     return (
         f'<link name="{name}"><inertial><mass value="{mass_kg}"/><inertia ixx="{along}" iyy="{across}" '
         f'izz="{along}" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -97,24 +96,30 @@ def write_car(folder: Path, *extra: str, **settings: object) -> Path:
 
 
 ROCKER_WHEELS_X, ROCKER_TRACK_M, ROCKER_RADIUS_M = (0.35, 0.0, -0.35), 0.6, 0.1
-_PIVOT_Z = 0.15
 
 
-def write_rocker_bogie(folder: Path, *extra: str, corners_steer: bool, mass_kg: float = 20.0) -> Path:
-    """Six wheels: on each side a rocker with the rear wheel, and on it a bogie with the other two."""
-    elements = [box_link("body", mass_kg, (0.5, 0.3, 0.15), f"0 0 {_PIVOT_Z + 0.1}")]
+def write_rocker_bogie(
+    folder: Path, *extra: str, corners_steer: bool, mass_kg: float = 20.0, pivot_m: float = 0.15
+) -> Path:
+    """Six wheels: on each side a rocker with the rear wheel, and on it a bogie with the other two.
+
+    The rockers' axis is `pivot_m` above the wheels', and the bogies' a third less. High ones tip over when
+    wheels without steering push with all their grip, as real ones do.
+    """
+    bogie_m = 2 * pivot_m / 3
+    elements = [box_link("body", mass_kg, (0.5, 0.3, 0.15), f"0 0 {pivot_m + 0.1}")]
     swing = '<limit lower="-0.6" upper="0.6" effort="0" velocity="0"/>'
     for side, sign in _SIDES:
         rocker, bogie = f"{side}_rocker", f"{side}_bogie"
         elements += [
             small_link(rocker, 1.0),
-            joint(f"{rocker}_joint", "body", rocker, (0, sign * 0.25, _PIVOT_Z), "revolute", "0 1 0", swing),
+            joint(f"{rocker}_joint", "body", rocker, (0, sign * 0.25, pivot_m), "revolute", "0 1 0", swing),
             small_link(bogie, 0.5),
-            joint(f"{bogie}_joint", rocker, bogie, (0.175, 0, -0.05), "revolute", "0 1 0", swing),
+            joint(f"{bogie}_joint", rocker, bogie, (0.175, 0, bogie_m - pivot_m), "revolute", "0 1 0", swing),
         ]
         # The rocker's and the bogie's origins.
-        mounts = {"front": (bogie, 0.175, _PIVOT_Z - 0.05), "middle": (bogie, 0.175, _PIVOT_Z - 0.05)}
-        mounts["rear"] = (rocker, 0.0, _PIVOT_Z)
+        mounts = {"front": (bogie, 0.175, bogie_m), "middle": (bogie, 0.175, bogie_m)}
+        mounts["rear"] = (rocker, 0.0, pivot_m)
         for end, x in zip(("front", "middle", "rear"), ROCKER_WHEELS_X, strict=True):
             parent, from_x, height = mounts[end]
             name, place = f"{side}_{end}_wheel", (x - from_x, sign * 0.05, -height)
@@ -147,3 +152,56 @@ def write_four_wheeler(
                 rolling(link, "base_link", (along, sign * y_m, 0.033)),
             ]
     return write(folder, name, *elements, *extra)
+
+
+CASTER_X_M, CASTER_WHEEL_X_M, CASTER_WHEEL_RADIUS_M = -0.2, 0.1, 0.1
+
+
+def write_caster_robot(
+    folder: Path,
+    depth_m: float,
+    *,
+    shape: str = "sphere",
+    radius_m: float = 0.03,
+    body_x_m: float = 0.0,
+    fixed: bool = True,
+) -> Path:
+    """Two driven wheels, and a caster behind them that reaches `depth_m` below them."""
+    geometry = {
+        "sphere": f'<geometry><sphere radius="{radius_m}"/></geometry>',
+        "cylinder": f'<origin rpy="{HALF_PI} 0 0"/>'
+        f'<geometry><cylinder radius="{radius_m}" length="0.02"/></geometry>',
+    }[shape]
+    inertia = 'ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"'
+    height = radius_m - depth_m - CASTER_WHEEL_RADIUS_M
+    return write(
+        folder,
+        "caster_robot",
+        box_link("base_link", 6.0, (0.4, 0.3, 0.08), f"{body_x_m} 0 0.08"),
+        wheel_link("left_wheel", 0.5, CASTER_WHEEL_RADIUS_M, 0.04),
+        rolling("left_wheel", "base_link", (CASTER_WHEEL_X_M, 0.18, 0.0)),
+        wheel_link("right_wheel", 0.5, CASTER_WHEEL_RADIUS_M, 0.04),
+        rolling("right_wheel", "base_link", (CASTER_WHEEL_X_M, -0.18, 0.0)),
+        f'<link name="caster"><inertial><mass value="0.1"/><inertia {inertia}/></inertial>'
+        f"<collision>{geometry}</collision></link>",
+        joint(
+            "caster_joint",
+            "base_link",
+            "caster",
+            (CASTER_X_M, 0.0, height),
+            "fixed" if fixed else "continuous",
+            "0 1 0",
+        ),
+    )
+
+
+def caster_pitch(depth_m: float, radius_m: float = 0.03) -> float:
+    """Pitch [rad], nose down, at which a level plane touches the wheels and the caster from below.
+
+    Both centres are above the plane by their radii: with (dx, dz) from the caster's to the wheels' centre,
+    dz cos(pitch) - dx sin(pitch) is the difference of the radii.
+    """
+    dx = CASTER_WHEEL_X_M - CASTER_X_M
+    dz = CASTER_WHEEL_RADIUS_M + depth_m - radius_m
+    difference = CASTER_WHEEL_RADIUS_M - radius_m
+    return float(np.arctan2(dz, dx) - np.arcsin(difference / np.hypot(dx, dz)))

@@ -38,12 +38,11 @@ def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
         raise PhysicsError(error_text)
     for coupling in differentials(spec, joints):
         chain_differential(joints[coupling.leader], joints[coupling.follower])
-    # Legs with position motors are compliant already, and would sink on a sliding joint.
-    wheels = [motor.joint for motor in spec.motors if motor.mode == "velocity"]
-    for name in (*wheels, *(passive.joint for passive in spec.passive)):
-        joint = joints[name]
+    for motor in spec.motors:
+        joint = joints[motor.joint]
         child = joint.find("child")
-        if child is not None and child.get("link") in spec.ground_links:
+        # Legs with position motors are compliant already, and would sink on a sliding joint.
+        if motor.mode == "velocity" and child is not None and child.get("link") in spec.ground_links:
             add_tyre_joint(joint, root)
             if spec.sideways_friction_share != 1.0:
                 add_slip_joint(joint, root)

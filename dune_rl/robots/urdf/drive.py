@@ -143,7 +143,5 @@ def _steering_torque(
     limits = [effort for effort in efforts if effort < NO_LIMIT_RATIO * needed]
     if limits:
         return min(limits), f"torque of steering: {min(limits):.2f} Nm, the URDF's effort limit"
-    why = (
-        "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
-    )
+    why = "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
     return needed, f"torque of steering: {needed:.2f} Nm, assumed ({why}): enough to turn a standing wheel"

@@ -140,10 +140,12 @@ class UrdfRobot(WheeledRobot):
         self.wheel_positions_b = np.array([wheel.centre_b for wheel in wheels])
         self.contact_radius_m = wheels[0].radius_m
         self.contact_width_m = wheels[0].width_m
-        self.standing_height_m = float(self.contact_radius_m - self.wheel_positions_b[:, 2].min())
+        bottom = min(float(wheel.centre_b[2]) - wheel.radius_m for wheel in wheels)
         rolling = [wheel.body for wheel in wheels]
         hull = _lowest_point([body for body in bodies if body not in rolling])
-        deeper = -self.standing_height_m - hull
+        # A body that starts in the ground is thrown out of it, or a small one through it.
+        self.standing_height_m = -min(bottom, hull)
+        deeper = bottom - hull
         if deeper > _MAX_DEPTH_M:
             raise RobotError(
                 f"{self._model.path.name}: its hull reaches {deeper:.3f} m "

@@ -39,8 +39,8 @@ def refuse_unsupported_drives(bodies: Sequence[RigidBody], wheels: Sequence[Whee
     if sum(weight for weight, _ in signs) >= _LEAST_SCORE:
         raise RobotError(
             f"{file}: the robot has tracks ({'; '.join(text for _, text in signs)}), which are not "
-            "supported; give each track a row of wheels (continuous joints about y, cylinders), or, where it has them, "
-            "set robot.drive.kind=skid_steer."
+            "supported; give each track a row of wheels (continuous joints about y, cylinders), or, where it "
+            "has them, set robot.drive.kind=skid_steer."
         )
 
 
