@@ -1,5 +1,7 @@
 """Ackermann steering: its geometry by formula, and cars and rocker-bogies that drive, on both engines."""
 
+import re
+
 import numpy as np
 import pytest
 from scenes import STEP_S, Drive, box, every_backend, plane
@@ -200,6 +202,38 @@ def test_it_drives_straight_and_on_circles_of_the_radius_that_follows(backend, s
     travelled = np.linalg.norm(np.diff(path[60:], axis=0), axis=1).sum()
     assert travelled == pytest.approx(0.5 * 99 * STEP_S, rel=0.05)
     assert travelled / turned == pytest.approx(robot.steering.turning_radius_m, rel=0.05)
+
+
+@every_backend
+def test_frames_of_links_may_be_turned(backend, tmp_path):
+    # The knuckles' frames are pitched by 0.3 rad, which their axes and the wheels' frames undo.
+    path = write_car(tmp_path)
+    text, axis = path.read_text(), f"{-np.sin(0.3)} 0 {np.cos(0.3)}"
+    for side in ("left", "right"):
+        text = re.sub(
+            rf'(<joint name="{side}_knuckle_joint".*?<origin xyz="[^"]*")/><axis xyz="0 0 1"/>',
+            rf'\1 rpy="0 0.3 0"/><axis xyz="{axis}"/>',
+            text,
+        )
+        text = re.sub(
+            rf'(<joint name="front_{side}_wheel_joint".*?<origin xyz="[^"]*")/>',
+            r'\1 rpy="0 -0.3 0"/>',
+            text,
+        )
+    path.write_text(text)
+    robot = read(path)
+    assert robot.steering.turning_radius_m == pytest.approx(CAR_RADIUS_OF_TURN_M)
+    driven = drive(robot, backend)
+    for _ in range(80):
+        driven.step(0.5, 3.0)
+    start = driven.stage.yaw
+    for _ in range(40):
+        driven.step(0.5, 3.0)
+    turned = wrap_angle(np.array(driven.stage.yaw - start))
+    assert turned == pytest.approx(0.5 * 40 * STEP_S / CAR_RADIUS_OF_TURN_M, rel=0.05)
+    # It neither sinks nor leans.
+    assert driven.stage.rotation[2, 2] > 0.999
+    assert driven.stage.position[2] == pytest.approx(CAR_RADIUS_M, abs=0.005)
 
 
 @every_backend

@@ -283,6 +283,20 @@ def test_the_check_prints_what_is_derived_or_wrong(tmp_path, capsys):
     assert "there is no file" in capsys.readouterr().err
 
 
+def test_the_check_takes_settings_as_command_lines_do(tmp_path, capsys):
+    path = str(write_cart(tmp_path))
+    assert main([path, "robot.drive.max_torque_nm=7", "robot.mounts.imu_b=[0,0,1]"]) == 0
+    out = capsys.readouterr().out
+    assert "torque of a wheel: 7.00 Nm, as set" in out and "inertial unit at (0.0, 0.0, 1.0)" in out
+    for words, told in (
+        (["robot.drive.kind=tank"], r"robot.drive.kind: input should be 'auto', 'skid_steer' or 'ackermann'"),
+        (["robot.left_wheels=[a"], "robot.left_wheels=[a: while parsing"),
+        (["tank"], "usage: python -m dune_rl.robots FILE.urdf"),
+    ):
+        assert main([path, *words]) == 2
+        assert told in capsys.readouterr().err
+
+
 RUNNER = """
 import resource, signal, sys, warnings
 from pathlib import Path

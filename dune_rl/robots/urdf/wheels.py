@@ -77,6 +77,7 @@ def check_named_wheels(
 ) -> None:
     """Raise `RobotError` for a named wheel that cannot be one, or is on the other side."""
     file = model.path.name
+    places: dict[str, float] = {}
     for body in bodies:
         joint = body.joint
         if joint is None or joint.name not in named:
@@ -92,12 +93,14 @@ def check_named_wheels(
                 f"{file}: link {body.name!r} of wheel {joint.name} has no round <collision>; give it a "
                 "cylinder or a sphere."
             )
-        y = float((body.points_b()[:, 1].min() + body.points_b()[:, 1].max()) / 2)
-        for setting, names, left in (("left", conf.left_wheels, True), ("right", conf.right_wheels, False)):
-            if names is not None and joint.name in names and (y > 0.0) != left:
+        across = body.points_b()[:, 1]
+        places[joint.name] = float(across.min() + across.max()) / 2
+    for setting, names, left in (("left", conf.left_wheels, True), ("right", conf.right_wheels, False)):
+        for name in names or ():
+            if (places[name] > 0.0) != left:
                 raise RobotError(
-                    f"robot.{setting}_wheels: joint {joint.name} of {file} is at y = "
-                    f"{y:.3f} m, and left is where y is above 0; change sides."
+                    f"robot.{setting}_wheels: joint {name} of {file} is at y = "
+                    f"{places[name]:.3f} m, and left is where y is above 0; change sides."
                 )
 
 
