@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from rollouts import digest_of
 from scenes import STEP_S, Drive, box, every_backend, plane
 from simulations import act, motion_of_group, observation
 from vehicles import (
@@ -321,6 +322,19 @@ def test_odometry_follows_a_curve_by_wheels_and_steering(engine, tmp_path):
     np.testing.assert_allclose(told[:2], moved, atol=0.06)
     assert told[2] == pytest.approx(wrap_angle(end - start)[2], abs=0.05)
     simulation.close()
+
+
+@pytest.mark.parametrize("engine", ["bullet", "dart"])
+def test_the_same_seed_gives_the_same_bytes_again(engine, tmp_path):
+    path = write_rocker_bogie(tmp_path, corners_steer=True)
+    words = ["actors=none", "robot=urdf", f"robot.path={path}", f"physics={engine}"]
+    conf = compose_environment("flat", [*words, "task.terminations.time_limit.max_steps=20"])
+    digests = []
+    for _ in range(2):
+        simulation = make_simulation(conf, 2, 0)
+        digests.append(digest_of(simulation, 50))
+        simulation.close()
+    assert digests[0] == digests[1]
 
 
 def _pose(simulation):

@@ -202,10 +202,7 @@ def _convex_shape(geometry: Geometry, link: str, meshes: UrdfMeshes, model: Urdf
     if geometry.kind == "mesh":
         assert geometry.mesh is not None
         try:
-            points = np.concatenate([part.vertices for part in meshes.parts(geometry.mesh)])
-            points = points * np.array(geometry.size)
-            hull = trimesh.Trimesh(points, process=False).convex_hull
-            corners = np.asarray(hull.vertices)
+            corners = meshes.hull_corners(geometry.mesh, geometry.size)
         except RobotError as error:
             raise RobotError(f"{model.path.name}: link {link!r}: {error}") from None
         except Exception:

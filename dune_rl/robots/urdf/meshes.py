@@ -4,10 +4,16 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
 from dune_rl.errors import DuneWarning, RobotError, WorldError
 from dune_rl.worlds.importing.mesh.files import FORMATS, load_mesh_parts
 from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, printable
+
+Array = NDArray[np.float64]
 
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"
@@ -35,6 +41,7 @@ class UrdfMeshes:
         self._urdf = urdf
         self.report = ImportReport(urdf.name)
         self._parts: dict[str, list[MeshPart]] = {}
+        self._hulls: dict[tuple[str, tuple[float, ...]], Array] = {}
         self._beside = urdf.resolve().parent
 
     def find(self, name: str) -> Path:
@@ -67,6 +74,15 @@ class UrdfMeshes:
         if name not in self._parts:
             self._parts[name] = self._load(name)
         return self._parts[name]
+
+    def hull_corners(self, name: str, scale: tuple[float, ...]) -> Array:
+        """Corners (P, 3) of the convex hull of a mesh, scaled; an exception of any kind if it is flat."""
+        key = name, scale
+        if key not in self._hulls:
+            points = np.concatenate([part.vertices for part in self.parts(name)]) * np.array(scale)
+            hull = trimesh.Trimesh(points, process=False).convex_hull
+            self._hulls[key] = np.asarray(hull.vertices)
+        return self._hulls[key]
 
     def _load(self, name: str) -> list[MeshPart]:
         path = self.find(name)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, cast
 from xml.etree.ElementTree import Element
@@ -112,19 +113,32 @@ class UrdfModel:
 
     def joints_above(self, link: str) -> list[Joint]:
         """The joints between the root and `link`, the root's first."""
-        by_child = {joint.child: joint for joint in self.joints.values()}
         found: list[Joint] = []
-        while link in by_child:
-            found.insert(0, by_child[link])
-            link = found[0].parent
-        return found
+        while link in self._by_child:
+            found.append(self._by_child[link])
+            link = found[-1].parent
+        return found[::-1]
+
+    @cached_property
+    def _by_child(self) -> dict[str, Joint]:
+        return {joint.child: joint for joint in self.joints.values()}
 
     def pose_b(self, link: str) -> Array:
         """Pose (4, 4) of `link` in the root's frame with all joints at rest: see `Joint.rest_pose`."""
-        pose = np.eye(4)
-        for joint in self.joints_above(link):
-            pose = pose @ joint.pose @ joint.rest_pose()
-        return pose
+        return self._poses_b[link]
+
+    @cached_property
+    def _poses_b(self) -> dict[str, Array]:
+        children: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            children.setdefault(joint.parent, []).append(joint)
+        poses, parents = {self.root: np.eye(4)}, [self.root]
+        while parents:
+            parent = parents.pop()
+            for joint in children.get(parent, ()):
+                poses[joint.child] = poses[parent] @ joint.pose @ joint.rest_pose()
+                parents.append(joint.child)
+        return poses
 
     def child_joints(self, link: str) -> list[Joint]:
         """The joints whose parent is `link`, in the file's order."""

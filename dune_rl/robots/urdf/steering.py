@@ -53,13 +53,14 @@ def find_pivots(wheels: Sequence[Wheel], conf: UrdfConf, model: UrdfModel) -> Pi
     Raises `RobotError` for settings that do not fit.
     """
     above = {wheel.joint.name: _pivots_above(wheel, model) for wheel in wheels}
+    above_names = {wheel: {joint.name for joint in joints} for wheel, joints in above.items()}
     steering: dict[str, str] = {}
     casters: dict[str, str] = {}
     if conf.steering_joints is not None:
         check_joint_names("steering_joints", conf.steering_joints, model)
     for wheel in wheels:
         for joint in above[wheel.joint.name]:
-            below = [name for name, joints in above.items() if joint in joints]
+            below = [name for name, names in above_names.items() if joint.name in names]
             if conf.steering_joints is not None:
                 if joint.name in conf.steering_joints:
                     steering[wheel.joint.name] = joint.name

@@ -29,11 +29,14 @@ def find_suspension(wheels: Sequence[Wheel], model: UrdfModel) -> Suspension:
     An arm with one wheel, or with wheels on one side, would fall without the spring that a URDF cannot
     describe: such joints do not count.
     """
-    above = {wheel.joint.name: model.joints_above(model.joints[wheel.joint.name].parent) for wheel in wheels}
+    above = {
+        wheel.joint.name: {joint.name for joint in model.joints_above(model.joints[wheel.joint.name].parent)}
+        for wheel in wheels
+    }
     levers: dict[str, list[Wheel]] = {}
     axles: list[str] = []
     for joint in model.joints.values():
-        below = [wheel for wheel in wheels if joint in above[wheel.joint.name]]
+        below = [wheel for wheel in wheels if joint.name in above[wheel.joint.name]]
         if not 2 <= len(below) < len(wheels) or not _can_swing(joint):
             continue
         pose = model.pose_b(joint.child)

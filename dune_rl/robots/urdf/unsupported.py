@@ -9,6 +9,7 @@ from dune_rl.errors import RobotError
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.model import UrdfModel
 from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel, is_round
+from dune_rl.worlds.importing.untrusted_files import printable
 
 # Words in names are separated by anything but letters, or by case: "omni_wheel", "wheelMecanumFL".
 _MECANUM = re.compile(r"me[ck]h?anum|swedish", re.IGNORECASE)
@@ -32,16 +33,20 @@ def refuse_unsupported_drives(bodies: Sequence[RigidBody], wheels: Sequence[Whee
     signs = _sideways_signs(bodies, wheels, model)
     if sum(weight for weight, _ in signs) >= _LEAST_SCORE:
         raise RobotError(
-            f"{file}: the robot has mecanum or omnidirectional wheels ({'; '.join(text for _, text in signs)}"
+            f"{file}: the robot has mecanum or omnidirectional wheels ({_listed(signs)}"
             "), which are not supported; robot.drive.kind=skid_steer drives it as if they were plain ones."
         )
     signs = _track_signs(wheels, model)
     if sum(weight for weight, _ in signs) >= _LEAST_SCORE:
         raise RobotError(
-            f"{file}: the robot has tracks ({'; '.join(text for _, text in signs)}), which are not "
+            f"{file}: the robot has tracks ({_listed(signs)}), which are not "
             "supported; give each track a row of wheels (continuous joints about y, cylinders), or, where it "
             "has them, set robot.drive.kind=skid_steer."
         )
+
+
+def _listed(signs: Sequence[tuple[int, str]]) -> str:
+    return printable("; ".join(text for _, text in signs))
 
 
 def _sideways_signs(
