@@ -204,6 +204,20 @@ def test_one_unlucky_name_is_no_reason(tmp_path, settings, extra):
     assert robot.steering is None and len(robot.body.drive_joints) == 4
 
 
+def test_wheels_whose_rollers_alone_collide_are_recognised(tmp_path):
+    path = write_four_wheeler(tmp_path, *(rollers(f"{end}_left_wheel") for end in ("front", "rear")))
+    text = path.read_text()
+    for end in ("front", "rear"):
+        start = text.index("<collision>", text.index(f'<link name="{end}_left_wheel">'))
+        stop = text.index("</collision>", start) + len("</collision>")
+        text = text[:start] + text[stop:]
+    path.write_text(text)
+    with pytest.raises(
+        RobotError, match=r"mecanum or omnidirectional wheels \(rollers on link front_left_wh"
+    ):
+        read(path)
+
+
 def test_wheels_in_a_star_are_omnidirectional(tmp_path):
     elements = [box_link("base_link", 8.0, (0.3, 0.3, 0.1), "0 0 0.1")]
     for number, bearing in enumerate(np.deg2rad([0.0, 120.0, 240.0])):

@@ -1,6 +1,7 @@
 """Drives that are not supported, recognised by several signs: mecanum and omnidirectional wheels, tracks."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -57,13 +58,15 @@ def _sideways_signs(
     if plugins:
         signs.append((2, f"plugin {plugins[0]}"))
     links = {wheel.body.name for wheel in wheels}
-    rolling = [
-        name
-        for name in links
-        if len([joint for joint in model.child_joints(name) if joint.kind == "continuous"]) >= _LEAST_ROLLERS
+    # A hub need not have a shape of its own: its rollers stand on the ground.
+    rollers = Counter(joint.parent for joint in model.joints.values() if joint.kind == "continuous")
+    hubs = [
+        joint.child
+        for joint in model.joints.values()
+        if joint.kind == "continuous" and rollers[joint.child] >= _LEAST_ROLLERS
     ]
-    if rolling:
-        signs.append((2, f"rollers on link {rolling[0]}"))
+    if hubs:
+        signs.append((2, f"rollers on link {hubs[0]}"))
     named = [
         wheel
         for wheel in wheels
