@@ -38,7 +38,18 @@ def migrated(saved: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(data.get("learning"), dict):
         data["learning"].setdefault("name", "sac")
     move_renamed(data, warn=False)
+    for section, settings, _ in _sections(data):
+        if section == "robot":
+            _keep_skid_steer(settings)
     return data
+
+
+def _keep_skid_steer(robot: Any) -> None:
+    """Keep a URDF's robot on the drive that it was trained with, when there was no other."""
+    drive = robot.get("drive") if isinstance(robot, dict) and robot.get("name") == "urdf" else None
+    if isinstance(drive, dict) and "kind" not in drive:
+        drive["kind"] = "skid_steer"
+        robot.setdefault("free_joints", [])
 
 
 def _sections(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:

@@ -53,9 +53,8 @@ def run_phases(world: str, engine: Engine, robot: str, scenes: int, seed: int) -
             if step * step_s >= _SETTLING_S:
                 turned = np.full(scenes, np.nan)
                 if wheels is not None:
-                    turned = (
-                        np.array([scene.wheel_speeds.mean() for scene in recorded.scenes]) * wheels.radius_m
-                    )
+                    speeds = [scene.wheel_speeds[: wheels.num_driven].mean() for scene in recorded.scenes]
+                    turned = np.array(speeds) * wheels.radius_m
                 rows.append((recorded.motion.velocity_b[:, 0], recorded.motion.angular_b[:, 2], turned))
         means[:, :, phase] = np.mean(rows, axis=0)
     motion = recorded.motion

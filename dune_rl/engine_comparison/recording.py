@@ -42,8 +42,8 @@ class RecordingRobot:
 class RecordingScene:
     """A scene of one robot that records the state after each step as the engine reports it.
 
-    `state` (13,) is as `PhysicsRobot.body_state`, `wheel_speeds` (W,) are in
-    rad/s, and `work_done_j` is the work [J] of the motors in the last step.
+    `state` (13,) is as `PhysicsRobot.body_state`, `wheel_speeds` (J,) of the motors' joints, the
+    wheels' first, are in rad/s, and `work_done_j` is the work [J] of the motors in the last step.
     """
 
     def __init__(self, scene: PhysicsScene) -> None:

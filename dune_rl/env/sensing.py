@@ -17,7 +17,7 @@ from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.context import SensorCarrier, SensorContext
-from dune_rl.sensors.odometry import DriveGeometry
+from dune_rl.sensors.odometry import DriveGeometry, WheelMotion
 from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
 from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
 from dune_rl.worlds.beam_surface import beam_surface
@@ -62,9 +62,11 @@ def sensor_context(
 def robot_carrier(robot: Robot) -> SensorCarrier:
     """The robot as a carrier of sensors."""
     mounts, wheels = robot.mounts, robot.wheels
-    drive = None
+    drive: WheelMotion | None = None
+    num_joints = len(robot.body.drive_joints)
     if wheels is not None:
-        drive = DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
+        drive = wheels.steering or DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
+        num_joints = wheels.num_driven
     return SensorCarrier(
         scanner_b=mounts.scanner_b,
         camera_b=mounts.camera_b,
@@ -72,7 +74,7 @@ def robot_carrier(robot: Robot) -> SensorCarrier:
         camera_pitch_deg=mounts.camera_pitch_deg,
         standing_height_m=robot.standing_height_m,
         max_speed_mps=robot.max_speed_mps,
-        num_joints=len(robot.body.drive_joints),
+        num_joints=num_joints,
         drive=drive,
     )
 

@@ -40,6 +40,7 @@ class Traction:
         self._robot = robot
         self._wheels_b = robot.contact_centres_b
         self._rolls = robot.wheels is not None
+        self._driven = 0 if robot.wheels is None else robot.wheels.num_driven
         wheels = len(self._wheels_b)
         self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
         self._slowest = _GRAVITY_MPS2 * physics.control_step_s
@@ -83,7 +84,7 @@ class Traction:
         groups = self._mapped()
         if not groups:
             return None
-        speeds = _wheel_speeds(motion) if self.needs_wheels else None
+        speeds = _wheel_speeds(motion, self._driven) if self.needs_wheels else None
         force = np.zeros((len(engines), 3))
         for world, scenes, rolling in groups:
             rotation = motion.rotation[scenes]
@@ -98,7 +99,11 @@ class Traction:
             coefficients = rolling[numbers] * (bottoms[..., 2] - height < _OFF_GROUND_M)
             yaw_rates = motion.angular_b[scenes, 2, None]
             ahead = motion.velocity_b[scenes, 0, None] - yaw_rates * self._wheels_b[:, 1]
-            held = self._held(coefficients, ahead, speeds[scenes] * self._robot.contact_radius_m)
+            rims = speeds[scenes] * self._robot.contact_radius_m
+            if rims.shape[1] < ahead.shape[1]:
+                # Wheels without a motor roll as fast as they go.
+                rims = np.concatenate([rims, ahead[:, rims.shape[1] :]], axis=1)
+            held = self._held(coefficients, ahead, rims)
             load = self._share_n * self.load_factor[scenes] * np.maximum(rotation[:, 2, 2], 0.0)
             force[scenes] = (load * held)[:, None] * rotation[:, :, 0]
         return None if speeds is None else force
@@ -157,8 +162,8 @@ class Traction:
         return groups
 
 
-def _wheel_speeds(motion: Motion) -> Array | None:
-    return None if motion.joints is None else motion.joints.speed
+def _wheel_speeds(motion: Motion, driven: int) -> Array | None:
+    return None if motion.joints is None else motion.joints.speed[:, :driven]
 
 
 @lru_cache(maxsize=64)

@@ -1,22 +1,57 @@
 """Check of a URDF: `python -m dune_rl.robots FILE` prints the robot's derived values, or what is wrong."""
 
 import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import ValidationError
+from yaml import YAMLError
 
 from dune_rl.errors import RobotError
-from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
+from dune_rl.robots.urdf.conf import UrdfConf
+from dune_rl.robots.urdf.robot import UrdfRobot
+
+_USAGE = "usage: python -m dune_rl.robots FILE.urdf [robot.SETTING=VALUE ...]"
 
 
-def main(words: list[str]) -> int:
-    """Print a summary of the URDF in `words`; returns 2 if it cannot be used."""
-    if len(words) != 1:
-        print("usage: python -m dune_rl.robots FILE.urdf", file=sys.stderr)
+def main(words: Sequence[str]) -> int:
+    """Print a summary of the URDF that `words` begin with; returns 2 if it cannot be used.
+
+    Further words are settings of the robot, as on other command lines: `robot.drive.kind=skid_steer`.
+    """
+    if not words or any("=" not in word for word in words[1:]):
+        print(_USAGE, file=sys.stderr)
         return 2
     try:
-        print(UrdfRobot(UrdfConf(path=words[0]), 1).summary())
+        conf = UrdfConf(**_settings(words[1:]) | {"path": words[0]})
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            summary = UrdfRobot(conf, 1).summary()
     except RobotError as error:
         print(error, file=sys.stderr)
         return 2
+    except ValidationError as error:
+        for fault in error.errors():
+            name = ".".join(map(str, fault["loc"]))
+            print(f"robot.{name}: {fault['msg'].lower()}; see conf/robot/urdf.yaml", file=sys.stderr)
+        return 2
+    except (OmegaConfBaseException, YAMLError) as error:
+        print(f"{' '.join(words[1:])}: {str(error).splitlines()[0]}\n{_USAGE}", file=sys.stderr)
+        return 2
+    for warning in caught:
+        print(f"warning: {warning.message}", file=sys.stderr)
+    print(summary)
     return 0
+
+
+def _settings(words: Sequence[str]) -> dict[str, Any]:
+    """Settings of the robot from words such as `robot.drive.kind=ackermann`; `robot.` may be left out."""
+    found = OmegaConf.to_container(OmegaConf.from_dotlist([word.removeprefix("robot.") for word in words]))
+    assert isinstance(found, dict), "a list of dotted words makes a dict"
+    return {str(key): value for key, value in found.items()}
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.physics.interface import RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.mounts import MountsConf
+from dune_rl.robots.steering_geometry import SteeringGeometry
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,13 +40,20 @@ class WheelLayout:
     """Odometry's model of the wheels: rolling radius [m], effective track [m], and motors of each side.
 
     `track_m` is the difference of the sides' speeds [m/s] over the yaw rate [rad/s]. `left` and `right` are
-    indices of motors.
+    indices of motors, which are the first ones. `steering` is the geometry of a robot whose wheels steer,
+    None for one that skids.
     """
 
     radius_m: float
     track_m: float
     left: tuple[int, ...]
     right: tuple[int, ...]
+    steering: SteeringGeometry | None = None
+
+    @property
+    def num_driven(self) -> int:
+        """Number of wheels with motors."""
+        return len(self.left) + len(self.right)
 
 
 class Robot(Protocol):
@@ -55,8 +63,9 @@ class Robot(Protocol):
     level ground. `length_m`, `width_m` and `height_m` are the sizes of the bounding box of hull and wheels
     or legs at full stride; seen from above, the origin is its centre. `contact_centres_b` (W, 3) [m] are the
     centres of the wheels or feet, of `contact_radius_m` and `contact_width_m`, in the order of
-    `body.ground_links`; wheels belong to the first motors. `wheels` is None for a robot with legs. `mounts`
-    are the default poses of its sensors; `battery` supplies the motors.
+    `body.ground_links`; the first wheels belong to the first motors, and those behind them have none.
+    `wheels` is None for a robot with legs. `mounts` are the default poses of its sensors; `battery` supplies
+    the motors.
     """
 
     length_m: float

@@ -58,9 +58,10 @@ class Currents:
 
     def measure(self, now: GroupState, state: State) -> None:
         """Take the present torques."""
-        wheels = joints_of(now)
-        driving = wheels.torque * wheels.speed > 0.0
-        current = wheels.torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
+        joints, wheels = joints_of(now), self._num_wheels
+        torque = joints.torque[:, :wheels]
+        driving = torque * joints.speed[:, :wheels] > 0.0
+        current = torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
         self._reading = clip(current, -self._limit_a, self._limit_a).astype(np.float32)
 
     def read(self) -> dict[str, Reading]:

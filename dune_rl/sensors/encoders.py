@@ -42,13 +42,13 @@ class WheelCounter:
         self._counts = np.zeros((num_rows, num_wheels))
 
     def begin(self, mask: Flags, angle: Array) -> None:
-        """Count from `angle` (M, W) [rad] in the scenes in `mask` (M,)."""
-        self._start[mask] = angle[mask]
+        """Count from `angle` (M, J) [rad] in the scenes in `mask` (M,); the wheels are the first joints."""
+        self._start[mask] = angle[mask, : self._start.shape[1]]
         self._counts[mask] = 0.0
 
     def turned(self, angle: Array) -> Array:
-        """Turn of each wheel to `angle` (M, W) since the last call [rad], (M, W); at most `most_rad`."""
-        counts = (angle - self._start) / self._count_rad
+        """Turn of each wheel to `angle` (M, J) since the last call [rad], (M, W); at most `most_rad`."""
+        counts = (angle[:, : self._start.shape[1]] - self._start) / self._count_rad
         if self._whole:
             counts = np.rint(counts)
         turned = (counts - self._counts) * self._count_rad

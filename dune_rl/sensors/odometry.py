@@ -1,7 +1,8 @@
 """Odometry: where the wheels' turns say that a rover is; slip makes it drift, as on the real one."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cached_property
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,33 @@ class OdometryConf(Settings):
     """How far the position is told: x and y are clipped to ± `range_m`."""
 
     range_m: float = Field(100.0, gt=0.0, le=1_000_000.0)
+
+
+class WheelMotion(Protocol):
+    """What the wheels of a robot tell of its motion, whether it skids (`DriveGeometry`) or steers."""
+
+    @property
+    def wheel_radius_m(self) -> float:
+        """Rolling radius [m]."""
+        ...
+
+    @property
+    def track_m(self) -> float:
+        """Distance [m] of the sides, by which bounds of the yaw rate follow from those of wheels."""
+        ...
+
+    @property
+    def num_wheels(self) -> int:
+        """Number of wheels with motors, whose joints are the first ones."""
+        ...
+
+    def motion(self, turned: Array, angles: Array) -> Array:
+        """Way ahead [m] and turn [rad] of M robots, (M, 2).
+
+        `turned` (M, W) [rad] is how far the wheels have turned meanwhile, and `angles` (M, J) [rad] are those
+        of all motors' joints.
+        """
+        ...
 
 
 @dataclass(frozen=True)
@@ -49,6 +77,28 @@ class DriveGeometry:
                 f"left {self.left} and right {self.right} must name different wheels, counted from 0"
             )
 
+    @property
+    def num_wheels(self) -> int:
+        """Number of wheels up to the last one that is named."""
+        return max(self.left + self.right) + 1
+
+    @cached_property
+    def _means(self) -> Array:
+        """Way ahead and turn by each wheel's turn, (W, 2)."""
+        means = np.zeros((self.num_wheels, 2))
+        radius = self.wheel_radius_m
+        for side, sign in ((self.left, -1.0), (self.right, 1.0)):
+            means[list(side)] = np.array([radius / 2, sign * radius / self.track_m]) / len(side)
+        return means
+
+    def motion(self, turned: Array, angles: Array) -> Array:
+        """See `WheelMotion`: the mean of the sides, and their difference over the track."""
+        means = self._means
+        if len(means) < turned.shape[1]:
+            turned = turned[:, : len(means)]
+        found: Array = turned @ means
+        return found
+
 
 class Odometry:
     """The reading "odometry", (M, 5): x, y [m], yaw [rad], forward speed [m/s] and yaw rate [rad/s].
@@ -64,26 +114,21 @@ class Odometry:
         self,
         conf: OdometryConf,
         encoders: EncodersConf,
-        geometry: DriveGeometry,
+        geometry: WheelMotion,
         num_rows: int,
         num_wheels: int,
         step_s: float,
         name: str = "odometry",
     ) -> None:
         self._name = name
-        wheels = geometry.left + geometry.right
-        if max(wheels) >= num_wheels:
+        if geometry.num_wheels > num_wheels:
             raise ValueError(
-                f"left and right name wheel {max(wheels)}; the last of {num_wheels} is {num_wheels - 1}"
+                f"left and right name wheel {geometry.num_wheels - 1}; the last of {num_wheels} is "
+                f"{num_wheels - 1}"
             )
         self._counter = WheelCounter(encoders, num_rows, num_wheels, step_s)
-        self._step_s = step_s
-        # A row gives the way ahead, the other the turn, from the wheels' turns.
-        self._means = np.zeros((num_wheels, 2))
-        radius = geometry.wheel_radius_m
-        for side, sign in ((geometry.left, -1.0), (geometry.right, 1.0)):
-            self._means[list(side)] = np.array([radius / 2, sign * radius / geometry.track_m]) / len(side)
-        fastest = encoders.max_speed_radps * radius
+        self._step_s, self._geometry = step_s, geometry
+        fastest = encoders.max_speed_radps * geometry.wheel_radius_m
         limits = [conf.range_m, conf.range_m, PI32, fastest, 2 * fastest / geometry.track_m]
         # In float64 for clipping, yet rounded: what is clipped stays within bounds that are float32.
         self._highest = np.array(limits, np.float32).astype(np.float64)
@@ -103,7 +148,8 @@ class Odometry:
 
     def measure(self, now: GroupState, state: State) -> None:
         """Go on by the wheels' turns over the control step that has just ended."""
-        motion = self._counter.turned(joints_of(now).angle) @ self._means
+        angle = joints_of(now).angle
+        motion = self._geometry.motion(self._counter.turned(angle), angle)
         ahead, turn = motion[:, 0], motion[:, 1]
         # The chord of an arc: shorter than it, along the mean of its headings.
         chord = ahead * np.sinc(turn / (2 * np.pi))

@@ -32,7 +32,7 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.hyperdog.robot import HyperDogConf
 from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
-from dune_rl.robots.urdf.robot import UrdfConf
+from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf

@@ -111,6 +111,24 @@ def test_metrics_and_walkers_of_an_older_run() -> None:
     assert conf.actors["walker_b"].task is None
 
 
+def test_a_robot_of_an_older_run_keeps_its_drive(tmp_path: Path) -> None:
+    words = ["robot=urdf", "robot.path=car.urdf"]
+    saved = compose_environment("flat", words).model_dump(mode="json")
+    assert migrated(saved) == saved
+
+    def older(robot: dict[str, Any]) -> None:
+        del robot["drive"]["kind"], robot["steering_joints"], robot["free_joints"]
+
+    bodies = [group["body"] for group in saved["agents"].values()] if saved.get("agents") else []
+    bodies += [saved["robot"]] if isinstance(saved.get("robot"), dict) else []
+    assert bodies
+    for body in bodies:
+        older(body)
+    conf = EnvConf.model_validate(migrated(saved))
+    (group,) = conf.external_groups
+    assert (group.body.drive.kind, group.body.free_joints) == ("skid_steer", ())  # type: ignore[union-attr]
+
+
 def test_older_names_are_accepted_and_warned_of() -> None:
     words = ["task.reward.goal=50", "task.termination.flipped_rad=1.0"]
     with pytest.warns(DuneWarning) as told:

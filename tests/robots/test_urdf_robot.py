@@ -19,7 +19,8 @@ from dune_rl.errors import ConfigError, RobotError
 from dune_rl.paths import assets_folder
 from dune_rl.robots.__main__ import main
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
-from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
+from dune_rl.robots.urdf.conf import UrdfConf
+from dune_rl.robots.urdf.robot import UrdfRobot
 from dune_rl.robots.visual import RobotVisual
 
 MASS_KG = 8.0 + 0.5 + 2 * 0.5 + 0.1
@@ -183,7 +184,7 @@ ARM = CART[CART.index('<joint name="arm_joint"') : CART.index("</joint>", CART.i
          r"its hull reaches 0\.\d+ m below its wheels"),
         ("<robot name=", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name=', ""),
         ('<link name="laser"/>', '<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro" name="m"/>',
-         r"cart\.urdf is a xacro file; expand it first: xacro cart\.urdf > cart\.urdf"),
+         r"cart\.urdf is a xacro file; expand it first: xacro cart\.urdf > cart_expanded\.urdf"),
         ("</robot>", "", r"cart\.urdf is no valid XML"),
         ("<robot name=", '<!DOCTYPE r [<!ENTITY a "a"><!ENTITY b "&a;&a;">]><robot name=',
          r"declares XML entities"),
@@ -282,6 +283,20 @@ def test_the_check_prints_what_is_derived_or_wrong(tmp_path, capsys):
     assert "there is no file" in capsys.readouterr().err
 
 
+def test_the_check_takes_settings_as_command_lines_do(tmp_path, capsys):
+    path = str(write_cart(tmp_path))
+    assert main([path, "robot.drive.max_torque_nm=7", "robot.mounts.imu_b=[0,0,1]"]) == 0
+    out = capsys.readouterr().out
+    assert "torque of a wheel: 7.00 Nm, as set" in out and "inertial unit at (0.0, 0.0, 1.0)" in out
+    for words, told in (
+        (["robot.drive.kind=tank"], r"robot.drive.kind: input should be 'auto', 'skid_steer' or 'ackermann'"),
+        (["robot.left_wheels=[a"], "robot.left_wheels=[a: while parsing"),
+        (["tank"], "usage: python -m dune_rl.robots FILE.urdf"),
+    ):
+        assert main([path, *words]) == 2
+        assert told in capsys.readouterr().err
+
+
 RUNNER = """
 import resource, signal, sys, warnings
 from pathlib import Path
@@ -289,7 +304,8 @@ import numpy as np
 from fuzzing import mutated
 from urdf_files import CART, damaged, write_cart
 from dune_rl.errors import RobotError
-from dune_rl.robots.urdf.robot import UrdfConf, UrdfRobot
+from dune_rl.robots.urdf.conf import UrdfConf
+from dune_rl.robots.urdf.robot import UrdfRobot
 folder, first, last = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 warnings.simplefilter("ignore")
 path = write_cart(Path(folder))

@@ -9,7 +9,7 @@ from dune_rl.physics.dart.drives import Drives
 from dune_rl.physics.dart.floating_base import FloatingBase
 from dune_rl.physics.dart.foot_contacts import FootContacts
 from dune_rl.physics.dart.gears import Gears, has_driven_coupling
-from dune_rl.physics.dart.template import has_only_spheres, load_template, measure_reach_m
+from dune_rl.physics.dart.template import has_only_spheres, load_template, measure_reach_m, split_by_role
 from dune_rl.physics.dart.tyre_bodies import TyreBodies
 from dune_rl.physics.dart.work_meter import WorkMeter
 from dune_rl.physics.interface import RobotBody
@@ -42,9 +42,7 @@ class DartRobot:
         )
         self._motors = spec.motors
         self._template = load_template(spec)
-        feet, hull = list[Any](), list[Any]()
-        for body in self._template.getBodyNodes():
-            (feet if body.getName() in spec.ground_links else hull).append(body)
+        feet, hull = split_by_role(self._template, spec)
         self.has_spherical_feet, self.has_spherical_hull = has_only_spheres(feet), has_only_spheres(hull)
         self.reach_m = measure_reach_m(self._template, spec.tyres)
         self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))

@@ -19,6 +19,9 @@ from dune_rl.physics.interface import RobotBody, Tyre
 # so that the other shape's, which is the product of both bodies', is used.
 ROBOT_FRICTION = 1e3
 
+# Of a capsule that stands for a sphere.
+_BALL_LENGTH_M = 1e-5
+
 # More than any joint that stands for compliance or slip of a tyre moves in a physics step.
 _MAX_DEFLECTION_M = 0.05
 
@@ -35,6 +38,9 @@ def load_template(spec: RobotBody, text: str | None = None) -> Any:
         for node in body.getShapeNodes():
             if node.hasDynamicsAspect():
                 node.getDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
+    for links in split_by_role(robot, spec):
+        if not has_only_spheres(links):
+            _convert_spheres(links)
     joints = {joint.getName(): joint for joint in robot.getJoints()[1:]}
     for name, joint in joints.items():
         if joint.getNumDofs() == 1:
@@ -65,6 +71,27 @@ def parse_skeleton(urdf: str, folder: Path) -> Any:
     """Skeleton of the text of a URDF, whose paths are relative to `folder`; None if DART cannot parse it."""
     # DART does not decode percent signs in a path.
     return dartpy.utils.DartLoader().parseSkeletonString(urdf, f"file://{folder.resolve()}/")
+
+
+def split_by_role(robot: Any, spec: RobotBody) -> tuple[list[Any], list[Any]]:
+    """The bodies of a skeleton that are ground links, and the others: the hull."""
+    feet, hull = list[Any](), list[Any]()
+    for body in robot.getBodyNodes():
+        (feet if body.getName() in spec.ground_links else hull).append(body)
+    return feet, hull
+
+
+def _convert_spheres(bodies: Iterable[Any]) -> None:
+    """Replace the spheres of some bodies by capsules of as good as no length.
+
+    The detector keeps all shapes but spheres a margin off the triangles of an open surface, which is lowered
+    by as much for links with other shapes: see `statics`. There spheres, such as a caster's, would sink.
+    """
+    for body in bodies:
+        for node in body.getShapeNodes():
+            shape = node.getShape()
+            if node.hasCollisionAspect() and isinstance(shape, dartpy.dynamics.SphereShape):
+                node.setShape(dartpy.dynamics.CapsuleShape(shape.getRadius(), _BALL_LENGTH_M))
 
 
 def has_only_spheres(bodies: Iterable[Any]) -> bool:

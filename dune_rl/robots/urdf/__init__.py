@@ -1,1 +1,1 @@
-"""Differential and skid-steer robots read from a URDF."""
+"""Wheeled robots read from a URDF: differential, skid-steer and Ackermann steering."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import euler_from_matrix
 
 from dune_rl.errors import RobotError
-from dune_rl.robots.urdf.meshes import UrdfMeshes
+from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes
 from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, UrdfModel
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def merge_links(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -
                     own = replace(child, pose=child_pose, parent=first)
                     roots.append((child.child, own, pose_b @ child_pose))
                 else:
-                    links.append((child.child, child_pose @ _fixed_joint_pose(child)))
+                    links.append((child.child, child_pose @ child.rest_pose()))
         if not inertials:
             by = "it is the base" if joint is None else f"joint {joint.name!r} moves it"
             raise RobotError(
@@ -88,13 +88,45 @@ def merge_links(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -
     return bodies
 
 
+def align_frames(bodies: Sequence[RigidBody], names: Collection[str]) -> list[RigidBody]:
+    """The bodies, with the frames of those in `names` turned to the axes of the base's frame."""
+    turns = {body.name: body.pose_b[:3, :3] if body.name in names else np.eye(3) for body in bodies}
+    aligned = []
+    for body in bodies:
+        own, joint = _rotation(turns[body.name]), body.joint
+        if joint is not None:
+            pose = _rotation(turns[joint.parent]) @ joint.pose @ own.T
+            joint = replace(joint, pose=pose, axis=own[:3, :3] @ joint.axis)
+        aligned.append(
+            RigidBody(
+                body.name,
+                joint,
+                body.pose_b @ own.T,
+                body.inertial.transform(own),
+                tuple(
+                    ConvexShape(_transformed(shape.geometry, own), shape.points @ own[:3, :3].T)
+                    for shape in body.shapes
+                ),
+                tuple(_transformed(visual, own) for visual in body.visuals),
+            )
+        )
+    return aligned
+
+
+def _rotation(turn: Array) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = turn
+    return pose
+
+
 def write_urdfs(
     bodies: Sequence[RigidBody], model: UrdfModel, meshes: UrdfMeshes, folder: Path
 ) -> tuple[Path, Path]:
     """Write the bodies into `folder` as two URDFs, for physics and for rendering, with their meshes.
 
     Physics has convex hulls only, and a file without visual shapes: engines refuse formats that they cannot
-    read.
+    read. A visual mesh that cannot be read is left out, with a warning in the meshes' report; a body that has
+    no visual shape for it shows its collision shapes.
     """
     physics, look = (Element("robot", name=model.name) for _ in range(2))
     look.extend(model.materials)
@@ -110,11 +142,23 @@ def write_urdfs(
                 SubElement(geometry, "mesh", filename=file)
         link = SubElement(look, "link", name=body.name)
         for index, visual in enumerate(body.visuals):
+            if visual.mesh is None:
+                _write_shape(link, "visual", visual)
+                continue
+            try:
+                mesh = _coloured_mesh(visual.mesh, meshes)
+            except MeshError as error:
+                meshes.report.warn(f"link {body.name!r} is drawn without a visual mesh: {error}")
+                continue
+            file = f"look_{number}_{index}.ply"
+            mesh.export(folder / file)
             geometry = _write_shape(link, "visual", visual)
-            if visual.mesh is not None:
-                file = f"look_{number}_{index}.ply"
-                _coloured_mesh(visual.mesh, meshes).export(folder / file)
-                SubElement(geometry, "mesh", filename=file, scale=" ".join(map(repr, visual.size)))
+            SubElement(geometry, "mesh", filename=file, scale=" ".join(map(repr, visual.size)))
+        if body.visuals and not len(link):
+            for index, shape in enumerate(body.shapes):
+                geometry = _write_shape(link, "visual", shape.geometry)
+                if shape.geometry.kind == "mesh":
+                    SubElement(geometry, "mesh", filename=f"hull_{number}_{index}.stl")
     for root in (physics, look):
         for body in bodies:
             if body.joint is not None:
@@ -142,17 +186,6 @@ def _transformed(geometry: Geometry, pose: Array) -> Geometry:
     return replace(geometry, pose=pose @ geometry.pose)
 
 
-def _fixed_joint_pose(joint: Joint) -> Array:
-    """Pose (4, 4) of the child of a joint that is fixed at zero, or at the limit nearest to zero."""
-    if joint.kind not in ("revolute", "prismatic"):
-        return np.eye(4)
-    lower, upper = joint.limits
-    value = min(max(0.0, lower), upper)
-    if joint.kind == "revolute":
-        return np.asarray(trimesh.transformations.rotation_matrix(value, joint.axis))
-    return np.asarray(trimesh.transformations.translation_matrix(value * joint.axis))
-
-
 def _combined_inertial(parts: list[Inertial]) -> Inertial:
     if len(parts) == 1:
         return parts[0]
@@ -169,10 +202,7 @@ def _convex_shape(geometry: Geometry, link: str, meshes: UrdfMeshes, model: Urdf
     if geometry.kind == "mesh":
         assert geometry.mesh is not None
         try:
-            points = np.concatenate([part.vertices for part in meshes.parts(geometry.mesh)])
-            points = points * np.array(geometry.size)
-            hull = trimesh.Trimesh(points, process=False).convex_hull
-            corners = np.asarray(hull.vertices)
+            corners = meshes.hull_corners(geometry.mesh, geometry.size)
         except RobotError as error:
             raise RobotError(f"{model.path.name}: link {link!r}: {error}") from None
         except Exception:

@@ -4,14 +4,28 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from dune_rl.errors import RobotError, WorldError
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from dune_rl.errors import DuneWarning, RobotError, WorldError
 from dune_rl.worlds.importing.mesh.files import FORMATS, load_mesh_parts
 from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, printable
 
+Array = NDArray[np.float64]
+
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"
 _PACKAGE_FILE = "package.xml"
+
+
+class RobotWarning(DuneWarning):
+    """A fault of a robot's description that does not keep it from driving."""
+
+
+class MeshError(RobotError):
+    """A mesh that is missing or cannot be read."""
 
 
 class UrdfMeshes:
@@ -20,11 +34,14 @@ class UrdfMeshes:
     A plain name is relative to the file's folder, within the root of its package (the nearest parent folder
     with a package.xml). `package://NAME/...` is searched in parent folders of the file that are called NAME
     or have a subfolder NAME, and in those of ROS_PACKAGE_PATH. Nothing outside of that folder is read, even
-    through links.
+    through links. `report` collects what is worth a warning.
     """
 
     def __init__(self, urdf: Path) -> None:
         self._urdf = urdf
+        self.report = ImportReport(urdf.name)
+        self._parts: dict[str, list[MeshPart]] = {}
+        self._hulls: dict[tuple[str, tuple[float, ...]], Array] = {}
         self._beside = urdf.resolve().parent
 
     def find(self, name: str) -> Path:
@@ -33,7 +50,7 @@ class UrdfMeshes:
             package, _, rest = name.removeprefix(_PACKAGE).partition("/")
             folders = list(self._packages(package))
             if not folders:
-                raise RobotError(
+                raise MeshError(
                     f"{printable(name)}: there is no package {printable(package)!r} above "
                     f"{self._urdf.name} nor in {PACKAGE_VARIABLE}; put the folder {printable(package)} "
                     f"beside the file, or set {PACKAGE_VARIABLE}."
@@ -50,13 +67,27 @@ class UrdfMeshes:
             except WorldError as error:
                 raise RobotError(_robot_message(error)) from None
         where = ", ".join(str(folder.base) for folder in searched)
-        raise RobotError(f"the mesh {printable(name)} is not in {where}; copy it there, or mend the name.")
+        raise MeshError(f"the mesh {printable(name)} is not in {where}; copy it there, or mend the name.")
 
     def parts(self, name: str) -> list[MeshPart]:
         """The mesh with a name in the URDF as coloured parts [m], in the axes of the file."""
+        if name not in self._parts:
+            self._parts[name] = self._load(name)
+        return self._parts[name]
+
+    def hull_corners(self, name: str, scale: tuple[float, ...]) -> Array:
+        """Corners (P, 3) of the convex hull of a mesh, scaled; an exception of any kind if it is flat."""
+        key = name, scale
+        if key not in self._hulls:
+            points = np.concatenate([part.vertices for part in self.parts(name)]) * np.array(scale)
+            hull = trimesh.Trimesh(points, process=False).convex_hull
+            self._hulls[key] = np.asarray(hull.vertices)
+        return self._hulls[key]
+
+    def _load(self, name: str) -> list[MeshPart]:
         path = self.find(name)
         if path.suffix.lower() not in FORMATS:
-            raise RobotError(
+            raise MeshError(
                 f"the mesh {printable(name)} has the ending {path.suffix or '(none)'}; "
                 f"meshes are read from {', '.join(FORMATS)}."
             )
@@ -64,7 +95,7 @@ class UrdfMeshes:
             # A URDF ignores the up axis that a file declares.
             return load_mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
         except WorldError as error:
-            raise RobotError(_robot_message(error)) from None
+            raise MeshError(_robot_message(error)) from None
 
     def _root(self) -> Path:
         for folder in (self._beside, *self._beside.parents):

@@ -2,15 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, cast
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.transformations import euler_matrix
+from trimesh.transformations import euler_matrix, rotation_matrix, translation_matrix
 
 from dune_rl.errors import RobotError, WorldError
+from dune_rl.robots.urdf.hints import UrdfHints, read_hints
 from dune_rl.worlds.importing.untrusted_files import printable, read_bytes, read_xml
 
 Array = NDArray[np.float64]
@@ -83,10 +85,23 @@ class Joint:
     damping: float
     mimic: tuple[str, float] | None
 
+    def rest_pose(self) -> Array:
+        """Motion (4, 4) of the child with the joint at zero, or at the limit nearest to zero."""
+        if self.kind not in ("revolute", "prismatic"):
+            return np.eye(4)
+        lower, upper = self.limits
+        value = min(max(0.0, lower), upper)
+        if self.kind == "revolute":
+            return np.asarray(rotation_matrix(value, self.axis))
+        return np.asarray(translation_matrix(value * self.axis))
+
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel:
-    """Links and joints of a robot by name, the root first; `materials` are top-level <material> elements."""
+    """Links and joints of a robot by name; `root` is the base link's.
+
+    `materials` are top-level <material> elements, and `hints` what other elements say.
+    """
 
     path: Path
     name: str
@@ -94,6 +109,36 @@ class UrdfModel:
     links: dict[str, Link]
     joints: dict[str, Joint]
     materials: tuple[Element, ...] = field(default=())
+    hints: UrdfHints = field(default_factory=UrdfHints)
+
+    def joints_above(self, link: str) -> list[Joint]:
+        """The joints between the root and `link`, the root's first."""
+        found: list[Joint] = []
+        while link in self._by_child:
+            found.append(self._by_child[link])
+            link = found[-1].parent
+        return found[::-1]
+
+    @cached_property
+    def _by_child(self) -> dict[str, Joint]:
+        return {joint.child: joint for joint in self.joints.values()}
+
+    def pose_b(self, link: str) -> Array:
+        """Pose (4, 4) of `link` in the root's frame with all joints at rest: see `Joint.rest_pose`."""
+        return self._poses_b[link]
+
+    @cached_property
+    def _poses_b(self) -> dict[str, Array]:
+        children: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            children.setdefault(joint.parent, []).append(joint)
+        poses, parents = {self.root: np.eye(4)}, [self.root]
+        while parents:
+            parent = parents.pop()
+            for joint in children.get(parent, ()):
+                poses[joint.child] = poses[parent] @ joint.pose @ joint.rest_pose()
+                parents.append(joint.child)
+        return poses
 
     def child_joints(self, link: str) -> list[Joint]:
         """The joints whose parent is `link`, in the file's order."""
@@ -122,7 +167,10 @@ def read_urdf(path: str | Path) -> UrdfModel:
 
 
 def _xacro_message(file: Path) -> str:
-    return f"{file.name} is a xacro file; expand it first: xacro {file.name} > {file.stem.split('.')[0]}.urdf"
+    # Never the file itself: the shell empties it before xacro reads it.
+    stem = file.name.split(".")[0]
+    expanded = f"{stem}.urdf" if f"{stem}.urdf" != file.name else f"{stem}_expanded.urdf"
+    return f"{file.name} is a xacro file; expand it first: xacro {file.name} > {expanded}"
 
 
 class _FaultError(Exception):
@@ -152,7 +200,8 @@ class _Reader:
             joints[joint.name] = joint
         base = _base_of(links, list(joints.values()))
         materials = tuple(root.findall("material"))
-        return UrdfModel(self._path, root.get("name", "robot"), base, links, joints, materials)
+        name = root.get("name", "robot")
+        return UrdfModel(self._path, name, base, links, joints, materials, read_hints(root))
 
     def _link(self, element: Element) -> Link:
         name = _name(element)

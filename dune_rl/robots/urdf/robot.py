@@ -1,117 +1,34 @@
-"""Differential and skid-steer robots from a URDF."""
+"""Wheeled robots from a URDF: differential, skid-steer and Ackermann steering."""
 
 import shutil
 import tempfile
+import warnings
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from dune_rl.errors import RobotError
-from dune_rl.physics.interface import Coupling, PassiveJoint, RobotBody
-from dune_rl.robots.battery import BatteryConf
-from dune_rl.robots.heading import HeadingConf
-from dune_rl.robots.mounts import MountsConf, Triple
-from dune_rl.robots.settings import RobotSettings
-from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.robots.urdf.bodies import RigidBody, merge_links, write_urdfs
-from dune_rl.robots.urdf.meshes import UrdfMeshes
-from dune_rl.robots.urdf.model import Joint, UrdfModel, read_urdf
+from dune_rl.physics.interface import PassiveJoint, RobotBody
+from dune_rl.physics.motors import Motor
+from dune_rl.robots.ackermann import AckermannDrive
+from dune_rl.robots.mounts import MountsConf
+from dune_rl.robots.robot import WheelLayout
+from dune_rl.robots.urdf.bodies import RigidBody, write_urdfs
+from dune_rl.robots.urdf.conf import UrdfConf, UrdfMountsConf
+from dune_rl.robots.urdf.drive import DerivedDrive, derive_drive
+from dune_rl.robots.urdf.layout import RobotLayout, find_layout
+from dune_rl.robots.urdf.meshes import RobotWarning, UrdfMeshes
+from dune_rl.robots.urdf.model import read_urdf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
-from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 
-# Effective over real track of wheels that scrub sideways: rover_zero's, measured.
-_SCRUB_RATIO = 1.4
-_ROUND = ("sphere", "cylinder", "mesh")
-# Least absolute y component of a wheel's axis.
-_MIN_AXIS_Y = 0.97
-_GRAVITY_MPS2 = 9.81
-_DEFAULT_SPEED_MPS = 1.0
 _SCANNER_OVER_TOP_M = 0.05
 # Casters may be a little lower than the wheels.
 _MAX_DEPTH_M = 0.02
-
-
-class UrdfDriveConf(Settings):
-    """As `SkidSteerConf`; values that are None are derived from the URDF.
-
-    These are: the radius, from the wheels' shapes; the track, from their positions, wider for more than one
-    axle, whose wheels scrub; the top speed, from the joints' velocity limits, else 1 m/s; the torque, from
-    their effort limits, else enough to climb a wall.
-    """
-
-    wheel_radius_m: float | None = Field(None, gt=0.0)
-    effective_track_m: float | None = Field(None, gt=0.0)
-    yaw_rate_kp: float = Field(0.4, ge=0.0, le=1.0)
-    yaw_rate_ki_per_s: float = Field(8.0, ge=0.0, le=20.0)
-    max_speed_mps: float | None = Field(None, gt=0.0, le=10.0)
-    max_yaw_rate_radps: float = Field(1.5, gt=0.0, le=10.0)
-    max_acceleration_mps2: float = Field(2.5, gt=0.0)
-    max_yaw_acceleration_radps2: float = Field(3.0, gt=0.0)
-    max_torque_nm: float | None = Field(None, gt=0.0)
-    full_torque_speed_radps: float = Field(0.0, ge=0.0)
-    no_load_speed_radps: float | None = Field(None, gt=0.0)
-    gear_friction_nm: float = Field(0.0, ge=0.0)
-    rotor_inertia_kgm2: float = Field(0.0, ge=0.0)
-    max_wheel_speed_radps: float | None = Field(None, gt=0.0)
-
-
-class UrdfMountsConf(Settings):
-    """As `MountsConf`; values that are None are derived: above the centre, at the front, at the centre."""
-
-    scanner_b: Triple | None = None
-    camera_b: Triple | None = None
-    camera_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
-    imu_b: Triple | None = None
-
-
-class UrdfConf(RobotSettings):
-    """A URDF at `path`, and settings that it does not contain.
-
-    `left_wheels` and `right_wheels` are names of joints; None selects all continuous joints about the
-    robot's y whose link has a round collision shape. Continuous joints of no wheel, and `free_joints`, have
-    no motor: casters and suspensions, with the URDF's friction, damping, limits and `mimic`. All other
-    joints are fixed at zero. `hull_friction` applies to all links but the wheels, ball casters included.
-    """
-
-    name: Literal["urdf"] = "urdf"
-    path: str = Field(min_length=1)
-    left_wheels: tuple[str, ...] | None = None
-    right_wheels: tuple[str, ...] | None = None
-    free_joints: tuple[str, ...] = ()
-    heading: HeadingConf = HeadingConf()
-    drive: UrdfDriveConf = UrdfDriveConf()
-    wheel_friction: float = Field(1.0, gt=0.0, le=3.0)
-    sideways_friction_share: float = Field(1.0, gt=0.0, le=1.0)
-    hull_friction: float = Field(0.3, ge=0.0, le=3.0)
-    mounts: UrdfMountsConf = UrdfMountsConf()
-    battery: BatteryConf = BatteryConf(capacity_wh=100.0, idle_w=10.0, efficiency=0.7)
-
-    @property
-    def standing_height_m(self) -> float | None:
-        """None: unknown before the URDF is read."""
-        return None
-
-
-@dataclass(frozen=True, eq=False)
-class _Wheel:
-    joint: Joint
-    body: RigidBody
-    centre_b: Array
-    radius_m: float
-    # Whether a positive speed of the joint drives the robot backward.
-    backward: bool
-
-    @property
-    def on_left(self) -> bool:
-        return bool(self.centre_b[1] > 0.0)
 
 
 class UrdfRobot(WheeledRobot):
@@ -125,63 +42,95 @@ class UrdfRobot(WheeledRobot):
         self.conf = conf
         model = read_urdf(conf.path)
         meshes = UrdfMeshes(model.path)
-        named = _named_wheels(conf, model)
-        moving = [joint.name for joint in model.joints.values() if joint.kind == "continuous"]
-        _check_joints("free_joints", conf.free_joints, model)
-        bodies = merge_links(model, {*moving, *conf.free_joints}, meshes)
-        wheels = _find_wheels(bodies, conf, named, model)
-        driven = {wheel.joint.name for wheel in wheels}
-        self._bodies = _with_forward_axes(bodies, wheels)
-        self._model = model
-        self._measure(bodies, wheels)
-        self.mass_kg = sum(body.inertial.mass for body in bodies)
-        drive = self._derive_drive(conf.drive, wheels, self.mass_kg)
+        layout = find_layout(conf, model, meshes)
+        self._layout, self._model = layout, model
+        self._measure(layout)
+        self.mass_kg = sum(body.inertial.mass for body in layout.bodies)
+        derived = derive_drive(conf, layout, self.mass_kg, model)
+        self._derived = derived
         folder = Path(tempfile.mkdtemp(prefix="dune_rl_robot_"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        physics, look = write_urdfs(self._bodies, model, meshes, folder)
-        passive = [body.joint for body in bodies if body.joint is not None and body.joint.name not in driven]
+        physics, look = write_urdfs(layout.bodies, model, meshes, folder)
         super().__init__(
             heading=conf.heading,
-            drive=drive,
+            drive=derived.wheels,
             body=RobotBody(
                 urdf=physics,
                 look=look,
-                motors=tuple(wheel_motor(wheel.joint.name, drive) for wheel in wheels),
-                ground_links=tuple(wheel.body.name for wheel in wheels),
+                motors=_motors(layout, derived),
+                ground_links=tuple(wheel.body.name for wheel in layout.wheels),
                 ground_friction=conf.wheel_friction,
                 hull_friction=conf.hull_friction,
                 sideways_friction_share=conf.sideways_friction_share,
                 ground_links_meet_obstacles=True,
-                passive=tuple(PassiveJoint(joint.name, joint.friction, joint.damping) for joint in passive),
-                couplings=_couplings(passive),
+                passive=tuple(
+                    PassiveJoint(joint.name, joint.friction, joint.damping) for joint in layout.passive
+                ),
+                couplings=layout.couplings,
             ),
-            on_left=[wheel.on_left for wheel in wheels],
+            on_left=[wheel.on_left for wheel in layout.driven],
             mounts=self._derive_mounts(conf.mounts),
             battery=conf.battery,
             num_robots=num_robots,
         )
-        self.drive = drive
+        self.drive = derived.wheels
+        self.steering: AckermannDrive | None = None
+        if derived.ackermann is not None and derived.geometry is not None:
+            self.steering = AckermannDrive(derived.ackermann, conf.heading, derived.geometry, num_robots)
+        for text in meshes.report.texts:
+            warnings.warn(f"{model.path.name}: {text}", RobotWarning, stacklevel=2)
+
+    @property
+    def wheels(self) -> WheelLayout:
+        """Model of the wheels for odometry."""
+        plain = super().wheels
+        if self.steering is None:
+            return plain
+        return WheelLayout(
+            plain.radius_m, plain.track_m, plain.left, plain.right, steering=self.steering.geometry
+        )
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Reset the controllers of the robots in `mask` (N,)."""
+        super().reset(mask)
+        if self.steering is not None:
+            self.steering.reset(mask)
+
+    def wheel_commands(self, action: Array, measured_yaw_rate: Array, step_s: float) -> Array:
+        """Target speeds of the driven wheels [rad/s], then angles of the steering joints [rad], (N, J).
+
+        See `WheeledRobot.wheel_commands`. Ackermann steering does without the yaw rate.
+        """
+        if self.steering is None:
+            return super().wheel_commands(action, measured_yaw_rate, step_s)
+        return self.steering.commands(action[:, 0], action[:, 1], step_s)
 
     def summary(self) -> str:
-        """Derived values, one per line, for people."""
-        drive, wheels = self.drive, self.body.drive_joints
-        left = [wheel for wheel, side in zip(wheels, self._on_left, strict=True) if side]
-        right = [wheel for wheel in wheels if wheel not in left]
+        """What was derived and assumed, one statement per line, for people."""
+        drive, layout = self.drive, self._layout
+        left, right = (
+            ", ".join(wheel.joint.name for wheel in layout.driven if wheel.on_left == side)
+            for side in (True, False)
+        )
+        rolling = ", ".join(wheel.joint.name for wheel in layout.rolling)
         lines = [
-            f"{self._model.name}: {self.mass_kg:.2f} kg in {len(self._bodies)} moving parts",
-            f"left wheels: {', '.join(left)}",
-            f"right wheels: {', '.join(right)}",
+            f"{self._model.name}: {self.mass_kg:.2f} kg in {len(layout.bodies)} moving parts",
+            f"drive: {layout.reasons[0]}",
+            *layout.reasons[1:],
+            f"left wheels: {left}",
+            f"right wheels: {right}",
+            *([f"wheels without motor: {rolling}"] if rolling else []),
             f"joints without motor: {', '.join(joint.joint for joint in self.body.passive) or '-'}",
             f"size: {self.length_m:.3f} x {self.width_m:.3f} x {self.height_m:.3f} m, origin "
             f"{self.standing_height_m:.3f} m over the ground",
-            f"wheel radius: {drive.wheel_radius_m:.4f} m; track for turns: {drive.effective_track_m:.3f} m",
-            f"top speed: {drive.max_speed_mps:.2f} m/s; torque of a wheel: {drive.max_torque_nm:.2f} Nm",
+            *self._derived.describe(drive, self.steering),
             f"scanner at {self.mounts.scanner_b}, camera at {self.mounts.camera_b}, "
             f"inertial unit at {self.mounts.imu_b}",
         ]
         return "\n".join(lines)
 
-    def _measure(self, bodies: Sequence[RigidBody], wheels: Sequence[_Wheel]) -> None:
+    def _measure(self, layout: RobotLayout) -> None:
+        bodies, wheels = layout.bodies, layout.wheels
         points = np.concatenate([body.points_b() for body in bodies])
         low, high = points.min(axis=0), points.max(axis=0)
         reach = np.maximum(np.abs(low), np.abs(high))
@@ -190,39 +139,19 @@ class UrdfRobot(WheeledRobot):
         self._top_m, self._front_m = round(float(high[2]), 4), round(float(high[0]), 4)
         self.wheel_positions_b = np.array([wheel.centre_b for wheel in wheels])
         self.contact_radius_m = wheels[0].radius_m
-        self.contact_width_m = float(np.ptp(wheels[0].body.points_b()[:, 1]))
-        self.standing_height_m = float(self.contact_radius_m - self.wheel_positions_b[:, 2].min())
-        hull = np.concatenate(
-            [np.zeros((0, 3)), *(body.points_b() for body in bodies if body not in [w.body for w in wheels])]
-        )
-        deeper = -self.standing_height_m - float(hull[:, 2].min(initial=np.inf))
+        self.contact_width_m = wheels[0].width_m
+        bottom = min(float(wheel.centre_b[2]) - wheel.radius_m for wheel in wheels)
+        rolling = [wheel.body for wheel in wheels]
+        hull = _lowest_point([body for body in bodies if body not in rolling])
+        # A body that starts in the ground is thrown out of it, or a small one through it.
+        self.standing_height_m = -min(bottom, hull)
+        deeper = bottom - hull
         if deeper > _MAX_DEPTH_M:
             raise RobotError(
                 f"{self._model.path.name}: its hull reaches {deeper:.3f} m "
                 "below its wheels, which would hang in the air; mend a <collision>, or name the wheels in "
                 "robot.left_wheels and robot.right_wheels."
             )
-
-    def _derive_drive(self, conf: UrdfDriveConf, wheels: Sequence[_Wheel], mass: float) -> SkidSteerConf:
-        radius = conf.wheel_radius_m or self.contact_radius_m
-        across = self.wheel_positions_b[:, 1]
-        track = float(across[across > 0].mean() - across[across <= 0].mean())
-        scrubs = np.ptp(self.wheel_positions_b[:, 0]) > radius / 2
-        speeds = [wheel.joint.velocity for wheel in wheels if wheel.joint.velocity is not None]
-        efforts = [wheel.joint.effort for wheel in wheels if wheel.joint.effort is not None]
-        # Some URDFs write a limit of thousands for none.
-        top = min(10.0, min(speeds) * radius) if speeds else _DEFAULT_SPEED_MPS
-        climbing = mass * _GRAVITY_MPS2 * radius / len(wheels)
-        values = conf.model_dump()
-        return SkidSteerConf(
-            **values
-            | {
-                "wheel_radius_m": radius,
-                "effective_track_m": conf.effective_track_m or track * (_SCRUB_RATIO if scrubs else 1.0),
-                "max_speed_mps": conf.max_speed_mps or top,
-                "max_torque_nm": conf.max_torque_nm or (min(efforts) if efforts else climbing),
-            }
-        )
 
     def _derive_mounts(self, conf: UrdfMountsConf) -> MountsConf:
         middle = round(self._top_m - self.height_m / 2, 4)
@@ -234,122 +163,20 @@ class UrdfRobot(WheeledRobot):
         )
 
 
-def _named_wheels(conf: UrdfConf, model: UrdfModel) -> list[str]:
-    """Joints of wheels in the settings; none if they are to be detected."""
-    if conf.left_wheels is None and conf.right_wheels is None:
-        return []
-    if not conf.left_wheels or not conf.right_wheels:
-        raise RobotError(
-            "robot.left_wheels and robot.right_wheels must both name joints, or both be null; "
-            f"{model.path.name} has {_listed(model)}"
-        )
-    _check_joints("left_wheels", conf.left_wheels, model)
-    _check_joints("right_wheels", conf.right_wheels, model)
-    both = sorted(set(conf.left_wheels) & set(conf.right_wheels))
-    if both:
-        raise RobotError(f"robot.left_wheels and robot.right_wheels both name {', '.join(both)}; choose one.")
-    return [*conf.left_wheels, *conf.right_wheels]
+def _lowest_point(bodies: Sequence[RigidBody]) -> float:
+    """Height [m] of the lowest point in the base's frame; infinite without shapes."""
+    points = np.concatenate([np.zeros((0, 3)), *(body.points_b() for body in bodies)])
+    return float(points[:, 2].min(initial=np.inf))
 
 
-def _check_joints(setting: str, names: Sequence[str], model: UrdfModel) -> None:
-    for name in names:
-        if name not in model.joints:
-            raise RobotError(
-                f"robot.{setting}: {model.path.name} has no joint {name}; it has {_listed(model)}"
-            )
-        kind = model.joints[name].kind
-        if kind == "fixed" or (setting != "free_joints" and kind != "continuous"):
-            wanted = "one that moves" if setting == "free_joints" else "continuous ones"
-            raise RobotError(f"robot.{setting}: joint {name} of {model.path.name} is {kind}; name {wanted}.")
-
-
-def _listed(model: UrdfModel) -> str:
-    moving = [f"{joint.name} ({joint.kind})" for joint in model.joints.values() if joint.kind != "fixed"]
-    return ", ".join(moving) or "no joints that move"
-
-
-def _find_wheels(
-    bodies: Sequence[RigidBody], conf: UrdfConf, named: Sequence[str], model: UrdfModel
-) -> list[_Wheel]:
-    file = model.path.name
-    found: list[_Wheel] = []
-    for body in bodies:
-        joint = body.joint
-        if joint is None or joint.kind != "continuous" or joint.name in conf.free_joints:
-            continue
-        if named and joint.name not in named:
-            continue
-        axis = body.pose_b[:3, :3] @ joint.axis
-        across = abs(float(axis[1])) > _MIN_AXIS_Y
-        rounds = [shape for shape in body.shapes if shape.geometry.kind in _ROUND]
-        if named and not across:
-            raise RobotError(
-                f"{file}: joint {joint.name} turns about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}), and "
-                "wheels turn about the robot's y (x is forward, z up); turn the root link's frame."
-            )
-        if named and not rounds:
-            raise RobotError(
-                f"{file}: link {body.name!r} of wheel {joint.name} has no round <collision>; give it a "
-                "cylinder or a sphere."
-            )
-        if not across or not rounds:
-            continue
-        points = body.points_b()
-        centre = (points.min(axis=0) + points.max(axis=0)) / 2
-        radius = float(np.hypot(*(points - centre)[:, [0, 2]].T).max())
-        found.append(_Wheel(joint, body, centre, radius, bool(axis[1] < 0.0)))
-    if not named:
-        # A round link above the ground, such as a spinning scanner, is no wheel.
-        bottom = min((wheel.centre_b[2] - wheel.radius_m for wheel in found), default=0.0)
-        found = [wheel for wheel in found if wheel.centre_b[2] - wheel.radius_m < bottom + 0.02]
-    sides = {wheel.on_left for wheel in found}
-    if len(sides) < 2:
-        raise RobotError(
-            f"{file}: no wheels are found on both sides; name them in robot.left_wheels and "
-            f"robot.right_wheels: continuous joints about y with a round <collision>. It has {_listed(model)}"
-        )
-    for setting, names, left in (("left", conf.left_wheels, True), ("right", conf.right_wheels, False)):
-        for wheel in found:
-            if names is not None and wheel.joint.name in names and wheel.on_left != left:
-                raise RobotError(
-                    f"robot.{setting}_wheels: joint {wheel.joint.name} of {file} is at y = "
-                    f"{wheel.centre_b[1]:.3f} m, and left is where y is above 0; change sides."
-                )
-    radii = [wheel.radius_m for wheel in found]
-    if max(radii) > 1.1 * min(radii) and conf.drive.wheel_radius_m is None:
-        raise RobotError(
-            f"{file}: its wheels have radii from {min(radii):.3f} to {max(radii):.3f} m; name those that "
-            "drive in robot.left_wheels and robot.right_wheels."
-        )
-    if named:
-        order = {name: index for index, name in enumerate(named)}
-        found.sort(key=lambda wheel: order[wheel.joint.name])
-    return found
-
-
-def _with_forward_axes(bodies: Sequence[RigidBody], wheels: Sequence[_Wheel]) -> list[RigidBody]:
-    """The bodies, with the axes of wheels oriented so that positive speeds drive the robot forward."""
-    reversed_bodies = {id(wheel.body) for wheel in wheels if wheel.backward}
-    oriented = []
-    for body in bodies:
-        joint = body.joint
-        if id(body) in reversed_bodies and joint is not None:
-            body = RigidBody(
-                body.name,
-                Joint(**{**vars(joint), "axis": -joint.axis}),
-                body.pose_b,
-                body.inertial,
-                body.shapes,
-                body.visuals,
-            )
-        oriented.append(body)
-    return oriented
-
-
-def _couplings(passive: Sequence[Joint]) -> tuple[Coupling, ...]:
-    names = {joint.name for joint in passive}
-    return tuple(
-        Coupling(joint.mimic[0], joint.name, joint.mimic[1])
-        for joint in passive
-        if joint.mimic is not None and joint.mimic[0] in names and joint.mimic[0] != joint.name
-    )
+def _motors(layout: RobotLayout, derived: DerivedDrive) -> tuple[Motor, ...]:
+    """Motors of the driven wheels, then of the steering joints."""
+    wheels = [wheel_motor(wheel.joint.name, derived.wheels) for wheel in layout.driven]
+    if derived.ackermann is None:
+        return tuple(wheels)
+    rate = derived.ackermann.max_steering_rate_radps
+    steering = [
+        Motor(name, derived.steering_torque_nm, mode="position", max_speed_radps=rate)
+        for name in layout.pivots.joints
+    ]
+    return (*wheels, *steering)

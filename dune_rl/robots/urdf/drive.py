@@ -1,0 +1,147 @@
+"""Drive of a robot from a URDF: limits and torques from its joints, its mass and its geometry."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dune_rl.robots.ackermann import AckermannConf, AckermannDrive
+from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.steering_geometry import SteeringGeometry
+from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
+from dune_rl.robots.urdf.layout import RobotLayout
+from dune_rl.robots.urdf.model import Joint, UrdfModel
+from dune_rl.robots.urdf.steering import steering_geometry, steering_rate
+from dune_rl.robots.urdf.torque import NO_LIMIT_RATIO, climbing_torque, steering_torque, turning_torque
+
+# Effective over real track of wheels that scrub sideways: rover_zero's, measured.
+_SCRUB_RATIO = 1.4
+_DEFAULT_SPEED_MPS, _MAX_SPEED_MPS = 1.0, 10.0
+_ARC_SPEED_SHARE = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class DerivedDrive:
+    """Settings of the wheels' drive and, with steering, those of steering and its geometry.
+
+    `assumptions` say where values come from, for people.
+    """
+
+    wheels: SkidSteerConf
+    ackermann: AckermannConf | None
+    geometry: SteeringGeometry | None
+    steering_torque_nm: float
+    assumptions: tuple[str, ...]
+
+    def describe(self, drive: SkidSteerConf, steering: AckermannDrive | None) -> list[str]:
+        """Lines of a robot's summary."""
+        lines = [f"wheel radius: {drive.wheel_radius_m:.4f} m; top speed: {drive.max_speed_mps:.2f} m/s"]
+        if steering is None:
+            lines.append(f"track for turns: {drive.effective_track_m:.3f} m")
+        else:
+            geometry = steering.geometry
+            lowest, highest = np.rad2deg([geometry.pivots.limits.min(), geometry.pivots.limits.max()])
+            wheelbase = float(np.ptp([*geometry.pivots.positions_b[:, 0], geometry.turning_x_m]))
+            lines += [
+                f"wheelbase: {wheelbase:.3f} m; steering: {lowest:.0f} to {highest:.0f} degrees",
+                f"smallest circle: radius {steering.turning_radius_m:.2f} m about x = "
+                f"{geometry.turning_x_m:.3f} m; it cannot turn on the spot",
+            ]
+        return [*lines, *self.assumptions]
+
+
+def derive_drive(conf: UrdfConf, layout: RobotLayout, mass_kg: float, model: UrdfModel) -> DerivedDrive:
+    """The drive of `layout`; values that `conf` leaves open are derived."""
+    own, driven = conf.drive, layout.driven
+    radius = own.wheel_radius_m or driven[0].radius_m
+    centres = np.array([wheel.centre_b for wheel in driven])
+    across = centres[:, 1]
+    sides = [side for side in (across[across > 0], across[across <= 0]) if len(side)]
+    track = float(np.ptp([side.mean() for side in sides])) or radius
+    scrubs = np.ptp(centres[:, 0]) > radius / 2
+    speeds = [wheel.joint.velocity for wheel in driven if wheel.joint.velocity is not None]
+    # Some URDFs write a limit of thousands for none.
+    top = min(_MAX_SPEED_MPS, min(speeds) * radius) if speeds else _DEFAULT_SPEED_MPS
+    torque, text = _wheel_torque(conf, layout, mass_kg, radius)
+    names = SkidSteerConf.model_fields
+    wheels = SkidSteerConf(
+        **{name: value for name, value in own.model_dump().items() if name in names}
+        | {
+            "wheel_radius_m": radius,
+            "effective_track_m": own.effective_track_m or track * (_SCRUB_RATIO if scrubs else 1.0),
+            "max_speed_mps": own.max_speed_mps or top,
+            "max_torque_nm": torque,
+        }
+    )
+    if layout.kind == "skid_steer":
+        return DerivedDrive(wheels, None, None, 0.0, (text,))
+    joints = [model.joints[name] for name in layout.pivots.joints]
+    ackermann = _ackermann_conf(own, joints, wheels.max_speed_mps)
+    geometry = steering_geometry(driven, layout.wheels, layout.pivots, own, radius, model)
+    turning, steering_text = _steering_torque(conf, layout, joints, mass_kg, model)
+    return DerivedDrive(wheels, ackermann, geometry, turning, (text, steering_text))
+
+
+def _wheel_torque(conf: UrdfConf, layout: RobotLayout, mass_kg: float, radius_m: float) -> tuple[float, str]:
+    """Torque of each driven wheel [N m], and where it comes from."""
+    driven = np.array([wheel.centre_b for wheel in layout.driven])
+    every = np.array([wheel.centre_b for wheel in layout.wheels])
+    friction = conf.wheel_friction
+    climb = climbing_torque(mass_kg, friction, radius_m, len(driven))
+    turn = 0.0
+    if layout.kind == "skid_steer":
+        sideways = friction * conf.sideways_friction_share
+        turn = turning_torque(mass_kg, sideways, radius_m, driven, every)
+    needed = max(climb, turn)
+    if conf.drive.max_torque_nm is not None:
+        return conf.drive.max_torque_nm, f"torque of a wheel: {conf.drive.max_torque_nm:.2f} Nm, as set"
+    efforts = [wheel.joint.effort for wheel in layout.driven if wheel.joint.effort is not None]
+    limits = [effort for effort in efforts if effort < NO_LIMIT_RATIO * needed]
+    if limits:
+        text = f"torque of a wheel: {min(limits):.2f} Nm, the URDF's effort limit"
+        if min(limits) < turn / 2:
+            text += (
+                f"; too little to turn on the spot at friction {friction:g}, which takes {turn / 2:.2f} Nm: "
+                "see robot.drive.max_torque_nm"
+            )
+        return min(limits), text
+    why = "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
+    use = "turn on the spot" if turn > climb else "hold the tyres' grip on a slope"
+    return needed, (
+        f"torque of a wheel: {needed:.2f} Nm, assumed ({why}): enough to {use} with {mass_kg:.1f} kg at "
+        f"friction {friction:g}"
+    )
+
+
+def _ackermann_conf(own: UrdfDriveConf, joints: Sequence[Joint], top_mps: float) -> AckermannConf:
+    return AckermannConf(
+        max_speed_mps=top_mps,
+        max_yaw_rate_radps=own.max_yaw_rate_radps,
+        max_acceleration_mps2=own.max_acceleration_mps2,
+        max_lateral_acceleration_mps2=own.max_lateral_acceleration_mps2,
+        max_steering_rate_radps=steering_rate(own, joints),
+        arc_speed_mps=own.arc_speed_mps or _ARC_SPEED_SHARE * top_mps,
+    )
+
+
+def _steering_torque(
+    conf: UrdfConf, layout: RobotLayout, joints: Sequence[Joint], mass_kg: float, model: UrdfModel
+) -> tuple[float, str]:
+    """Torque of each steering joint [N m], and where it comes from."""
+    levers = []
+    for wheel in layout.wheels:
+        name = layout.pivots.steering.get(wheel.joint.name)
+        if name is not None:
+            pivot = model.pose_b(model.joints[name].child)[:2, 3]
+            along, aside = np.abs(wheel.centre_b[:2] - pivot)
+            levers.append(float(np.hypot(along, aside + wheel.width_m / 2)))
+    needed = steering_torque(mass_kg, conf.wheel_friction, levers, len(layout.wheels))
+    if conf.drive.max_steering_torque_nm is not None:
+        own = conf.drive.max_steering_torque_nm
+        return own, f"torque of steering: {own:.2f} Nm, as set"
+    efforts = [joint.effort for joint in joints if joint.effort is not None]
+    limits = [effort for effort in efforts if effort < NO_LIMIT_RATIO * needed]
+    if limits:
+        return min(limits), f"torque of steering: {min(limits):.2f} Nm, the URDF's effort limit"
+    why = "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
+    return needed, f"torque of steering: {needed:.2f} Nm, assumed ({why}): enough to turn a standing wheel"

@@ -1,0 +1,174 @@
+"""Steering joints of a URDF: joints about the vertical with a wheel below, told from those of casters."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import RobotError
+from dune_rl.robots.steering_geometry import SteeredPivots, SteeringGeometry
+from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
+from dune_rl.robots.urdf.model import Joint, UrdfModel
+from dune_rl.robots.urdf.wheels import Wheel, check_joint_names, list_moving_joints
+
+Array = NDArray[np.float64]
+
+# Least absolute vertical component of a pivot's axis: kingpins are inclined by up to some 20 degrees.
+_MIN_VERTICAL = 0.85
+# A revolute joint of a smaller range does not steer.
+_MIN_RANGE_RAD = 0.1
+_MAX_ANGLE_RAD = float(np.deg2rad(60.0))
+_DEFAULT_ANGLE_RAD = float(np.deg2rad(30.0))
+_DEFAULT_RATE_RADPS = 2.0
+# Distance of a wheel behind its pivot, over its radius, from which on it trails like a caster's.
+_TRAIL = 0.4
+_STEERING_NAME = re.compile(r"steer|stear|knuckle|kingpin|hinge|corner|swivel_motor", re.IGNORECASE)
+_CASTER_NAME = re.compile(r"cast[eo]r|swivel", re.IGNORECASE)
+_STEERING_PLUGIN = re.compile(r"ackermann|steering|car_?demo|prius", re.IGNORECASE)
+_SKID_PLUGIN = re.compile(r"diff_?drive|skid_?steer", re.IGNORECASE)
+_LEAST_SCORE = 2
+
+
+@dataclass(frozen=True)
+class Pivots:
+    """Joints about the vertical that have wheels below: those that steer, and those of casters, by wheel.
+
+    `steering` and `casters` map the joint of a wheel to that of its pivot.
+    """
+
+    steering: dict[str, str]
+    casters: dict[str, str]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The steering joints, without repetitions."""
+        return tuple(dict.fromkeys(self.steering.values()))
+
+
+def find_pivots(wheels: Sequence[Wheel], conf: UrdfConf, model: UrdfModel) -> Pivots:
+    """The pivots above `wheels`, from the settings or by their looks.
+
+    Raises `RobotError` for settings that do not fit.
+    """
+    above = {wheel.joint.name: _pivots_above(wheel, model) for wheel in wheels}
+    above_names = {wheel: {joint.name for joint in joints} for wheel, joints in above.items()}
+    steering: dict[str, str] = {}
+    casters: dict[str, str] = {}
+    if conf.steering_joints is not None:
+        check_joint_names("steering_joints", conf.steering_joints, model)
+    for wheel in wheels:
+        for joint in above[wheel.joint.name]:
+            below = [name for name, names in above_names.items() if joint.name in names]
+            if conf.steering_joints is not None:
+                if joint.name in conf.steering_joints:
+                    steering[wheel.joint.name] = joint.name
+            elif len(below) < len(wheels) and _steering_score(joint, wheel, model) >= _LEAST_SCORE:
+                steering[wheel.joint.name] = joint.name
+            if wheel.joint.name not in steering and joint.kind == "continuous":
+                casters[wheel.joint.name] = joint.name
+    for name in conf.steering_joints or ():
+        if name not in steering.values():
+            raise RobotError(
+                f"robot.steering_joints: joint {name} of {model.path.name} has no wheel below it, or is not "
+                f"about the vertical (z up); it has {list_moving_joints(model)}"
+            )
+    return Pivots(steering, {wheel: joint for wheel, joint in casters.items() if wheel not in steering})
+
+
+def _pivots_above(wheel: Wheel, model: UrdfModel) -> list[Joint]:
+    """Joints about the vertical between the root and a wheel, the root's first."""
+    return [
+        joint
+        for joint in model.joints_above(model.joints[wheel.joint.name].parent)
+        if joint.kind in ("revolute", "continuous") and abs(float(_axis_b(joint, model)[2])) > _MIN_VERTICAL
+    ]
+
+
+def _steering_score(joint: Joint, wheel: Wheel, model: UrdfModel) -> int:
+    """How many signs more say that a joint steers a wheel than that it is a caster's or none."""
+    low, high = joint.limits
+    limited = joint.kind == "revolute"
+    if limited and (high - low < _MIN_RANGE_RAD or not low < 0.0 < high):
+        return 0
+    trail = abs(float(wheel.centre_b[0] - model.pose_b(joint.child)[0, 3]))
+    trails = trail > _TRAIL * wheel.radius_m
+    names = f"{joint.name} {joint.child}"
+    hints, plugins = model.hints, " ".join(model.hints.plugins)
+    return (
+        (2 if limited else 0)
+        + (2 if joint.name in hints.commanded else 0)
+        + (1 if _STEERING_NAME.search(names) else 0)
+        + (2 if _STEERING_PLUGIN.search(plugins) else 0)
+        + (-2 if trails else 1)
+        - (3 if _CASTER_NAME.search(names) and joint.name not in hints.commanded else 0)
+        - (2 if _SKID_PLUGIN.search(plugins) and joint.name not in hints.commanded else 0)
+    )
+
+
+def _axis_b(joint: Joint, model: UrdfModel) -> Array:
+    axis: Array = model.pose_b(joint.child)[:3, :3] @ joint.axis
+    return axis
+
+
+def steering_geometry(
+    driven: Sequence[Wheel],
+    wheels: Sequence[Wheel],
+    pivots: Pivots,
+    conf: UrdfDriveConf,
+    radius_m: float,
+    model: UrdfModel,
+) -> SteeringGeometry:
+    """Geometry of `wheels`, of which `driven` have motors, with `pivots`."""
+    joints = [model.joints[name] for name in pivots.joints]
+    limits = [_limits(joint, conf, model) for joint in joints]
+    straight = [wheel for wheel in wheels if wheel.joint.name not in pivots.steering]
+    if straight:
+        turning_x = float(np.mean([wheel.centre_b[0] for wheel in straight]))
+    else:
+        across = [wheel.centre_b[0] for wheel in wheels]
+        turning_x = float(min(across) + max(across)) / 2
+    places = {name: model.pose_b(model.joints[name].child)[:2, 3] for name in pivots.joints}
+    own = [pivots.steering.get(wheel.joint.name) for wheel in driven]
+    return SteeringGeometry(
+        turning_x_m=turning_x,
+        pivots=SteeredPivots(
+            positions_b=np.array(list(places.values())),
+            signs=np.array([np.sign(_axis_b(joint, model)[2]) for joint in joints]),
+            limits=np.array(limits),
+        ),
+        wheel_pivots_b=np.array(
+            [
+                wheel.centre_b[:2] if name is None else places[name]
+                for wheel, name in zip(driven, own, strict=True)
+            ]
+        ),
+        wheel_offsets_m=np.array(
+            [
+                0.0 if name is None else wheel.centre_b[1] - places[name][1]
+                for wheel, name in zip(driven, own, strict=True)
+            ]
+        ),
+        steered=np.array([name is not None for name in own]),
+        wheel_radius_m=radius_m,
+    )
+
+
+def _limits(joint: Joint, conf: UrdfDriveConf, model: UrdfModel) -> tuple[float, float]:
+    """Lowest and highest steering angle [rad], positive to the left."""
+    low, high = joint.limits if joint.kind == "revolute" else (-_DEFAULT_ANGLE_RAD, _DEFAULT_ANGLE_RAD)
+    if _axis_b(joint, model)[2] < 0.0:
+        low, high = -high, -low
+    most = _MAX_ANGLE_RAD if conf.max_steering_deg is None else float(np.deg2rad(conf.max_steering_deg))
+    if joint.kind == "continuous" and conf.max_steering_deg is not None:
+        low, high = -most, most
+    return max(low, -most), min(high, most)
+
+
+def steering_rate(conf: UrdfDriveConf, joints: Sequence[Joint]) -> float:
+    """Rate of steering [rad/s], from the settings or the joints' velocity limits."""
+    if conf.max_steering_rate_radps is not None:
+        return conf.max_steering_rate_radps
+    limits = [joint.velocity for joint in joints if joint.velocity is not None]
+    return min([*limits, 2 * _DEFAULT_RATE_RADPS]) if limits else _DEFAULT_RATE_RADPS
