@@ -153,6 +153,7 @@ def make(
     num_scenes: int = 16,
     seed: int = 0,
     *,
+    flatten: bool = False,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
@@ -162,7 +163,7 @@ def make(
     from dune_rl.config.compose import compose_environment
 
     conf = compose_environment(world, overrides, settings, config_dirs=config_dirs)
-    return make_torchrl_env(conf, num_scenes, seed)
+    return make_torchrl_env(conf, num_scenes, seed, flatten)
 
 
 def sensor_bounds(

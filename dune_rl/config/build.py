@@ -20,7 +20,8 @@ from dune_rl.env.arguments import check_whole
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
-from dune_rl.env.pettingzoo import ParallelDuneEnv, RenderMode
+from dune_rl.env.pettingzoo import ParallelDuneEnv
+from dune_rl.env.render_mode import RenderMode
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
@@ -117,12 +118,12 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = Fa
     shared_store().prepare(confs, with_appearance=with_appearance)
 
 
-def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int) -> DuneEnv:
+def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int, flatten: bool = False) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
     from dune_rl.env.torchrl import DuneEnv
 
-    env = DuneEnv(make_simulation(conf, num_scenes, seed))
-    env.remake = partial(make_torchrl_env, conf, num_scenes, seed)
+    env = DuneEnv(make_simulation(conf, num_scenes, seed), flatten=flatten)
+    env.remake = partial(make_torchrl_env, conf, num_scenes, seed, flatten)
     return env
 
 

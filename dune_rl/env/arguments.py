@@ -30,16 +30,24 @@ def random_seed() -> int:
     return int(np.random.SeedSequence().generate_state(1)[0])
 
 
+def action_numbers(values: Any) -> NDArray[np.float32]:
+    """`values` in the precision of actions, float32; empty if they are not numbers.
+
+    Restored episodes repeat actions in this precision.
+    """
+    try:
+        return np.asarray(values, np.float32)
+    except (TypeError, ValueError):
+        return np.zeros(0, np.float32)
+
+
 def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[np.float32]:
     """The action of an agent, (size,); raises ValueError where it is none."""
     if not isinstance(actions, Mapping):
         raise ValueError(f"step needs a mapping from agents to actions (got {type(actions).__name__})")
     if agent not in actions:
         raise ValueError(f"step needs an action for every agent; missing: {agent}")
-    try:
-        action = np.asarray(actions[agent], np.float32)
-    except (TypeError, ValueError):
-        action = np.zeros(0, np.float32)
+    action = action_numbers(actions[agent])
     if action.size != size or np.isnan(action).any():
         raise ValueError(
             f"the action of {agent} must be {size} numbers, none of them NaN (got {actions[agent]!r})"

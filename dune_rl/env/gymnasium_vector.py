@@ -9,12 +9,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dune_rl.env.arguments import check_whole, combined_seed
+from dune_rl.env.arguments import action_numbers, check_whole, combined_seed
 from dune_rl.env.copying import CopiedByReplay, gymnasium_state
 from dune_rl.env.episode_infos import EpisodeInfos
 from dune_rl.env.observation_layout import ObservationLayout, box
-from dune_rl.env.pettingzoo import RenderMode, check_render_mode
 from dune_rl.env.pictures import Pictures
+from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
 
@@ -127,18 +127,14 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
                 f"the episodes of the scenes {scenes} have ended: call reset(options={{'reset_mask': ...}})"
             )
         group = self._group
-        shape = (self.num_envs, 1, group.action_size)
-        # What is restored is repeated in this precision.
-        try:
-            values = np.asarray(actions, np.float32)
-        except (TypeError, ValueError):
-            values = np.zeros(0, np.float32)
-        if values.shape != (self.num_envs, group.action_size):
-            raise ValueError(f"actions must have the shape {shape[::2]} (got {values.shape})")
+        shape = (self.num_envs, group.action_size)
+        values = action_numbers(actions)
+        if values.shape != shape:
+            raise ValueError(f"actions must have the shape {shape} (got {values.shape})")
         if begins.any():
             # Whatever the action of an ended episode is, it has no effect.
             values = np.where(begins[:, None], 0.0, values)
-        result = self.simulation.step({group.name: values.reshape(shape)})
+        result = self.simulation.step({group.name: values[:, None]})
         reward = np.where(begins, 0.0, result.groups[group.name].reward.astype(np.float64))
         terminated, truncated = result.terminated & ~begins, result.truncated & ~begins
         ended = terminated | truncated

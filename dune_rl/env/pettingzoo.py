@@ -1,8 +1,7 @@
 """The PettingZoo parallel environment of one scene's external agents."""
 
-from collections.abc import Sequence
 from copy import copy
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -17,21 +16,13 @@ from dune_rl.env.episode_request import parse_options
 from dune_rl.env.observation_layout import Observation, ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.registration import RENDER_MODES
+from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.env.window import Window
 from dune_rl.errors import ConfigError
 
-RenderMode = Literal["human", "rgb_array"] | None
-
-
 # Numbers of each agent in the state.
 _STATE_SIZE = 14
-
-
-def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
-    """Raise ConfigError unless `mode` is None or one of `modes`."""
-    if mode is not None and mode not in modes:
-        raise ConfigError(f"render_mode must be {', '.join(map(repr, modes))} or None (got {mode!r})")
 
 
 class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]

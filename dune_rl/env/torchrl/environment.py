@@ -7,13 +7,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from dune_rl.env.agent_group import AgentGroup, GroupStep
 from dune_rl.env.copying import CopiedByReplay
-from dune_rl.env.pettingzoo import check_render_mode
+from dune_rl.env.observation_layout import ObservationLayout
 from dune_rl.env.pictures import Pictures
+from dune_rl.env.render_mode import check_render_mode
 from dune_rl.env.restore import RestoreError
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, DuneWarning
@@ -31,12 +32,13 @@ class DuneEnv(CopiedByReplay, EnvBase):
     `action`) (M, G, A), (`group`, `reward`) (M, G, 1), and `done`, `terminated` and `truncated` (M, G, 1);
     `group_map` lists the agents. The end flags of a group are those of each agent: they are set from the step
     in which it is done until its scene's episode ends. The end flags at the root, (M, 1), are those of the
-    scenes, which are reset one by one. Raises ConfigError if no group is external.
+    scenes, which are reset one by one. With `flatten`, (`group`, `observation`) is one vector, (M, G, D).
+    Raises ConfigError if no group is external.
     """
 
     batch_locked = True
 
-    def __init__(self, simulation: VectorSimulation) -> None:
+    def __init__(self, simulation: VectorSimulation, *, flatten: bool = False) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([simulation.num_scenes]))
         if not simulation.external:
             raise ConfigError("there is no external agent: give a group controller=external")
@@ -44,6 +46,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
         self._resume_from: dict[str, Any] | None = None
         self._pictures: Pictures | None = None
         self._groups = simulation.external
+        self._flat = {group.name: ObservationLayout(group, True) for group in self._groups} if flatten else {}
         self.group_map = {group.name: list(group.names) for group in self._groups}
         self._make_specs()
         # The base class takes an environment that wraps no other library's for closed.
@@ -54,9 +57,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
         observation, action, reward, ends = {}, {}, {}, {}
         for group in self._groups:
             shape = (scenes, group.count)
-            parts = {key: _bounded(bounds, shape) for key, bounds in group.observation_bounds.items()}
-            inner = Composite(parts, shape=shape)
-            observation[group.name] = Composite({"observation": inner}, shape=shape)
+            observation[group.name] = Composite({"observation": self._observation_spec(group)}, shape=shape)
             action[group.name] = Composite({"action": _bounded(group.action_bounds, shape)}, shape=shape)
             reward[group.name] = Composite(
                 {"reward": Unbounded((*shape, 1), dtype=torch.float32)}, shape=shape
@@ -66,6 +67,14 @@ class DuneEnv(CopiedByReplay, EnvBase):
         self.action_spec = Composite(action, shape=(scenes,))
         self.reward_spec = Composite(reward, shape=(scenes,))
         self.done_spec = Composite({**ends, **_end_specs((scenes,))}, shape=(scenes,))
+
+    def _observation_spec(self, group: AgentGroup) -> TensorSpec:
+        shape = (self._simulation.num_scenes, group.count)
+        if self._flat:
+            space = self._flat[group.name].space
+            return _bounded((space.low, space.high), shape)
+        parts = {key: _bounded(bounds, shape) for key, bounds in group.observation_bounds.items()}
+        return Composite(parts, shape=shape)
 
     @property
     def simulation(self) -> VectorSimulation:
@@ -129,8 +138,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
     def _group_part(self, group: AgentGroup, step: GroupStep | None) -> TensorDict:
         shape = (self._simulation.num_scenes, group.count)
         each = (*shape, 1)
-        parts = {key: _by_agent(value, shape) for key, value in group.observe().items()}
-        part: dict[str, Any] = {"observation": _unchecked(parts, shape)}
+        part: dict[str, Any] = {"observation": self._observation(group, shape)}
         if step is None:
             terminated, truncated = group.terminated, group.truncated
         else:
@@ -140,6 +148,11 @@ class DuneEnv(CopiedByReplay, EnvBase):
         part["terminated"] = torch.from_numpy(terminated.reshape(each).copy())
         part["truncated"] = torch.from_numpy(truncated.reshape(each).copy())
         return _unchecked(part, shape)
+
+    def _observation(self, group: AgentGroup, shape: tuple[int, int]) -> TensorDict | torch.Tensor:
+        if self._flat:
+            return _by_agent(self._flat[group.name].batch(), shape)
+        return _unchecked({key: _by_agent(value, shape) for key, value in group.observe().items()}, shape)
 
     def render(self, mode: str = "rgb_array", scene: int = 0) -> NDArray[np.uint8]:
         """RGB (480, 640, 3) of a scene from behind its first agent; `PixelRenderTransform` calls it."""

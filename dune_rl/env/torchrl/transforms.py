@@ -84,7 +84,7 @@ class SingleAgent(Transform):
         if group is None:
             return tensordict
         for key, value in group.items():
-            if key == "observation":
+            if key == "observation" and isinstance(value, TensorDictBase):
                 for name, part in value.items():
                     tensordict.set(name, part.squeeze(1))
             elif key not in (*_ENDS, "action"):
@@ -110,8 +110,10 @@ class SingleAgent(Transform):
         output_spec = output_spec.clone()
         observation = output_spec["full_observation_spec"]
         group = observation[self.group]
-        flat: dict[str, Any] = {key: _squeezed(spec) for key, spec in group["observation"].items()}
-        flat |= {key: _squeezed(spec) for key, spec in group.items() if key != "observation"}
+        seen = group["observation"]
+        flat: dict[str, Any] = dict(seen.items()) if isinstance(seen, Composite) else {"observation": seen}
+        flat |= {key: spec for key, spec in group.items() if key != "observation"}
+        flat = {key: _squeezed(spec) for key, spec in flat.items()}
         shape = observation.shape
         output_spec["full_observation_spec"] = Composite(flat, shape=shape)
         reward = output_spec["full_reward_spec"][self.group, "reward"]
