@@ -1,19 +1,22 @@
 """Tasks for BenchMARL: `Experiment(task=DuneTask.INSPECTION.get_task({...}), ...)`.
 
-BenchMARL 1.5.2 declares torchrl below 0.12, av below 14 and torchvision, none of which it needs for this, so that
-pip has to install it alone: `pip install --no-deps benchmarl==1.5.2`. Import this module before `benchmarl`
-itself: see `_collector_name`.
+BenchMARL 1.5.2 asks for torchrl below 0.12, av below 14 and torchvision. dune_rl needs a newer torchrl, with
+which BenchMARL works as well, and the other two are not used here; so pip has to install it without its
+requirements: `pip install --no-deps benchmarl==1.5.2`. Import this module before `benchmarl` itself: see
+`_collector_name`.
 """
 
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import torchrl.collectors
+import yaml
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs import EnvBase, Transform
@@ -44,7 +47,8 @@ def _collector_name() -> Iterator[None]:
 
 with _collector_name():
     try:
-        import benchmarl
+        from benchmarl.environments import Task, TaskClass
+        from benchmarl.experiment import Callback
     except ModuleNotFoundError as error:
         if error.name != "benchmarl":
             raise
@@ -53,17 +57,14 @@ with _collector_name():
             "replace torchrl and av by versions that dune_rl cannot use)"
         ) from error
 
-from benchmarl.environments import Task, TaskClass
-from benchmarl.experiment import Callback
-
 
 class DuneTaskClass(TaskClass):  # type: ignore[misc]
     """A world as a task of BenchMARL; its agent groups are those that `dune_rl.make` has as external.
 
     `config` has the settings of `dune_rl.make`, and `world` in place of the task's own. Observations are one
-    vector for each agent, as BenchMARL's MLPs need them, unless `flatten` is False. All scenes of an experiment
-    are one batch. BenchMARL gives its environments one seed; training's are derived from it, so that
-    evaluations can have episodes of their own (`EpisodeLog`).
+    vector for each agent, as BenchMARL's MLPs need them, unless `flatten` is False. All scenes of an
+    environment are one batch. BenchMARL gives the environments of training and of evaluation one seed; theirs
+    is derived from it, so that evaluations can have episodes of their own (`EpisodeLog`).
     """
 
     def get_env_fun(
@@ -117,7 +118,7 @@ class DuneTaskClass(TaskClass):  # type: ignore[misc]
         """The group's observations, without its metrics."""
         spec: Composite = env.full_observation_spec_unbatched.clone()
         for group in env.group_map:
-            if "metrics" in spec[group].keys():
+            if "metrics" in spec[group]:
                 del spec[group, "metrics"]
         return spec
 
@@ -150,7 +151,7 @@ def _time_limit(group: Any) -> int | None:
 
 
 class DuneTask(Task):  # type: ignore[misc]
-    """The worlds as tasks. `get_task(config)` takes settings; without any, two walkers learn beside the rover.
+    """The worlds as tasks. `get_task(settings)`; without settings two walkers learn beside the rover.
 
     A world of one's own: `DuneTaskClass("quarry", {"config_dirs": ["my"], ...})`.
     """
@@ -170,7 +171,7 @@ class DuneTask(Task):  # type: ignore[misc]
         """The task with the settings of a YAML file, or with `{"actors": "external_walkers"}`."""
         if path is None:
             return DuneTaskClass(self.name, {"actors": "external_walkers"})
-        return DuneTaskClass(self.name, benchmarl.utils._read_yaml_config(path))
+        return DuneTaskClass(self.name, yaml.safe_load(Path(path).read_text()))
 
 
 class EpisodeLog(Callback):  # type: ignore[misc]

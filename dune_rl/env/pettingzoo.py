@@ -20,9 +20,12 @@ from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.env.window import Window
 from dune_rl.errors import ConfigError
+from dune_rl.seeding import stream
 
 # Numbers of each agent in the state.
 _STATE_SIZE = 14
+# What copies take over, beside the simulation's state.
+_OWN = ("agents", "np_random", "observation_spaces", "action_spaces")
 
 
 class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
@@ -63,6 +66,8 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         self._window = Window("dune_rl", fps) if render_mode == "human" else None
         self.possible_agents = list(simulation.agents)
         self.agents: list[str] = []
+        # Wrappers draw from it, SuperSuit's frame_skip_v0 for one; no episode depends on it.
+        self.np_random = stream(simulation.seed, "wrappers")
         self.observation_spaces, self.action_spaces = {}, {}
         self._layouts = [(group, ObservationLayout(group, flatten)) for group in simulation.external]
         for group, layout in self._layouts:
@@ -91,6 +96,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         episode, request = parse_options(options, self.possible_agents)
         if seed is not None:
             check_whole("seed", seed, at_least=0)
+            self.np_random = stream(seed, "wrappers")
         if seed is not None or episode is not None:
             self.simulation.reseed(self.simulation.seed if seed is None else seed, episode or 0)
         self.simulation.reset(requests={0: request} if request else {})
@@ -200,10 +206,10 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         return gymnasium.spaces.Box(-np.inf, np.inf, (_STATE_SIZE * agents,), np.float32)
 
     def _own_point(self) -> dict[str, Any]:
-        return {"agents": self.agents}
+        return {name: vars(self)[name] for name in _OWN}
 
     def _return_to(self, own: dict[str, Any]) -> None:
-        self.agents = own["agents"]
+        self.__dict__.update(own)
 
     def close(self) -> None:
         """Release the physics engine, and close the window."""

@@ -4,19 +4,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-
-pytest.importorskip("benchmarl")
-
-from benchmarl.experiment import Experiment, ExperimentConfig
-from benchmarl.models.mlp import MlpConfig
 from torchrl.envs import TransformedEnv
 
-import dune_rl
-from dune_rl.clients.benchmarl import DuneTask, DuneTaskClass, EpisodeLog
 from dune_rl.errors import ConfigError
 
 SHORT = {"terminations": {"time_limit": {"max_steps": 8}}}
@@ -30,7 +25,17 @@ pytestmark = [
 ]
 
 
-def small_experiment(folder: Path, **changes) -> ExperimentConfig:
+@pytest.fixture
+def tasks() -> ModuleType:
+    """Our module for BenchMARL, which is imported before BenchMARL itself."""
+    import dune_rl.clients.benchmarl
+
+    return dune_rl.clients.benchmarl
+
+
+def small_experiment(folder: Path, **changes) -> Any:
+    from benchmarl.experiment import ExperimentConfig
+
     conf = ExperimentConfig.get_from_yaml()
     frames = {"collected_frames_per_batch": 64, "n_envs_per_worker": 4}
     chosen = {
@@ -47,35 +52,44 @@ def small_experiment(folder: Path, **changes) -> ExperimentConfig:
     return conf
 
 
-def experiment(algorithm: str, folder: Path, task: DuneTaskClass, **changes) -> Experiment:
+def experiment(algorithm: str, folder: Path, tasks: ModuleType, **changes) -> Any:
     import benchmarl.algorithms
+    from benchmarl.experiment import Experiment
+    from benchmarl.models.mlp import MlpConfig
 
     model = MlpConfig.get_from_yaml()
     model.num_cells = [16]
     return Experiment(
-        task=task,
+        task=tasks.DuneTask.FLAT.get_task(WALKERS),
         algorithm_config=getattr(benchmarl.algorithms, f"{algorithm}Config").get_from_yaml(),
         model_config=model,
         seed=0,
         config=small_experiment(folder, **changes),
-        callbacks=[EpisodeLog()],
+        callbacks=[tasks.EpisodeLog()],
     )
 
 
-def logged(run: Experiment, name: str) -> list[float]:
+def weights_of(run: Any, group: str) -> torch.Tensor:
+    return torch.cat([each.detach().flatten().clone() for each in run.group_policies[group].parameters()])
+
+
+def logged(run: Any, name: str) -> list[float]:
     (path,) = run.folder_name.rglob(f"{name}.csv")
     return np.loadtxt(path, delimiter=",", ndmin=2)[:, 1].tolist()
 
 
+@pytest.mark.client(
+    "BenchMARL", "MAPPO and MASAC train rover and walkers, and evaluate", "dune_rl.clients.benchmarl"
+)
 @pytest.mark.parametrize("algorithm", ["Mappo", "Masac"])
-def test_rover_and_walkers_learn(algorithm: str, tmp_path: Path) -> None:
-    run = experiment(algorithm, tmp_path, DuneTask.FLAT.get_task(WALKERS))
+def test_rover_and_walkers_learn(algorithm: str, tmp_path: Path, tasks: ModuleType) -> None:
+    run = experiment(algorithm, tmp_path, tasks)
     assert run.group_map == GROUPS and run.max_steps == 8
-    before = {name: weights.clone() for name, weights in run.policy.state_dict().items()}
+    before = {group: weights_of(run, group) for group in GROUPS}
     run.run()
     assert run.total_frames == 128 and np.isfinite(run.mean_return)
-    changed = {name for name, weights in run.policy.state_dict().items() if (weights != before[name]).any()}
-    assert len(changed) >= 4
+    for group in GROUPS:
+        assert (weights_of(run, group) != before[group]).sum() > 100
     # BenchMARL's evaluation: three whole episodes of both groups.
     (written,) = run.folder_name.rglob("*.json")
     steps = json.loads(written.read_text())["dune_rl"]["flat"][algorithm.lower()]["seed_0"]
@@ -90,8 +104,11 @@ def test_rover_and_walkers_learn(algorithm: str, tmp_path: Path) -> None:
     assert logged(run, "collection_rover_metrics_timeout")[0] == 1.0
 
 
-def test_an_experiment_goes_on_from_its_file(tmp_path: Path) -> None:
-    run = experiment("Ippo", tmp_path, DuneTask.FLAT.get_task(WALKERS), max_n_iters=1)
+@pytest.mark.client("BenchMARL", "an `Experiment` goes on from its file", "dune_rl.clients.benchmarl")
+def test_an_experiment_goes_on_from_its_file(tmp_path: Path, tasks: ModuleType) -> None:
+    from benchmarl.experiment import Experiment
+
+    run = experiment("Ippo", tmp_path, tasks, max_n_iters=1)
     run.run()
     (saved,) = run.folder_name.glob("checkpoints/*.pt")
     again = Experiment.reload_from_file(str(saved), {"max_n_iters": 2})
@@ -100,20 +117,21 @@ def test_an_experiment_goes_on_from_its_file(tmp_path: Path) -> None:
     assert again.total_frames == 128
 
 
-def test_evaluation_has_episodes_that_training_never_draws(tmp_path: Path) -> None:
-    run = experiment("Ippo", tmp_path, DuneTask.FLAT.get_task(WALKERS))
+@pytest.mark.client("BenchMARL", "evaluation on episodes of its own", "dune_rl.clients.benchmarl")
+def test_evaluation_has_episodes_that_training_never_draws(tmp_path: Path, tasks: ModuleType) -> None:
+    run = experiment("Ippo", tmp_path, tasks)
     trained, evaluated = run.collector.env.base_env.simulation, run.test_env.base_env.simulation
     assert evaluated.seed == 0 and trained.seed >= 2**30
     run.close()
 
 
-def test_the_task() -> None:
-    task = DuneTask.INSPECTION.get_task()
+@pytest.mark.client("BenchMARL", "specs, groups and pictures of the task", "dune_rl.clients.benchmarl")
+def test_the_task(tasks: ModuleType) -> None:
+    task = tasks.DuneTask.INSPECTION.get_task()
     assert task.config == {"actors": "external_walkers"} and task.name == "INSPECTION"
-    assert task == DuneTask.INSPECTION.get_task({"actors": "external_walkers"})
-    make = DuneTask.FLAT.get_task(WALKERS).get_env_fun(2, True, 3, "cpu")
-    env = make()
-    task = DuneTask.FLAT.get_task(WALKERS)
+    assert task == tasks.DuneTask.INSPECTION.get_task({"actors": "external_walkers"})
+    task = tasks.DuneTask.FLAT.get_task(WALKERS)
+    env = task.get_env_fun(2, True, 3, "cpu")()
     env = TransformedEnv(env, *task.get_env_transforms(env))
     spec, seen = task.observation_spec(env), env.reset()
     for group, agents in GROUPS.items():
@@ -125,17 +143,28 @@ def test_the_task() -> None:
     env.close()
 
 
-def test_what_benchmarl_cannot_have() -> None:
-    task = DuneTask.FLAT.get_task(WALKERS)
+@pytest.mark.client("BenchMARL", "what it cannot have is named", "dune_rl.clients.benchmarl")
+def test_what_benchmarl_cannot_have(tasks: ModuleType) -> None:
+    task = tasks.DuneTask.FLAT.get_task(WALKERS)
     with pytest.raises(ConfigError, match="set sampling_device to cpu"):
         task.get_env_fun(2, True, 0, "cuda")
-    endless = DuneTask.FLAT.get_task(
+    endless = tasks.DuneTask.FLAT.get_task(
         {"actors": "external_walkers", "overrides": ["~task.terminations.time_limit"]}
     )
     with pytest.raises(ConfigError, match=r"set task\.terminations\.time_limit"):
-        endless.max_steps(dune_rl)
+        endless.max_steps(None)
 
 
+@pytest.mark.client("BenchMARL", "tasks from YAML", "dune_rl.clients.benchmarl")
+def test_settings_from_a_file(tmp_path: Path, tasks: ModuleType) -> None:
+    (tmp_path / "two.yaml").write_text("robots: [rover_zero, rover_zero]\nactors: none\n")
+    task = tasks.DuneTask.FLAT.get_from_yaml(str(tmp_path / "two.yaml"))
+    env = task.get_env_fun(1, True, None, "cpu")()
+    assert task.group_map(env) == {"rover": ["rover_0", "rover_1"]} and task.max_steps(env) == 2000
+    env.close()
+
+
+@pytest.mark.client("BenchMARL", "TorchRL is left as it was", "dune_rl.clients.benchmarl")
 def test_torchrl_is_left_as_it_was() -> None:
     check = (
         "import torchrl.collectors as collectors; before = set(vars(collectors)); "
@@ -145,7 +174,9 @@ def test_torchrl_is_left_as_it_was() -> None:
 
 
 def test_without_benchmarl_it_says_what_to_do(monkeypatch) -> None:
+    for name in [*sys.modules]:
+        if "benchmarl" in name.split("."):
+            monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "benchmarl", None)
-    monkeypatch.delitem(sys.modules, "dune_rl.clients.benchmarl")
     with pytest.raises(ImportError, match=r"pip install --no-deps benchmarl==1\.5\.2"):
         import dune_rl.clients.benchmarl  # noqa: F401

@@ -9,15 +9,15 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.client("Stable-Baselines3", "a `VecEnv` over the batch (`examples/`)", "dune_rl.gym_vector_env")
 def test_stable_baselines3_on_a_batch() -> None:
-    pytest.importorskip("stable_baselines3")
     example = runpy.run_path(str(EXAMPLES / "stable_baselines3_batch.py"))
     model = example["main"](["--scenes", "3", "--frames", "96", "--rollout", "16"])
     assert model.num_timesteps == 96
 
 
+@pytest.mark.client("Stable-Baselines3", "a `VecEnv` over the batch (`examples/`)", "dune_rl.gym_vector_env")
 def test_its_environment_ends_episodes_as_stable_baselines3_expects() -> None:
-    pytest.importorskip("stable_baselines3")
     example = runpy.run_path(str(EXAMPLES / "stable_baselines3_batch.py"))
     task = {"name": "paper", "terminations": {"time_limit": {"max_steps": 4}}}
     envs = example["DuneVecEnv"]("flat", 2, task=task)

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector
 
 import dune_rl
 from dune_rl.errors import ConfigError
@@ -24,6 +25,7 @@ def equal(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
     return all(np.array_equal(a[key], b[key]) for key in a)
 
 
+@pytest.mark.client("Gymnasium", "the batch as its `VectorEnv`", "gymnasium.make_vec")
 def test_make_vec_gives_the_batch() -> None:
     envs = make(seed=0)
     assert type(envs.unwrapped) is type(dune_rl.gym_vector_env("flat", 2))
@@ -51,6 +53,7 @@ def test_scenes_are_those_of_single_environments() -> None:
     one.close()
 
 
+@pytest.mark.client("Gymnasium", "seeds, one or a list", "gymnasium.make_vec")
 def test_seeds() -> None:
     envs = make()
     first, _ = envs.reset(seed=7)
@@ -79,6 +82,7 @@ def test_unseeded_copies_differ() -> None:
     assert len({start.tobytes() for start in starts}) == 4
 
 
+@pytest.mark.client("Gymnasium", "automatic reset in the next step", "gymnasium.make_vec")
 def test_next_step_autoreset() -> None:
     envs = make()
     envs.reset(seed=0)
@@ -100,6 +104,7 @@ def test_next_step_autoreset() -> None:
     envs.close()
 
 
+@pytest.mark.client("Gymnasium", "automatic reset in the same step", "gymnasium.make_vec")
 def test_same_step_autoreset() -> None:
     envs, other = make(autoreset_mode="same_step"), make()
     envs.reset(seed=0)
@@ -122,6 +127,7 @@ def test_same_step_autoreset() -> None:
     other.close()
 
 
+@pytest.mark.client("Gymnasium", "no automatic reset, and `reset_mask`", "gymnasium.make_vec")
 def test_no_autoreset() -> None:
     envs = make(autoreset_mode="disabled")
     envs.reset(seed=0)
@@ -149,9 +155,7 @@ def test_wrong_input() -> None:
         envs.step(np.zeros((2, 2), np.float32))
     with pytest.raises(ValueError, match="NaN"):
         envs.step(np.full((3, 2), np.nan, np.float32))
-    for mask in ([True] * 3, np.ones(2, bool), np.zeros(3, bool)):
-        if isinstance(mask, list):
-            continue
+    for mask in (np.ones(2, bool), np.zeros(3, bool)):
         with pytest.raises(ValueError, match="reset_mask"):
             envs.reset(options={"reset_mask": mask})
     with pytest.raises(ValueError, match="no reset options start"):
@@ -181,14 +185,66 @@ def test_the_first_reset_is_of_all_scenes() -> None:
     assert make(autoreset_mode="SameStep").unwrapped.autoreset_mode is AutoresetMode.SAME_STEP
 
 
-def test_gymnasium_s_vector_wrappers() -> None:
-    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(make())
+WRAPPERS = {
+    "clip action": vector.ClipAction,
+    "clip reward": lambda envs: vector.ClipReward(envs, -1.0, 1.0),
+    "flatten": vector.FlattenObservation,
+    "list of infos": vector.DictInfoToList,
+    "normalise reward": vector.NormalizeReward,
+    "rescale action": lambda envs: vector.RescaleAction(envs, np.float32(-1), np.float32(1)),
+}
+OF_VECTORS = {
+    "normalise": vector.NormalizeObservation,
+    "rescale": lambda envs: vector.RescaleObservation(envs, np.float32(-1), np.float32(1)),
+}
+
+
+@pytest.mark.client(
+    "Gymnasium", "9 vector wrappers, among them `NormalizeObservation`, `RescaleAction`", "gymnasium.make_vec"
+)
+@pytest.mark.parametrize(
+    ("wrap", "flatten"),
+    [
+        *(pytest.param(wrap, False, id=name) for name, wrap in WRAPPERS.items()),
+        *(pytest.param(wrap, True, id=f"{name}, flat") for name, wrap in {**WRAPPERS, **OF_VECTORS}.items()),
+        pytest.param(lambda envs: vector.FilterObservation(envs, ["goal"]), False, id="filter"),
+    ],
+)
+def test_wrappers(wrap, flatten: bool) -> None:
+    envs = wrap(make(flatten=flatten))
+    envs.reset(seed=0)
+    ends = 0
+    for _ in range(14):
+        _, reward, _, truncated, _ = envs.step(envs.action_space.sample())
+        ends += truncated.sum()
+        assert reward.shape == (3,) and np.isfinite(reward).all()
+    assert ends == 6
+    envs.close()
+
+
+@pytest.mark.client("Gymnasium", "vector `RecordEpisodeStatistics`", "gymnasium.make_vec")
+def test_episodes_are_recorded() -> None:
+    envs = vector.RecordEpisodeStatistics(make())
     envs.reset(seed=0)
     for _ in range(6):
         *_, infos = envs.step(envs.action_space.sample())
     assert infos["episode"]["l"].tolist() == [6, 6, 6]
     np.testing.assert_allclose(infos["episode"]["r"], infos["return"], rtol=1e-5)
     envs.close()
+
+
+@pytest.mark.client("MoviePy", "`RecordVideo` of all scenes", "gymnasium.make_vec")
+def test_films(tmp_path) -> None:
+    envs = make(num_envs=2, render_mode="rgb_array")
+    envs = vector.RecordVideo(
+        envs, str(tmp_path / "films"), episode_trigger=lambda _: True, disable_logger=True
+    )
+    envs.reset(seed=0)
+    for _ in range(7):
+        envs.step(envs.action_space.sample())
+    envs.close()
+    sizes = [film.stat().st_size for film in (tmp_path / "films").glob("*.mp4")]
+    assert len(sizes) == 2 and min(sizes) > 1000
 
 
 def test_pictures() -> None:

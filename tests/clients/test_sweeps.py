@@ -34,15 +34,20 @@ def train(folder: Path, *words: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("package", "launcher"),
+    "launcher",
     [
-        ("hydra_plugins.hydra_joblib_launcher", ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]),
-        ("hydra_plugins.hydra_submitit_launcher", ["hydra/launcher=submitit_local"]),
+        pytest.param(
+            ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
+            marks=pytest.mark.client("Hydra: joblib", "a sweep of two runs side by side", "dune_rl.train -m"),
+        ),
+        pytest.param(
+            ["hydra/launcher=submitit_local"],
+            marks=pytest.mark.client("Hydra: submitit", "a sweep of two jobs", "dune_rl.train -m"),
+        ),
     ],
     ids=["joblib", "submitit"],
 )
-def test_launchers_run_the_jobs(package: str, launcher: list[str], tmp_path: Path) -> None:
-    pytest.importorskip(package)
+def test_launchers_run_the_jobs(launcher: list[str], tmp_path: Path) -> None:
     train(tmp_path, "seed=1,2", *launcher)
     for number, seed in enumerate((1, 2)):
         folder = tmp_path / "sweep" / f"{number}_flat_seed{seed}"
@@ -50,8 +55,8 @@ def test_launchers_run_the_jobs(package: str, launcher: list[str], tmp_path: Pat
         assert yaml.safe_load((folder / "config.yaml").read_text())["seed"] == seed
 
 
+@pytest.mark.client("Hydra: Optuna", "a search for the best `objective`", "dune_rl.train -m")
 def test_optuna_optimises_the_objective(tmp_path: Path) -> None:
-    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
     train(
         tmp_path,
         "hydra/sweeper=optuna",

@@ -3,6 +3,7 @@
 import warnings
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -72,6 +73,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
         shape = (self._simulation.num_scenes, group.count)
         if self._flat:
             space = self._flat[group.name].space
+            assert isinstance(space, gymnasium.spaces.Box)
             return _bounded((space.low, space.high), shape)
         parts = {key: _bounded(bounds, shape) for key, bounds in group.observation_bounds.items()}
         return Composite(parts, shape=shape)
