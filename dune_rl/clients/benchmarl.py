@@ -22,6 +22,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase, Transform
 
 import dune_rl
+from dune_rl.config.agents import EXTERNAL
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.torchrl import EpisodeMetrics
 from dune_rl.errors import ConfigError
@@ -89,7 +90,8 @@ class DuneTaskClass(TaskClass):  # type: ignore[misc]
 
     def max_steps(self, env: EnvBase) -> int:
         """The longest time limit of the agents' tasks; raises ConfigError if there is none."""
-        limits = [limit for limit in map(_time_limit, self._groups()) if limit is not None]
+        external = [group for group in self._groups() if group.controller == EXTERNAL]
+        limits = [limit for limit in map(_time_limit, external) if limit is not None]
         if not limits:
             raise ConfigError("BenchMARL's evaluations need a time limit: set task.terminations.time_limit")
         return max(limits)

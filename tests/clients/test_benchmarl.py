@@ -173,10 +173,18 @@ def test_torchrl_is_left_as_it_was() -> None:
     subprocess.run([sys.executable, "-W", "ignore", "-c", check], check=True, timeout=120)
 
 
+class WithoutBenchmarl:
+    """An importer that finds no BenchMARL."""
+
+    def find_spec(self, name: str, *_: Any) -> None:
+        if name == "benchmarl":
+            raise ModuleNotFoundError("No module named 'benchmarl'", name=name)
+
+
 def test_without_benchmarl_it_says_what_to_do(monkeypatch) -> None:
     for name in [*sys.modules]:
         if "benchmarl" in name.split("."):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "benchmarl", None)
+    monkeypatch.setattr(sys, "meta_path", [WithoutBenchmarl(), *sys.meta_path])
     with pytest.raises(ImportError, match=r"pip install --no-deps benchmarl==1\.5\.2"):
         import dune_rl.clients.benchmarl  # noqa: F401

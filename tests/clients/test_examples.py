@@ -34,3 +34,33 @@ def test_its_environment_ends_episodes_as_stable_baselines3_expects() -> None:
     again = envs.reset()
     assert all(np.array_equal(first[key], again[key]) for key in first)
     envs.close()
+
+
+@pytest.mark.client("TorchRL", "its own loop of MAPPO and IPPO on walkers (`examples/`)", "dune_rl.make")
+@pytest.mark.parametrize("words", [[], ["--own-critic"]], ids=["mappo", "ippo"])
+def test_torchrl_s_own_loop_on_walkers(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    example = runpy.run_path(str(EXAMPLES / "torchrl_mappo_walkers.py"))
+    small = ["--scenes", "2", "--rollout", "8", "--frames", "32", "--max-steps", "8", "--cells", "8"]
+    result = example["main"]([*small, "--epochs", "2", *words])
+    assert len(result.collected) == 2 and np.isfinite([*result.collected, result.evaluated]).all()
+    assert result.collected[0] != result.collected[1]
+    assert "return in new episodes" in capsys.readouterr().out
+
+
+def test_walkers_learn_from_each_other_s_steps() -> None:
+    example = runpy.run_path(str(EXAMPLES / "torchrl_mappo_walkers.py"))
+    env = example["make_env"]("flat", 2, 0, 6)
+    policy = example["make_policy"](env, 8)
+    central, own = (example["make_critic"](env, 8, central=central) for central in (True, False))
+    data = env.rollout(6, policy)
+    spec = env.full_action_spec_unbatched["walker", "action"]
+    assert (data["walker", "action"] >= spec.space.low).all()
+    assert (data["walker", "action"] <= spec.space.high).all()
+    # The central critic's value of a walker depends on what the other one sees.
+    changed = data.clone()
+    changed["walker", "observation"][..., 1, :] += 0.3
+    for critic, depends in ((central, True), (own, False)):
+        before = critic(data.clone())["walker", "state_value"][..., 0, :]
+        after = critic(changed.clone())["walker", "state_value"][..., 0, :]
+        assert bool((before != after).any()) == depends
+    env.close()
