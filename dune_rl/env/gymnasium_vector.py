@@ -76,6 +76,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         """Start the next episode of all scenes, or of those in `options["reset_mask"]` (M,).
 
         With a `seed`, the first ones of that seed; a list of seeds, one for each scene, stands for one seed.
+        Scene i starts as a single environment does with `seed` and `options={"episode": i}`. It has no seed of
+        its own, seed + i: the random walkers' paths are those of a seed and world, and shared by the scenes.
         """
         mask = self._reset_mask(options)
         if seed is not None:

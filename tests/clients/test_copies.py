@@ -70,18 +70,20 @@ def test_a_copy_knows_the_places_that_were_asked_for() -> None:
     other.close()
 
 
-def test_a_torchrl_environment_is_copied_too() -> None:
+@pytest.mark.parametrize("flatten", [False, True])
+def test_a_torchrl_environment_is_copied_too(flatten: bool) -> None:
     import torch
 
-    env = dune_rl.make("flat", 2, 3)
+    env = dune_rl.make("flat", 2, 3, flatten=flatten)
+    key = ("observation",) if flatten else ("observation", "goal")
     first = env.reset()
     step = env.rand_step(first)
     other = copy.deepcopy(env)
     assert other.simulation is not env.simulation
     action = step.clone()
     torch.testing.assert_close(
-        other.step(action.clone())["next", "rover", "observation", "goal"],
-        env.step(action.clone())["next", "rover", "observation", "goal"],
+        other.step(action.clone())["next", "rover", *key],
+        env.step(action.clone())["next", "rover", *key],
     )
     env.close()
     other.close()
@@ -103,6 +105,19 @@ def test_gymnasium_s_own_state_is_copied() -> None:
             np.testing.assert_array_equal(space.sample(), copied.sample())
         env.close()
         other.close()
+
+
+def test_a_copy_s_samples_are_those_of_its_original() -> None:
+    env = dune_rl.parallel_env("flat", 0)
+    env.reset(seed=3)
+    env.action_space("rover_0").seed(5)
+    other = copy.deepcopy(env)
+    first, second = (each.action_space("rover_0") for each in (env, other))
+    assert first is not second
+    for _ in range(3):
+        np.testing.assert_array_equal(first.sample(), second.sample())
+    env.close()
+    other.close()
 
 
 def test_what_was_made_of_a_simulation_refuses() -> None:
