@@ -129,6 +129,7 @@ def gym_vector_env(
     autoreset_mode: Any = "next_step",
     render_mode: Literal["rgb_array"] | None = None,
     flatten: bool = False,
+    max_episode_steps: int | None = None,
     overrides: Iterable[str] = (),
     config_dirs: Sequence[str] = (),
     **settings: Any,
@@ -136,7 +137,7 @@ def gym_vector_env(
     """A Gymnasium `VectorEnv` of `num_envs` scenes in one process; the other arguments as for `gym_env`.
 
     `gymnasium.make_vec("dune_rl:dune_rl/Inspection-v0", num_envs=16)` makes one, too. `autoreset_mode` is
-    "next_step", "same_step" or "disabled".
+    "next_step", "same_step" or "disabled". `max_episode_steps` cuts episodes off as Gymnasium's `TimeLimit`.
     """
     from dune_rl.config.build import make_gymnasium_vector_env
     from dune_rl.config.compose import compose_environment
@@ -145,7 +146,9 @@ def gym_vector_env(
 
     conf = compose_environment(world, overrides, settings, SingleAgentConf, config_dirs=config_dirs)
     seed = random_seed() if seed is None else seed
-    return make_gymnasium_vector_env(conf, num_envs, seed, render_mode, autoreset_mode, flatten)
+    return make_gymnasium_vector_env(
+        conf, num_envs, seed, render_mode, autoreset_mode, flatten, max_episode_steps
+    )
 
 
 def make(

@@ -161,10 +161,13 @@ def make_gymnasium_vector_env(
     render_mode: RenderMode = None,
     autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
     flatten: bool = False,
+    max_episode_steps: int | None = None,
 ) -> GymnasiumVectorEnv:
     """A Gymnasium vector environment of scenes with one external agent each."""
     simulation = make_simulation(conf, num_scenes, seed)
-    env = GymnasiumVectorEnv(simulation, render_mode, autoreset_mode, flatten=flatten)
-    arguments = conf, num_scenes, seed, render_mode, autoreset_mode, flatten
+    env = GymnasiumVectorEnv(
+        simulation, render_mode, autoreset_mode, flatten=flatten, max_episode_steps=max_episode_steps
+    )
+    arguments = conf, num_scenes, seed, render_mode, autoreset_mode, flatten, max_episode_steps
     env.remake = partial(make_gymnasium_vector_env, *arguments)
     return env

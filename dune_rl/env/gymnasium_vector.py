@@ -15,7 +15,7 @@ from dune_rl.env.episode_infos import EpisodeInfos
 from dune_rl.env.observation_layout import ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.render_mode import RenderMode, check_render_mode
-from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.errors import ConfigError
 
 Flags = NDArray[np.bool_]
@@ -29,7 +29,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
     `autoreset_mode` tells when a scene whose episode has ended starts the next one, as in Gymnasium:
     `next_step` (its action of that step is ignored), `same_step` (the ended episode's last are
     `infos["final_obs"]` and `infos["final_info"]`) or `disabled` (by `reset(options={"reset_mask": ...})`).
-    Scene i runs the episodes i, i + M, i + 2 M and so on of the seed.
+    Scene i runs the episodes i, i + M, i + 2 M and so on of the seed. `max_episode_steps` cuts episodes off
+    as Gymnasium's `TimeLimit` does, beside the task's own time limit.
 
     Raises ConfigError unless there is exactly one external agent.
     """
@@ -43,6 +44,7 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         *,
         flatten: bool = False,
+        max_episode_steps: int | None = None,
     ) -> None:
         if len(simulation.agents) != 1:
             raise ConfigError(
@@ -50,6 +52,9 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
                 "dune_rl.parallel_env, or set the controllers of the groups"
             )
         check_render_mode(render_mode, ("rgb_array",))
+        if max_episode_steps is not None:
+            check_whole("max_episode_steps", max_episode_steps, at_least=1)
+        self._max_episode_steps = max_episode_steps
         self.simulation, self.render_mode = simulation, render_mode
         self.num_envs = simulation.num_scenes
         # By this name clients look for it in Gymnasium's own vector environments.
@@ -76,8 +81,8 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         """Start the next episode of all scenes, or of those in `options["reset_mask"]` (M,).
 
         With a `seed`, the first ones of that seed; a list of seeds, one for each scene, stands for one seed.
-        Scene i starts as a single environment does with `seed` and `options={"episode": i}`. It has no seed of
-        its own, seed + i: the random walkers' paths are those of a seed and world, and shared by the scenes.
+        Scene i starts as a single environment does with `seed` and `options={"episode": i}`. It has no seed
+        of its own, seed + i: the random paths of walkers are those of a seed and a world, for all scenes.
         """
         mask = self._reset_mask(options)
         if seed is not None:
@@ -138,7 +143,7 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
             values = np.where(begins[:, None], 0.0, values)
         result = self.simulation.step({group.name: values[:, None]})
         reward = np.where(begins, 0.0, result.groups[group.name].reward.astype(np.float64))
-        terminated, truncated = result.terminated & ~begins, result.truncated & ~begins
+        terminated, truncated = result.terminated & ~begins, self._truncated(result) & ~begins
         ended = terminated | truncated
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
             final = self._final(ended)
@@ -148,6 +153,13 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
             self.simulation.reset(begins)
         self._ended = ended
         return self._observations(), reward, terminated, truncated, self._infos.batched()
+
+    def _truncated(self, result: SimulationStep) -> Flags:
+        """Flags (M,) of the episodes that are cut off by the task, or by `max_episode_steps`."""
+        if self._max_episode_steps is None:
+            return result.truncated
+        late: Flags = self.simulation.steps >= self._max_episode_steps
+        return result.truncated | late
 
     def _final(self, ended: Flags) -> dict[str, Any]:
         """Observations and infos of the episodes that have ended, as Gymnasium's wrappers expect them."""

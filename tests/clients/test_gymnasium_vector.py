@@ -1,5 +1,6 @@
 """Gymnasium's vector environment: the batch by `make_vec`, as Gymnasium 1 specifies it."""
 
+import copy
 import warnings
 
 import gymnasium
@@ -125,6 +126,35 @@ def test_same_step_autoreset() -> None:
     assert infos["episode_id"].tolist() == begun_infos["episode_id"].tolist() == [3.0, 4.0, 5.0]
     envs.close()
     other.close()
+
+
+@pytest.mark.client("Gymnasium", "`max_episode_steps`, as `TimeLimit` has it", "gymnasium.make_vec")
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_gymnasium_s_time_limit(mode: str) -> None:
+    envs = gymnasium.make_vec(ID, num_envs=2, autoreset_mode=mode, max_episode_steps=4)
+    one = gymnasium.make(ID, max_episode_steps=4)
+    envs.reset(seed=3)
+    one.reset(seed=3)
+    action = np.full((2, 2), 0.2, np.float32)
+    for step in range(1, 5):
+        seen, reward, terminated, truncated, infos = envs.step(action)
+        alone, expected, *ends, _ = one.step(action[0])
+        np.testing.assert_allclose(reward[0], expected, atol=1e-6)
+        assert [terminated.tolist(), truncated.tolist()] == [[end] * 2 for end in ends]
+        assert truncated.all() == (step == 4)
+    last = {"same_step": lambda: infos["final_obs"][0]["lidar"]}.get(mode, lambda: seen["lidar"][0])()
+    np.testing.assert_allclose(last, alone["lidar"], atol=1e-5)
+    # A copy knows the limit, and goes on.
+    other = copy.deepcopy(envs)
+    for each in (envs, other):
+        if mode == "disabled":
+            each.reset(options={"reset_mask": np.array([True, True])})
+        steps = 5 if mode == "next_step" else 4
+        assert [bool(each.step(action)[3].all()) for _ in range(steps)] == [False] * (steps - 1) + [True]
+        each.close()
+    one.close()
+    with pytest.raises(ConfigError, match="max_episode_steps must be a whole number of at least 1"):
+        gymnasium.make_vec(ID, num_envs=2, max_episode_steps=0)
 
 
 @pytest.mark.client("Gymnasium", "no automatic reset, and `reset_mask`", "gymnasium.make_vec")
