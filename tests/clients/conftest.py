@@ -47,4 +47,4 @@ class _TableOfClients:
                 self._results[row] = PASSED
 
     def pytest_sessionfinish(self) -> None:
-        write_table(self._path, self._results)
+        write_table(self._path, self._results, Path(__file__).parent)

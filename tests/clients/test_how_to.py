@@ -87,16 +87,29 @@ def test_the_table_tells_what_fails_and_what_was_left_out(tmp_path: Path) -> Non
         "def test_two(): pytest.skip('no time')\n"
         "@pytest.mark.client('PettingZoo', 'all', 'c')\n"
         "def test_three(): pass\n"
+        "@pytest.mark.client('PettingZoo', 'not run', 'c')\n"
+        "def test_four(): pass\n"
     )
     page = tmp_path / "page.md"
-    page.write_text(f"before\n<!-- clients: begin -->\nold\n{END}\nafter\n")
-    words = ["-p", "no:cacheprovider", "-p", "no:xdist", f"--clients-table={page}", str(tmp_path)]
+    row = "| PettingZoo | 0.1 | {} | `c` | no |\n"
+    rows = "| a | b | c | d | e |\n" + row.format("all") + row.format("old") + row.format("not run")
+    page.write_text(f"before\n<!-- clients: begin -->\n{rows}{END}\nafter\n")
+    words = [
+        "-k",
+        "not four",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        f"--clients-table={page}",
+        str(tmp_path),
+    ]
     helpers = {"PYTHONPATH": f"{HERE.parent / 'helpers'}"}
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words], env=helpers, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 1, done.stdout + done.stderr
-    assert [result for _, result in read_table(page).values()] == ["**fails**", "skipped no time", PASSED]
-    assert [row.purpose for row in read_table(page)] == ["some of it", "nothing", "all"]
-    text = page.read_text()
-    assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
+    results = ["**fails**", "skipped no time", PASSED, "no"]
+    assert [result for _, result in read_table(page).values()] == results
+    assert [row.purpose for row in read_table(page)] == ["some of it", "nothing", "all", "not run"]
+    assert page.read_text().startswith("before\n") and page.read_text().endswith("\nafter\n")

@@ -60,12 +60,19 @@ def _in_order(rows: Iterable[Row]) -> list[Row]:
     return sorted(dict.fromkeys(rows), key=lambda row: list(CLIENTS).index(row.client))
 
 
-def write_table(path: Path, results: Mapping[Row, str]) -> None:
-    """Replace the table between the two comments of a Markdown file."""
+def write_table(path: Path, results: Mapping[Row, str], folder: Path) -> None:
+    """Write new results into the table between the two comments of a Markdown file.
+
+    Rows of tests in `folder` that were not run stay as they are; those without a test go.
+    """
+    found = read_table(path) | {
+        row: (installed_version(row.client) or "none", result) for row, result in results.items()
+    }
     lines = ["| client | version | what is done | by | result |", "|---|---|---|---|---|"]
-    for row in _in_order(results):
-        found = installed_version(row.client) or "none"
-        lines.append(f"| {row.client} | {found} | {row.purpose} | `{row.interface}` | {results[row]} |")
+    for row in marked_rows(folder):
+        if row in found:
+            used, result = found[row]
+            lines.append(f"| {row.client} | {used} | {row.purpose} | `{row.interface}` | {result} |")
     before, rest = path.read_text().split(BEGIN)
     after = rest.split(END)[1]
     path.write_text("\n".join([before + BEGIN, *lines, END + after]))
@@ -74,10 +81,9 @@ def write_table(path: Path, results: Mapping[Row, str]) -> None:
 def read_table(path: Path) -> dict[Row, tuple[str, str]]:
     """Version and result of each row of a written table."""
     inside = path.read_text().split(BEGIN)[1].split(END)[0]
-    cells = [
-        [cell.strip() for cell in line.strip("|").split(" | ")] for line in inside.strip().splitlines()[2:]
-    ]
+    lines = [line for line in inside.splitlines() if line.startswith("| ")][1:]
+    cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
     return {
-        Row(client, purpose, interface.strip("`")): (found, result)
-        for client, found, purpose, interface, result in cells
+        Row(client, purpose, interface.strip("`")): (used, result)
+        for client, used, purpose, interface, result in cells
     }
