@@ -2,7 +2,7 @@
 
 BenchMARL 1.5.2 asks for torchrl below 0.12, av below 14 and torchvision. dune_rl needs a newer torchrl, with
 which BenchMARL works as well, and the other two are not used here; so pip has to install it without its
-requirements: `pip install --no-deps benchmarl==1.5.2`. Import this module before `benchmarl` itself: see
+requirements: `pip install --no-deps benchmarl==1.5.2 tqdm`. Import this module before `benchmarl` itself: see
 `_collector_name`.
 """
 
@@ -54,7 +54,7 @@ with _collector_name():
         if error.name != "benchmarl":
             raise
         raise ImportError(
-            "BenchMARL is not installed: pip install --no-deps benchmarl==1.5.2 (its own requirements would "
+            "BenchMARL is not installed: pip install --no-deps benchmarl==1.5.2 tqdm (its requirements would "
             "replace torchrl and av by versions that dune_rl cannot use)"
         ) from error
 
