@@ -107,6 +107,14 @@ def exit_with_error(message: str) -> NoReturn:
     sys.exit(2)
 
 
+def print_world_notes(console: "Console", conf: "EnvConf") -> None:
+    """Print what an importer chose in the world of `conf`: a line for each choice."""
+    from dune_rl.config.build import describe_world
+
+    for line in describe_world(conf):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
 def print_error(message: str) -> None:
     """Print a message on standard error."""
     print(message, file=sys.stderr, flush=True)

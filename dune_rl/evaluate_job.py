@@ -36,6 +36,7 @@ def _evaluate(conf: EvaluateConf) -> None:
     _check_writable(out)
     console = command.make_console()
     env = make_learning_env(conf, min(conf.scenes, conf.episodes), conf.seed)
+    command.print_world_notes(console, conf)
     agents: dict[str, list[str]] = env.group_map
     results: dict[str, dict[str, list[MetricsRow]]] = {}
     for name, policy in _policies(conf, env).items():

@@ -127,6 +127,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
     )
     (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
+    command.print_world_notes(console, conf)
     result = trainer.train()
     if result.signal is not None:
         command.print_error(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")

@@ -28,6 +28,7 @@ from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.worlds.cache.store import shared_store
+from dune_rl.worlds.region_candidates import describe_choice
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
@@ -111,6 +112,14 @@ def build_robot(conf: RobotSettings, num_robots: int) -> Robot:
 def build_world(conf: WorldSettings) -> World:
     """The world; equal settings share one immutable object."""
     return shared_store().get(conf)
+
+
+def describe_world(conf: EnvConf) -> list[str]:
+    """Lines about what an importer chose in a world: the region of starts and goals."""
+    world = build_world(conf.world)
+    uses_region = any(group.task is not None and group.task.spawn.region == "world" for group in conf.groups)
+    line = describe_choice(world.region, world.region_candidates) if uses_region else None
+    return [] if line is None else [line]
 
 
 def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = False) -> None:

@@ -65,6 +65,7 @@ def _view(conf: ViewConf) -> None:
         from dune_rl.view.maps import write_map
 
         folder.mkdir(parents=True, exist_ok=True)
+        command.print_world_notes(console, conf)
         _print_path(console, write_map(conf, folder / f"{conf.world.name}_map.png", console))
         return
     from dune_rl.view.episode import EpisodeView
@@ -74,6 +75,7 @@ def _view(conf: ViewConf) -> None:
     try:
         # Only now, when nothing is wrong with the settings.
         folder.mkdir(parents=True, exist_ok=True)
+        command.print_world_notes(console, conf)
         if conf.view == "orbit":
             _print_path(console, write_orbit(episode, folder / f"{conf.world.name}_orbit.png"))
         if conf.view in ("sheet", "both"):

@@ -18,12 +18,12 @@ from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import MEADOW, GroundColours, GroundPicture
 from dune_rl.worlds.obstacle_search import NearestObstacle, ObstacleSearch
+from dune_rl.worlds.region_candidates import Rectangle, RegionCandidate
 from dune_rl.worlds.roughness_field import RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
 from dune_rl.worlds.surfaces import SurfaceName
 
 Array = NDArray[np.float64]
-Rectangle = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
 T = TypeVar("T")
 
@@ -86,10 +86,12 @@ class World:
     drivable props: they determine the contacts of wheels, and `friction` only
     those of everything else. `light` is the world's own sun, for weathers that
     do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays computed
-    from the world.
+    from the world. `region_candidates` are the regions that an importer found,
+    the preferred one first; other worlds have none.
     """
 
     disk_cache: DiskCache | None = None
+    region_candidates: tuple[RegionCandidate, ...] = ()
 
     def __init__(
         self,

@@ -144,15 +144,40 @@ def test_things_are_seen_from_above_by_kind() -> None:
     # What is driven on first, then obstacles, the largest first; water is no thing.
     assert [each.kind for each in found] == ["bridge", "wall", "box"]
     assert [each.drivable for each in found] == [True, False, False]
-    # From above and from below, without the upright faces: twice the area.
-    assert [area(each.triangles) / 2 for each in found] == pytest.approx([6.0, 10.0, 3.0])
+    # From above, without the upright faces and those on the ground.
+    assert [area(each.triangles) for each in found] == pytest.approx([6.0, 10.0, 3.0])
+
+
+def test_what_is_underground_is_not_on_the_map() -> None:
+    # The ground rises toward x, at one in ten.
+    found = prop_footprints(
+        world_with(
+            box("tank", (-3, -3, -4), (3, 3, -1)),
+            box("buried half", (-2, 4, -5), (2, 5, 0), "wall"),
+            slope=0.1,
+        ),
+        7,
+    )
+    assert [each.kind for each in found] == ["wall"]
+    corners = found[0].triangles.reshape(-1, 2)
+    np.testing.assert_allclose(corners.min(axis=0), [-2.0, 4.0], atol=0.01)
+    np.testing.assert_allclose(corners.max(axis=0), [0.0, 5.0], atol=0.06)
+    assert area(found[0].triangles) == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_beam_between_two_banks_is_on_the_map_though_its_ends_are_buried() -> None:
+    x = np.linspace(-10.0, 10.0, 81)
+    valley = HeightField(np.tile(0.2 * np.abs(x), (81, 1)), 0.25, (-10.0, -10.0))
+    world = World("valley", valley, [box("beam", (-8, 0, 0.9), (8, 1, 1.0))], region=(-4.0, 4.0, -4.0, 4.0))
+    corners = prop_footprints(world, 7)[0].triangles.reshape(-1, 2)
+    np.testing.assert_allclose([corners[:, 0].min(), corners[:, 0].max()], [-5.0, 5.0], atol=0.05)
 
 
 def test_the_last_of_many_kinds_are_put_together() -> None:
     props = [box(f"{n}", (n, 0, 0), (n + 0.9 - n / 10, 1, 1), f"kind {n}") for n in range(5)]
     found = prop_footprints(world_with(*props), 3)
     assert [each.kind for each in found] == ["kind 0", "kind 1", "other"]
-    assert area(found[-1].triangles) / 2 == pytest.approx(0.7 + 0.6 + 0.5)
+    assert area(found[-1].triangles) == pytest.approx(0.7 + 0.6 + 0.5)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -105,7 +105,7 @@ def test_a_finer_grid_is_finer_and_a_huge_one_refused(tmp_path):
 def test_a_region_is_chosen_where_there_is_room_and_a_user_s_is_kept(built, tmp_path):
     world = built("obj")
     xmin, xmax, ymin, ymax = world.region
-    assert (xmax - xmin, ymax - ymin) == (8.0, 8.0)
+    assert (xmax - xmin, ymax - ymin) == pytest.approx((8.0, 8.0))
     spawner = Spawner(world, SpawnConf(), 0.45)
     for seed in range(20):
         place = spawner.sample(np.random.default_rng(seed))

@@ -25,6 +25,7 @@ from dune_rl.visualization.site_map.page import (
 )
 from dune_rl.visualization.site_map.panel import (
     MapContent,
+    draw_candidates,
     draw_episodes,
     draw_ground,
     draw_paths,
@@ -138,6 +139,8 @@ def _panel(
     draw_ground(axes, content, rectangle, (place.width, place.height), dpi)
     draw_props(axes, content.footprints, tints)
     draw_region(axes, content.spawner.region, 1.5)
+    if rectangle == content.world.extent:
+        draw_candidates(axes, content)
     draw_paths(axes, content, 1.3, closer)
     draw_tracks(axes, content.tracks, 2.0 if detail else 1.0, marks=detail)
     if detail:

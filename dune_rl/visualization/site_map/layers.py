@@ -10,6 +10,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.scenery import Segment
 from dune_rl.tasks.spawn import Placement, Spawner
+from dune_rl.visualization.site_map.above_ground import clip_above_ground
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import Prop, Rectangle, World
@@ -84,7 +85,7 @@ def contour_levels(height: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PropFootprints:
-    """All props of a kind, projected onto the ground: `triangles` (T, 3, 2) [m]."""
+    """What is above the ground of all props of a kind, projected onto it: `triangles` (T, 3, 2) [m]."""
 
     kind: str
     triangles: Array
@@ -94,13 +95,15 @@ class PropFootprints:
 def prop_footprints(world: World, most_kinds: int) -> list[PropFootprints]:
     """Footprints of solid props by kind: first drivable ones, then obstacles by falling area.
 
+    What is below the ground has none.
     Of more than `most_kinds` kinds of obstacles, the last are merged into the kind "other".
     """
     groups: dict[tuple[bool, str], list[Prop]] = {}
     for prop in world.props:
         if prop.solid:
             groups.setdefault((prop.drivable, prop.kind), []).append(prop)
-    footprints = [_project(kind, drivable, props) for (drivable, kind), props in groups.items()]
+    projected = [_project(kind, drivable, props, world.terrain) for (drivable, kind), props in groups.items()]
+    footprints = [each for each in projected if len(each.triangles)]
     footprints.sort(key=lambda each: (not each.drivable, -_area(each.triangles)))
     obstacles = [each for each in footprints if not each.drivable]
     if len(obstacles) > most_kinds:
@@ -110,8 +113,9 @@ def prop_footprints(world: World, most_kinds: int) -> list[PropFootprints]:
     return [*(each for each in footprints if each.drivable), *obstacles]
 
 
-def _project(kind: str, drivable: bool, props: Sequence[Prop]) -> PropFootprints:
-    triangles = np.concatenate([prop.vertices[prop.faces, :2] for prop in props])
+def _project(kind: str, drivable: bool, props: Sequence[Prop], terrain: HeightField) -> PropFootprints:
+    corners = np.concatenate([prop.vertices[prop.faces] for prop in props])
+    triangles = clip_above_ground(corners, terrain)[..., :2]
     # Vertical faces project to lines within the outline of the others.
     flat = _areas(triangles) > _LEAST_AREA_M2
     return PropFootprints(kind, triangles[flat], drivable)

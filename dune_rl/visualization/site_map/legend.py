@@ -53,8 +53,9 @@ def prop_legend(content: MapContent, tints: dict[str, str]) -> Section:
 def episode_legend(content: MapContent) -> Section:
     """Section of starts, goals, paths and tracks, with the number of tracks by ending."""
     several = any(len(placements) > 1 for placements in content.episodes.values())
-    entries = [
+    entries: list[tuple[Swatch, str]] = [
         (_outlined_box(colours.SPAWN_EDGE), "region of starts and goals"),
+        *_candidate_entries(content),
         (_striped_box("#d9eff4", "#8fcfe0"), "positions they are drawn from"),
         (
             _numbered_disc(colours.INK, colours.PAPER),
@@ -73,6 +74,18 @@ def episode_legend(content: MapContent) -> Section:
     for ending in [*listed, *sorted(ending for ending in counts if ending not in colours.ENDINGS)]:
         entries.append((_track(*colours.ending_style(ending)), f"{ending}: {counts[ending]} of {len(ended)}"))
     return "episodes", entries
+
+
+def _candidate_entries(content: MapContent) -> list[tuple[Swatch, str]]:
+    """An entry of the regions that could be chosen instead, if there are any."""
+    others = [
+        f"{number}"
+        for number, each in enumerate(content.world.region_candidates, start=1)
+        if each.rectangle != content.spawner.region
+    ]
+    if not others:
+        return []
+    return [(_dashed_box(colours.SPAWN_EDGE), f"others to choose: world.region={', '.join(others)}")]
 
 
 def _filled_box(colour: str) -> Swatch:
@@ -98,6 +111,15 @@ def _striped_box(colour: str, stripe: str) -> Swatch:
 def _outlined_box(colour: str) -> Swatch:
     def draw(page: Axes, x: float, y: float) -> None:
         page.add_patch(Box((x, y), _WIDE, _HIGH, fill=False, edgecolor=colour, linewidth=1.5))
+
+    return draw
+
+
+def _dashed_box(colour: str) -> Swatch:
+    def draw(page: Axes, x: float, y: float) -> None:
+        page.add_patch(
+            Box((x, y), _WIDE, _HIGH, fill=False, edgecolor=colour, linewidth=1.2, linestyle=(0, (3, 1.5)))
+        )
 
     return draw
 
@@ -182,8 +204,12 @@ def draw_table(figure: Figure, content: MapContent, left: float, top: float) -> 
             draw_text(figure, right, line, show(each), 7.2, ha="right")
 
 
+def _side(metres: float) -> str:
+    return f"{metres:.1f}".removesuffix(".0")
+
+
 STATISTICS_ROWS: tuple[tuple[str, Callable[[SiteStatistics], str]], ...] = (
-    ("size", lambda f: f"{f.width_m:.4g} by {f.depth_m:.4g} m"),
+    ("size", lambda f: f"{_side(f.width_m)} by {_side(f.depth_m)} m"),
     ("relief", lambda f: f"{f.relief_m:.2f} m"),
     ("slope, median", lambda f: f"{f.median_slope_deg:.1f}°"),
     ("slope, 90 % below", lambda f: f"{f.steepest_tenth_deg:.1f}°"),

@@ -208,6 +208,28 @@ def draw_region(axes: Axes, region: Rectangle, width: float) -> None:
         )
 
 
+def draw_candidates(axes: Axes, content: MapContent) -> None:
+    """Draw the numbers of the regions that `world.region` chooses from, and outlines of those not chosen."""
+    _, _, ymin, ymax = content.world.extent
+    for number, each in enumerate(content.world.region_candidates, start=1):
+        left, right, low, high = each.rectangle
+        if each.rectangle != content.spawner.region:
+            for colour, line, style in ((colours.PAPER, 2.4, "-"), (colours.SPAWN_EDGE, 1.2, (0, (3, 1.5)))):
+                axes.add_patch(
+                    Box((left, low), right - left, high - low, fill=False, edgecolor=colour, linewidth=line,
+                        linestyle=style, zorder=4)
+                )  # fmt: skip
+        # Above the rectangle, or inside at the upper edge of the world.
+        inside = ymax - high < 0.05 * (ymax - ymin)
+        axes.annotate(
+            f"{number}", (left, high), (0, -1.5 if inside else 1.5), textcoords="offset points",
+            ha="left", va="top" if inside else "bottom", fontsize=7, fontweight="bold", color=colours.PAPER,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": colours.SPAWN_EDGE, "edgecolor": colours.PAPER,
+                  "linewidth": 0.8},
+            zorder=6.5,
+        )  # fmt: skip
+
+
 def draw_paths(axes: Axes, content: MapContent, width: float, closer: Rectangle | None) -> None:
     """Draw walkers' paths as dashed lines: in several colours, or grey where there are tracks.
 

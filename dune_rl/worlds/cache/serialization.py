@@ -19,6 +19,7 @@ from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
 from dune_rl.worlds.importing.imported_props import ImportedProp
 from dune_rl.worlds.importing.imported_world import ImportedWorld
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
+from dune_rl.worlds.region_candidates import RegionCandidate
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Soil, Surface
 from dune_rl.worlds.world import Prop, World
@@ -36,6 +37,7 @@ _PLAIN: tuple[type, ...] = (
     ImportedWorld,
     Prop,
     MeshTexture,
+    RegionCandidate,
     Soil,
     Surface,
     SurfaceClearance,

@@ -40,8 +40,10 @@ _MEANINGLESS = {
     *("cube", "plane", "mesh", "object", "node", "geometry", "gltf", "cylinder", "sphere", "cone", "group"),
     *("default", "obj", "material", "mat", "part", "shape", "empty", "scene", "root", "model", "link"),
     *("collision", "visual", "box", "polysurface", "defaultobject", "geom", "untitled", "world"),
-    *("stl", "ply", "glb", "dae"),
+    *("stl", "ply", "glb", "dae", "thing", "unit", "static", "body", "base"),
 }  # fmt: skip
+# Upright objects that are thinner than this are walls.
+_WALL_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +103,23 @@ class MeshPart:
 
     @property
     def kind(self) -> str:
-        """One or two words for its kind, from its name or, if that says nothing, from `about`."""
+        """One or two words for its kind, from its name or `about`; "wall" or "obstacle" by its shape if these
+        say nothing.
+        """
         for text in (self.name, self.about):
             words = [w for w in dict.fromkeys(_words(text)) if w not in _MEANINGLESS and len(w) > 1]
             if words:
                 return " ".join(words[:2])
-        return "thing"
+        return "wall" if _is_thin_and_upright(self.vertices) else "obstacle"
+
+
+def _is_thin_and_upright(vertices: Array) -> bool:
+    """Whether points (V, 3) span the shape of a piece of wall."""
+    if len(vertices) < 3:
+        return False
+    across = vertices[:, :2] - vertices[:, :2].mean(axis=0)
+    length, width = np.ptp(across @ np.linalg.svd(across, full_matrices=False)[2].T, axis=0)
+    return bool(width < _WALL_M and length > 3.0 * width and np.ptp(vertices[:, 2]) > width)
 
 
 def guess_colour(text: str) -> tuple[float, float, float]:

@@ -12,10 +12,15 @@ from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps
 from dune_rl.worlds.importing.heightmap.files import HeightSamples, read_heights
-from dune_rl.worlds.importing.imported_world import ImportedWorld, check_region, set_region
+from dune_rl.worlds.importing.imported_world import (
+    REGION_TEXT,
+    ImportedWorld,
+    RegionChoice,
+    check_region,
+    set_region,
+)
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.untrusted_files import ImportReport, resolve_world_path
-from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
 
@@ -51,9 +56,7 @@ class HeightmapConf(SurfaceFileConf):
         description="of the grid; None: the file's, or one of 400,000 points where that has more",
     )
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    region: Rectangle | None = Field(
-        default=None, description="xmin, xmax, ymin, ymax of the spawn region; None: the freest level square"
-    )
+    region: RegionChoice = Field(default=None, description=REGION_TEXT)
 
 
 def build_heightmap(conf: HeightmapConf) -> ImportedWorld:

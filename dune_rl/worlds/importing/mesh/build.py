@@ -8,12 +8,17 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.imported_world import ImportedWorld, assemble_world, check_region
+from dune_rl.worlds.importing.imported_world import (
+    REGION_TEXT,
+    ImportedWorld,
+    RegionChoice,
+    assemble_world,
+    check_region,
+)
 from dune_rl.worlds.importing.mesh.files import UpAxis, load_mesh_parts
 from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
-from dune_rl.worlds.world import Rectangle
 
 # Beyond this distance, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0
@@ -35,9 +40,7 @@ class MeshConf(SurfaceFileConf):
         default=(), description="names of the parts that are ground, with * as wildcard; none: determined"
     )
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    region: Rectangle | None = Field(
-        default=None, description="xmin, xmax, ymin, ymax of the spawn region; None: the freest level square"
-    )
+    region: RegionChoice = Field(default=None, description=REGION_TEXT)
 
 
 def build_mesh(conf: MeshConf) -> ImportedWorld:

@@ -11,14 +11,20 @@ from dune_rl.worlds.importing.ground_pictures import tile_picture
 from dune_rl.worlds.importing.heightmap.build import terrain_from_samples
 from dune_rl.worlds.importing.heightmap.files import read_heights
 from dune_rl.worlds.importing.imported_props import extract_props, is_single_sheet
-from dune_rl.worlds.importing.imported_world import ImportedWorld, assemble_world, check_region, set_region
+from dune_rl.worlds.importing.imported_world import (
+    REGION_TEXT,
+    ImportedWorld,
+    RegionChoice,
+    assemble_world,
+    check_region,
+    set_region,
+)
 from dune_rl.worlds.importing.mesh_parts import MeshPart, drop_faulty_triangles
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
 from dune_rl.worlds.importing.sdf.shapes import build_plane
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
-from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
 
@@ -38,9 +44,7 @@ class SdfConf(SurfaceFileConf):
     friction: float | None = Field(
         default=None, gt=0.0, le=5.0, description="None: that of the ground in the file, else 1"
     )
-    region: Rectangle | None = Field(
-        default=None, description="xmin, xmax, ymin, ymax of the spawn region; None: the freest level square"
-    )
+    region: RegionChoice = Field(default=None, description=REGION_TEXT)
 
 
 def build_sdf(conf: SdfConf) -> ImportedWorld:

@@ -1,0 +1,120 @@
+"""The regions that importers choose for starts and goals: between the objects of a site."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from sites import CRATES_INSIDE, HOUSE_INSIDE, MAZE_INSIDE, ORCHARD_INSIDE, write_site
+from world_files import SHARED_WORLDS
+
+import dune_rl
+from dune_rl.config.build import describe_world
+from dune_rl.config.compose import compose_environment
+from dune_rl.errors import ConfigError, WorldError
+from dune_rl.tasks.spawn import SpawnConf, Spawner
+from dune_rl.worlds.cache.serialization import pack, unpack
+from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
+from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, OPEN_GROUND, describe_choice
+from dune_rl.worlds.world import Rectangle, World
+
+RADIUS_M = 0.4
+
+
+def build(folder, name: str, **settings) -> World:
+    return build_sdf(SdfConf(path=str(write_site(folder, name)), **settings))
+
+
+def is_within(inner: Rectangle, outer: Rectangle) -> bool:
+    return inner[0] >= outer[0] and inner[1] <= outer[1] and inner[2] >= outer[2] and inner[3] <= outer[3]
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "least_m2"),
+    [
+        ("maze", MAZE_INSIDE, 40.0),
+        ("house", HOUSE_INSIDE, 25.0),
+        ("orchard", ORCHARD_INSIDE, 80.0),
+        ("crates", CRATES_INSIDE, 50.0),
+    ],
+)
+def test_the_first_region_is_within_the_site_and_connected(tmp_path, name, inside, least_m2):
+    world = build(tmp_path, name)
+    first = world.region_candidates[0]
+    assert world.region == first.rectangle
+    assert first.place == BETWEEN_OBJECTS and first.free_m2 >= least_m2
+    assert is_within(world.region, inside)
+    spawner = Spawner(world, SpawnConf(), RADIUS_M)
+    drawn = np.array([[p.x, p.y] for p in (spawner.sample(np.random.default_rng(s)) for s in range(60))])
+    assert is_within((*np.sort(drawn[:, 0])[[0, -1]], *np.sort(drawn[:, 1])[[0, -1]]), inside)
+    # Nearly all places that starts are drawn from can be reached from each other without leaving the site.
+    free = spawner.free_space
+    in_site = free.traversable & (
+        ((free.y >= inside[2]) & (free.y <= inside[3]))[:, None]
+        & (free.x >= inside[0])
+        & (free.x <= inside[1])
+    )
+    parts, _ = ndimage.label(in_site)
+    column, row = np.rint((spawner.cells - [free.x[0], free.y[0]]) / free.cell_m).astype(int).T
+    assert np.bincount(parts[row, column]).max() > 0.97 * len(spawner.cells)
+
+
+def test_without_objects_the_region_is_open_ground_in_the_middle(tmp_path):
+    world = build(tmp_path, "plane")
+    (only,) = world.region_candidates
+    assert only.place == OPEN_GROUND
+    np.testing.assert_allclose(world.region, (-4, 4, -4, 4), atol=0.11)
+
+
+def test_a_number_chooses_another_region_and_a_rectangle_any(tmp_path):
+    candidates = build(tmp_path, "maze").region_candidates
+    assert [each.place for each in candidates] == [BETWEEN_OBJECTS, OPEN_GROUND]
+    assert build(tmp_path, "maze", region=2).region == candidates[1].rectangle
+    assert build(tmp_path, "maze", region=(-9, -5, 3, 8)).region == (-9, -5, 3, 8)
+    with pytest.raises(WorldError, match=r"world.region=7: maze.sdf has regions 1 to 2 to choose from"):
+        build(tmp_path, "maze", region=7)
+    path = f"world.path={write_site(tmp_path, 'maze')}"
+    with pytest.raises(ConfigError, match=r"world\.region must be"):
+        compose_environment("sdf", [path, "world.region=0"])
+
+
+def test_the_choice_is_told_in_one_line(tmp_path):
+    conf = compose_environment("sdf", [f"world.path={write_site(tmp_path, 'maze')}"])
+    (line,) = describe_world(conf)
+    assert line.startswith("Starts and goals: x 4")
+    assert "between objects" in line and "world.region=2 chooses another of 2; view=map shows them" in line
+    elsewhere = compose_environment(
+        "sdf", [f"world.path={write_site(tmp_path, 'maze')}", "task.spawn.region=anywhere"]
+    )
+    assert describe_world(elsewhere) == []
+    assert describe_world(compose_environment("flat")) == []
+
+
+def test_candidates_are_kept_in_the_cache(tmp_path):
+    world = build(tmp_path, "house")
+    again = unpack(*pack(world))
+    assert again.region_candidates == world.region_candidates
+    assert describe_choice(again.region, again.region_candidates) is not None
+
+
+def test_the_same_file_has_the_same_regions(tmp_path):
+    assert build(tmp_path, "crates").region_candidates == build(tmp_path, "crates").region_candidates
+
+
+@pytest.mark.parametrize("name", ["maze", "house"])
+def test_an_environment_of_rooms_and_corridors_starts_with_its_default_actors(tmp_path, name):
+    env = dune_rl.parallel_env(world={"name": "sdf", "path": str(write_site(tmp_path, name))}, seed=1)
+    try:
+        for seed in range(3):
+            env.reset(seed=seed)
+    finally:
+        env.close()
+
+
+@pytest.mark.skipif(not SHARED_WORLDS.exists(), reason="needs the shared worlds")
+def test_on_a_farm_the_first_region_is_between_the_solar_arrays():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        world = build_mesh(MeshConf(path=str(SHARED_WORLDS / "agriculture_world.dae")))
+    assert is_within(world.region, (-20.0, 75.0, -45.0, -10.0))
