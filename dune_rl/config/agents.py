@@ -18,7 +18,7 @@ from dune_rl.settings import Settings
 from dune_rl.suggestions import closest, one_of
 from dune_rl.tasks.task import TaskConf, walking_task
 
-EXTERNAL, PATH = "external", "path"
+EXTERNAL, PATH, TRAJECTORY = "external", "path", "trajectory"
 PERSON = "person"
 _MOST_AGENTS = 1000
 # Agents are called GROUP_0, GROUP_1, ...; TorchRL has keys of its own beside the groups'.
@@ -32,7 +32,7 @@ class FrozenPolicyConf(Settings):
     checkpoint: str = Field(min_length=1)
 
 
-Controller = Literal["external", "path"] | FrozenPolicyConf | BehaviourSettings
+Controller = Literal["external", "path", "trajectory"] | FrozenPolicyConf | BehaviourSettings
 
 
 def _parse_body(value: Any) -> Any:
@@ -50,18 +50,18 @@ def _parse_body(value: Any) -> Any:
 
 
 def _parse_controller(value: Any) -> Any:
-    if value in (EXTERNAL, PATH) or isinstance(value, Settings):
+    if value in (EXTERNAL, PATH, TRAJECTORY) or isinstance(value, Settings):
         return value
     if isinstance(value, Mapping) and "checkpoint" in value:
         return FrozenPolicyConf.model_validate(value)
     name = value.get("name") if isinstance(value, Mapping) else value
-    if name in (EXTERNAL, PATH):
+    if name in (EXTERNAL, PATH, TRAJECTORY):
         raise ValueError(f"{name} has no settings here: write controller: {name}")
     if name is None:
         raise ValueError(
             "a controller's mapping has a name, {name: BEHAVIOUR, ...}, or a checkpoint, {checkpoint: PATH}"
         )
-    known = [EXTERNAL, PATH, *BEHAVIOURS.names()]
+    known = [EXTERNAL, PATH, TRAJECTORY, *BEHAVIOURS.names()]
     if not isinstance(name, str) or name not in known:
         near = closest(str(name), known)
         remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
@@ -73,9 +73,10 @@ class AgentGroupConf(Settings):
     """A group of `count` equal agents.
 
     `body` is a robot or a person. `controller` is `external` (a user or a
-    learner gives its actions), `path` (a person walks there and back), a
-    behaviour, or a checkpoint of a trained policy. `path` has the paths on
-    which persons start, and between whose ends they go.
+    learner gives its actions), `path` (a person walks there and back),
+    `trajectory` (persons follow those of the world's file), a behaviour, or a
+    checkpoint of a trained policy. `path` has the paths on which persons start,
+    and between whose ends they go.
 
     Where `sensors`, `task` or `metrics` are None, they follow from the rest:
     see `resolve_groups`.
@@ -91,7 +92,9 @@ class AgentGroupConf(Settings):
 
     @model_validator(mode="after")
     def _body_can_walk_paths(self) -> Self:
-        if not isinstance(self.body, PersonConf) and (self.controller == PATH or self.path is not None):
+        if isinstance(self.body, PersonConf):
+            return self
+        if self.controller in (PATH, TRAJECTORY) or self.path is not None:
             raise ValueError(
                 f"paths are walked by persons, and the body is {self.body.name}: choose another controller, "
                 "and leave path out"

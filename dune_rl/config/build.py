@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from gymnasium.vector import AutoresetMode
 
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.agents import PATH
+from dune_rl.config.agents import PATH, TRAJECTORY
 from dune_rl.config.controllers import controller_factory
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from torchrl.envs import TransformedEnv
 
     from dune_rl.env.torchrl import DuneEnv
+
+
+_MOST_NAMES = 5
 
 
 def make_simulation(
@@ -81,6 +84,7 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             controller=controller_factory(group.controller),
             paths=group.path,
             follows_paths=group.controller == PATH,
+            follows_trajectories=group.controller == TRAJECTORY,
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
@@ -115,11 +119,20 @@ def build_world(conf: WorldSettings) -> World:
 
 
 def describe_world(conf: EnvConf) -> list[str]:
-    """Lines about what an importer chose in a world: the region of starts and goals."""
+    """Lines about what an importer chose in a world: the region of starts and goals, and its own actors."""
     world = build_world(conf.world)
     uses_region = any(group.task is not None and group.task.spawn.region == "world" for group in conf.groups)
     line = describe_choice(world.region, world.region_candidates) if uses_region else None
-    return [] if line is None else [line]
+    lines = [] if line is None else [line]
+    followers = [group for group in conf.groups if group.controller == TRAJECTORY]
+    if followers:
+        names = [actor.name for actor in world.trajectories[: max(group.count for group in followers)]]
+        listed = ", ".join(names[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
+        lines.append(
+            f"Actors: {len(names)} of the file ({listed}) on their trajectories; actors=none leaves them "
+            "out, actors=walkers has walkers instead"
+        )
+    return lines
 
 
 def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = False) -> None:

@@ -17,6 +17,7 @@ from dune_rl.config.hydra_session import compose_config, hydra_session, present_
 from dune_rl.config.migration import copied, migrated, move_renamed
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
+from dune_rl.config.world_actors import replace_default_actors
 from dune_rl.errors import ConfigError
 from dune_rl.suggestions import one_of
 
@@ -153,6 +154,7 @@ def from_hydra(config: DictConfig) -> Conf:
     data = to_plain(config)
     move_renamed(data, warn=False)
     faults = expand_options(data, GlobalHydra.instance().config_loader(), warn=False)
+    replace_default_actors(data)
     move_renamed(data, warn=False)
     return validate(Conf, data, faults)
 
@@ -189,6 +191,7 @@ def _validate_all(
     data = copied(data)
     move_renamed(data)
     faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
+    replace_default_actors(data, keep="actors" in set_in_python)
     # The kind of a named sensor may be known only now, from an option.
     move_renamed(data)
     overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}

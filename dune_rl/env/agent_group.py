@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.collision_counter import CollisionCounter
@@ -39,9 +40,10 @@ class GroupSetup:
     """Configuration of an agent group: body, controller, sensors, task and metrics.
 
     `body` is a factory of a model of N robots, or the settings of a kinematic body. A group without
-    `controller` and `follows_paths` is external: its actions come from a user or a learner. `paths` are the
-    paths of kinematic agents; with `follows_paths` the agents walk along them. A group without `task` has
-    rewards of 0 and never ends an episode.
+    `controller` that follows nothing is external: its actions come from a user or a learner. `paths` are the
+    paths of kinematic agents; with `follows_paths` the agents walk along them. With `follows_trajectories`
+    they walk on the trajectories of their world. A group without `task` has rewards of 0 and never ends an
+    episode.
     """
 
     name: str
@@ -50,6 +52,7 @@ class GroupSetup:
     controller: MakeController | None = None
     paths: PathConf | None = None
     follows_paths: bool = False
+    follows_trajectories: bool = False
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
@@ -57,7 +60,12 @@ class GroupSetup:
     @property
     def is_external(self) -> bool:
         """Whether a user or a learner gives the actions."""
-        return self.controller is None and not self.follows_paths
+        return self.controller is None and not self.is_scripted
+
+    @property
+    def is_scripted(self) -> bool:
+        """Whether kinematic agents are moved along paths or trajectories, without actions."""
+        return self.follows_paths or self.follows_trajectories
 
 
 @dataclass(frozen=True)
@@ -198,10 +206,11 @@ class AgentGroup:
         controller.
         """
         now = state.groups[self.name]
-        if self.setup.follows_paths and isinstance(self.body, KinematicBody):
-            follower = self.goals.source
-            assert isinstance(follower, PathGoals)
-            self.body.move_to(follower.follower.advance(self.body.conf.speed_mps * now.episode.step_s))
+        if self.setup.is_scripted and isinstance(self.body, KinematicBody):
+            assert isinstance(self.goals.source, PathGoals)
+            follower, step_s = self.goals.source.follower, now.episode.step_s
+            timed = isinstance(follower, TrajectoryFollower)
+            self.body.move_to(follower.advance(step_s if timed else self.body.conf.speed_mps * step_s))
             return
         if self._controller is not None:
             actions = self._controller.act(state, now, self.observe)
@@ -218,7 +227,7 @@ class AgentGroup:
         """Set the kinematic bodies of `scenes` (S,) to `poses` (S, G, 4), where robots blocked them."""
         assert isinstance(self.body, KinematicBody)
         self.body.hold_back(scenes, poses)
-        if self.setup.follows_paths:
+        if self.setup.is_scripted:
             assert isinstance(self.goals.source, PathGoals)
             self.goals.source.follower.hold_back(scenes, poses)
 

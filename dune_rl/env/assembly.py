@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from dune_rl.behaviours.path_follower import PathConf, PathFollower
+from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.agent_group import AgentGroup, GroupSetup
 from dune_rl.env.articulated import ArticulatedBody
@@ -91,7 +92,11 @@ def _kinematic_group(
 ) -> AgentGroup:
     body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
     worlds = scenes.worlds.worlds
-    follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
+    follower: PathFollower | TrajectoryFollower
+    if setup.follows_trajectories:
+        follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name)
+    else:
+        follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
     spawners = shared_spawners.of(SpawnConf(), conf.radius_m)
     goals = GoalTracker(PathGoals(follower), rows)
     return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.episode_request import EpisodeRequest
@@ -83,33 +84,58 @@ class EpisodeStart:
     def _place_robots(
         self, scene: int, world: World, seed: int, episode: int, request: EpisodeRequest
     ) -> list[list[tuple[Array, Array]]]:
-        """Sample start poses, by group, and goals of the robots, or take those of `request`."""
+        """Sample start poses, by group, and goals of the robots, or take those of `request`.
+
+        Robots whose starts are requested are placed first, and the others at a distance from them and from
+        where actors on trajectories start.
+        """
         robots = [name for group in self._robots for name in group.names]
         others = [name for name in request if name not in robots]
         if others:
             raise ValueError(f"{', '.join(others)}: only robots start and go where they are told")
-        taken: list[tuple[Placement, float]] = []
-        placed: list[tuple[str, Placement, float]] = []
+        placed: dict[str, tuple[Placement, float]] = {}
+        actors = self.starts_on_trajectories(world)
+
+        def place(group: AgentGroup, agent: int, name: str, taken: Sequence[tuple[Placement, float]]) -> None:
+            source = group.goals.source
+            assert isinstance(source, RegionGoals)
+            placement = source.place_agent(scene, seed, episode, agent, taken)
+            if name in request:
+                asked, has_goal = request[name].applied(placement), request[name].goal is not None
+                placement = source.move(scene, agent, name, asked, has_goal=has_goal)
+            placed[name] = placement, source.footprint_radius_m
+
+        members = [(group, agent, name) for group in self._robots for agent, name in enumerate(group.names)]
+        starts_given = {name for name, asked in request.items() if asked.start is not None}
+        for group, agent, name in members:
+            if name in starts_given:
+                place(group, agent, name, ())
+        for group, agent, name in members:
+            if name not in starts_given:
+                place(group, agent, name, (*actors, *placed.values()))
         found = []
         for group, engines in zip(self._robots, self._engines_of(scene), strict=True):
-            source, body = group.goals.source, group.body
-            assert isinstance(source, RegionGoals)
+            body = group.body
             assert isinstance(body, ArticulatedBody)
-            placements = source.place(scene, seed, episode, taken)
-            for agent, name in enumerate(group.names):
-                if name in request:
-                    asked = request[name].applied(placements[agent])
-                    has_goal = request[name].goal is not None
-                    placements[agent] = source.move(scene, agent, name, asked, has_goal=has_goal)
-            placed += zip(group.names, placements, [source.footprint_radius_m] * group.count, strict=True)
-            taken += [(placement, source.footprint_radius_m) for placement in placements]
+            placements = [placed[name][0] for name in group.names]
             poses = [standing_pose(world, body.robot, one.x, one.y, one.yaw) for one in placements]
             for engine, (position, quaternion) in zip(engines, poses, strict=True):
                 engine.set_start_pose(position.tolist(), quaternion.tolist())
             found.append(poses)
         if request:
-            _check_apart(placed)
+            _check_apart([(name, *placed[name]) for _, _, name in members])
         return found
+
+    def starts_on_trajectories(self, world: World) -> list[tuple[Placement, float]]:
+        """Where actors on trajectories start, as placements that stay there, and their radii [m]."""
+        starts = []
+        for group in self._on_paths():
+            assert isinstance(group.goals.source, PathGoals)
+            follower = group.goals.source.follower
+            if isinstance(follower, TrajectoryFollower):
+                for x, y, _, yaw in follower.start_poses(world).tolist():
+                    starts.append((Placement(x, y, yaw, x, y), group.radius_m))
+        return starts
 
     def _reset_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:
         randomizer, values = self._scenes.randomizer, self._scenes.values[scene]

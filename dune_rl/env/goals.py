@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.behaviours.path_follower import PathFollower
+from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.seeding import stream
@@ -91,15 +92,21 @@ class RegionGoals:
         """
         found = list(taken)
         for agent in range(self._count):
-            number, row = self._first + agent, scene * self._count + agent
-            draws = stream(seed, f"spawn rover_{number}" if number else "spawn", episode)
-            reach = self.footprint_radius_m + self.conf.robots_apart_m
-            placements, apart = [one for one, _ in found], [reach + radius for _, radius in found]
-            placement = self._spawners.of_scene(scene).sample(draws, placements, apart)
-            found.append((placement, self.footprint_radius_m))
-            self._streams[row] = draws
-            self.goals_w[row] = placement.goal_x, placement.goal_y
+            found.append((self.place_agent(scene, seed, episode, agent, found), self.footprint_radius_m))
         return [placement for placement, _ in found[len(taken) :]]
+
+    def place_agent(
+        self, scene: int, seed: int, episode: int, agent: int, taken: Sequence[tuple[Placement, float]]
+    ) -> Placement:
+        """As `place`, of one of a scene's agents."""
+        number, row = self._first + agent, scene * self._count + agent
+        draws = stream(seed, f"spawn rover_{number}" if number else "spawn", episode)
+        reach = self.footprint_radius_m + self.conf.robots_apart_m
+        placements, apart = [one for one, _ in taken], [reach + radius for _, radius in taken]
+        placement = self._spawners.of_scene(scene).sample(draws, placements, apart)
+        self._streams[row] = draws
+        self.goals_w[row] = placement.goal_x, placement.goal_y
+        return placement
 
     def move(self, scene: int, agent: int, name: str, placement: Placement, *, has_goal: bool) -> Placement:
         """Place an agent, called `name`, somewhere else; raises ValueError where it has no room.
@@ -151,9 +158,12 @@ class RegionGoals:
 
 
 class PathGoals:
-    """Goals of agents on paths: the far end of an agent's path, then its start, and so on."""
+    """Goals of agents on paths: the far end of an agent's path, then its start, and so on.
 
-    def __init__(self, follower: PathFollower) -> None:
+    Of agents on trajectories they are the last way-points.
+    """
+
+    def __init__(self, follower: PathFollower | TrajectoryFollower) -> None:
         self.follower = follower
 
     @property

@@ -54,18 +54,20 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
         num_scenes=1,
     )
     groups = build_groups(group_setups(conf), scenes)
-    EpisodeStart(groups, scenes).find_paths(conf.seed, world)
+    starter = EpisodeStart(groups, scenes)
+    starter.find_paths(conf.seed, world)
+    actors = starter.starts_on_trajectories(world)
     viewed = _viewed_group(groups, conf.agent)
     spawner = viewed.spawners.of(world)
     if tracks:
         episodes = {
-            episode: _place_robots(groups, conf.seed, episode)
+            episode: _place_robots(groups, conf.seed, episode, actors)
             for episode in sorted({track.episode for track in tracks})
         }
     else:
         xmin, xmax, ymin, ymax = spawner.region
         episodes = choose_spread_episodes(
-            lambda episode: _place_robots(groups, conf.seed, episode),
+            lambda episode: _place_robots(groups, conf.seed, episode, actors),
             conf.episodes,
             _APART * max(xmax - xmin, ymax - ymin),
         )
@@ -87,15 +89,17 @@ def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGro
     return own or next((group for group in groups if group.is_external), groups[0])
 
 
-def _place_robots(groups: tuple[AgentGroup, ...], seed: int, episode: int) -> list[Placement]:
-    """Starts and goals of the robots of all groups in an episode, in their order."""
-    placed: list[tuple[Placement, float]] = []
+def _place_robots(
+    groups: tuple[AgentGroup, ...], seed: int, episode: int, actors: list[tuple[Placement, float]]
+) -> list[Placement]:
+    """Starts and goals of the robots of all groups in an episode, away from the starts of `actors`."""
+    placed = list(actors)
     for group in groups:
         source = group.goals.source
         if isinstance(source, RegionGoals):
             placements = source.place(0, seed, episode, placed)
             placed += [(placement, source.footprint_radius_m) for placement in placements]
-    return [placement for placement, _ in placed]
+    return [placement for placement, _ in placed[len(actors) :]]
 
 
 def _spawn_conf(group: AgentGroup) -> SpawnConf:

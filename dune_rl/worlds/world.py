@@ -13,6 +13,7 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.folder import DiskCache
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
@@ -87,11 +88,13 @@ class World:
     those of everything else. `light` is the world's own sun, for weathers that
     do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays computed
     from the world. `region_candidates` are the regions that an importer found,
-    the preferred one first; other worlds have none.
+    the preferred one first; other worlds have none. `trajectories` are those of
+    the actors that a file brings along.
     """
 
     disk_cache: DiskCache | None = None
     region_candidates: tuple[RegionCandidate, ...] = ()
+    trajectories: tuple[ActorTrajectory, ...] = ()
 
     def __init__(
         self,

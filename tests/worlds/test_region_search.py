@@ -50,7 +50,8 @@ def test_the_first_region_is_within_the_site_and_connected(tmp_path, name, insid
     assert is_within((*np.sort(drawn[:, 0])[[0, -1]], *np.sort(drawn[:, 1])[[0, -1]]), inside)
     # Nearly all places that starts are drawn from can be reached from each other without leaving the site.
     free = spawner.free_space
-    rows, columns = (free.y >= inside[2]) & (free.y <= inside[3]), (free.x >= inside[0]) & (free.x <= inside[1])
+    rows = (free.y >= inside[2]) & (free.y <= inside[3])
+    columns = (free.x >= inside[0]) & (free.x <= inside[1])
     parts, _ = ndimage.label(free.traversable & rows[:, None] & columns)
     column, row = np.rint((spawner.cells - [free.x[0], free.y[0]]) / free.cell_m).astype(int).T
     assert np.bincount(parts[row, column]).max() > 0.97 * len(spawner.cells)

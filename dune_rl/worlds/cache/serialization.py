@@ -13,6 +13,7 @@ from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
 from dune_rl.settings import Settings
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
@@ -29,6 +30,7 @@ Packed = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 # Only these classes are instantiated when a file names them. A new class that worlds refer to must be added
 # here: until then, worlds with it cannot be cached.
 _PLAIN: tuple[type, ...] = (
+    ActorTrajectory,
     ClearanceField,
     Grass,
     GroundColours,

@@ -1,5 +1,6 @@
 """The sdf world, built from a Gazebo model or world."""
 
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from dune_rl.worlds.importing.imported_world import (
     set_region,
 )
 from dune_rl.worlds.importing.mesh_parts import MeshPart, drop_faulty_triangles
+from dune_rl.worlds.importing.sdf.actors import place_on_ground
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
 from dune_rl.worlds.importing.sdf.shapes import build_plane
@@ -55,10 +57,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
     """
     path = resolve_world_path(conf.path)
     report = ImportReport(path.name)
-    own = WorldFiles(path.resolve() if path.is_dir() else path.resolve().parent)
-    finder = SdfFileFinder(own.root, report)
-    file = finder.find_description(own.root, own) if path.is_dir() else path.resolve()
-    contents = SdfReader(finder, report).read(file, own)
+    contents = _read(path, report)
     parts = drop_faulty_triangles(contents.parts, report)
     region = check_region(conf.region)
     levels = [height_map for height_map in contents.height_maps if _is_level(height_map)]
@@ -84,8 +83,23 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             light=contents.light,
         )
     world.surfaces = read_surfaces(conf, world.extent)
+    world.trajectories = place_on_ground(contents.actors, world.terrain, report)
     report.emit_warnings()
     return world
+
+
+def _read(path: Path, report: ImportReport, *, actors_only: bool = False) -> SdfContents:
+    """The contents of a file, or of the model or world in a folder."""
+    own = WorldFiles(path.resolve() if path.is_dir() else path.resolve().parent)
+    finder = SdfFileFinder(own.root, report)
+    file = finder.find_description(own.root, own) if path.is_dir() else path.resolve()
+    return SdfReader(finder, report, actors_only=actors_only).read(file, own)
+
+
+def count_actors(path: str) -> int:
+    """Number of actors with trajectories in an SDF file; raises `WorldError` if it cannot be read."""
+    found = resolve_world_path(path)
+    return len(_read(found, ImportReport(found.name), actors_only=True).actors)
 
 
 def _is_level(height_map: SdfHeightMap) -> bool:

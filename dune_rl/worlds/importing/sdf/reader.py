@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
 from dune_rl.rendering.light import LightConf
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.mesh.files import load_mesh_parts
 from dune_rl.worlds.importing.mesh_parts import GREY, MeshPart, guess_colour
+from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.shapes import build_primitive, parse_numbers, parse_pose
 from dune_rl.worlds.importing.sdf.sun import parse_sun
@@ -55,7 +57,9 @@ class SdfHeightMap:
 
 @dataclass(eq=False)
 class SdfContents:
-    """Contents of a file: solid and visible parts, planes with their poses, height maps, sun, frictions."""
+    """Contents of a file: solid and visible parts, planes with their poses, height maps, sun, frictions, and
+    trajectories of actors.
+    """
 
     parts: list[MeshPart] = field(default_factory=list)
     planes: list[tuple[Element, Array, Colour]] = field(default_factory=list)
@@ -63,12 +67,14 @@ class SdfContents:
     # By the name of a part, or "plane" or "heightmap".
     frictions: dict[str, float] = field(default_factory=dict)
     light: LightConf | None = None
+    actors: list[ActorTrajectory] = field(default_factory=list)
 
 
 class SdfReader:
-    """Reads a file and everything that it includes."""
+    """Reads a file and everything that it includes; with `actors_only`, nothing but its actors."""
 
-    def __init__(self, finder: SdfFileFinder, report: ImportReport) -> None:
+    def __init__(self, finder: SdfFileFinder, report: ImportReport, *, actors_only: bool = False) -> None:
+        self._actors_only = actors_only
         self._contents = SdfContents()
         self._finder, self._report = finder, report
         self._elements = self._includes = self._faces = 0
@@ -112,6 +118,10 @@ class SdfReader:
                 own = "" if child.tag == "world" else child.get("name") or ""
                 full = name if element.tag == "sdf" and name else _path(name, own)
                 self._read_children(child, folder, matrix @ self._pose(child), full, chain)
+            elif child.tag == "actor":
+                self._read_actor(child, matrix)
+            elif self._actors_only and child.tag != "include":
+                continue
             elif child.tag == "link":
                 self._read_link(
                     child, folder, matrix @ self._pose(child), name or printable(child.get("name") or "")
@@ -122,6 +132,13 @@ class SdfReader:
                 self._read_light(child, matrix)
             elif child.tag not in _IGNORED:
                 self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
+
+    def _read_actor(self, element: Element, matrix: Array) -> None:
+        actor = parse_actor(element, matrix, self._report)
+        if actor is not None:
+            self._contents.actors.append(actor)
+        if len(self._contents.actors) > MOST_ACTORS:
+            raise WorldError(f"{self._report.source} has more than {MOST_ACTORS} actors: reduce it.")
 
     def _warn_if_dynamic(self, element: Element) -> None:
         # In Gazebo, a model without <static> falls and can be pushed.

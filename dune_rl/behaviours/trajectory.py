@@ -1,0 +1,174 @@
+"""The controller `trajectory`: actors that follow the timed way-points of a world's file."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Self
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Scenes = NDArray[np.int64]
+SamplePoints = Callable[[np.random.Generator, int, float], Array]
+
+# Added to the times of agent k, k times, so that one sorted array holds the times of all.
+_APART_S = 4e6
+
+
+class TrajectoryBank(NamedTuple):
+    """The trajectories of G agents end to end: `times` (P,) [s] and `poses` (P, 4); the rest is (G,).
+
+    `keys` (P,) are the times, plus `_APART_S` for each agent before. The way-points of agent k are those from
+    `starts[k]` to before `ends[k]`.
+    """
+
+    keys: Array
+    times: Array
+    poses: Array
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    delays: Array
+    loops: Flags
+    on_ground: Flags
+
+    @classmethod
+    def of(cls, actors: tuple[ActorTrajectory, ...]) -> Self:
+        """The bank of `actors`."""
+        counts = np.array([len(actor.times) for actor in actors])
+        ends = np.cumsum(counts)
+        times = np.concatenate([actor.times for actor in actors])
+        return cls(
+            times + _APART_S * np.repeat(np.arange(len(actors)), counts),
+            times,
+            np.concatenate([actor.poses for actor in actors]),
+            ends - counts,
+            ends,
+            np.array([actor.delay_s for actor in actors]),
+            np.array([actor.loop for actor in actors]),
+            np.array([actor.on_ground for actor in actors]),
+        )
+
+    def poses_at(self, clock_s: Array) -> Array:
+        """Poses (..., G, 4) at times (..., G) [s] since the start, linear between way-points."""
+        last = self.times[self.ends - 1]
+        cycle = self.delays + last
+        repeats = self.loops & (last > 0.0)
+        passed = np.where(repeats, np.mod(clock_s, np.where(repeats, cycle, 1.0)), clock_s)
+        passed = np.clip(passed - self.delays, 0.0, last)
+        after = np.searchsorted(self.keys, passed + _APART_S * np.arange(len(last)), side="right")
+        after = np.clip(after, np.minimum(self.starts + 1, self.ends - 1), self.ends - 1)
+        before = np.maximum(after - 1, self.starts)
+        span = self.times[after] - self.times[before]
+        share = (passed - self.times[before]) / np.where(span > 0.0, span, 1.0)
+        start, end = self.poses[before], self.poses[after]
+        poses: Array = start + share[..., None] * (end - start)
+        poses[..., 3] = (poses[..., 3] + np.pi) % (2 * np.pi) - np.pi
+        return poses
+
+
+class TrajectoryFollower:
+    """Scripted poses of N = M * G agents on the trajectories of their worlds, rows scene after scene.
+
+    Agent k of a scene follows trajectory k of its world. An agent that a robot holds up is late from then on.
+    `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at random.
+    """
+
+    def __init__(self, count: int, speed_mps: float, worlds: SharedPerScene[World], kind: str) -> None:
+        self.count = count
+        self._speed_mps, self._kind, self._worlds = speed_mps, kind, worlds
+        # Entries live as long as their worlds.
+        self._banks: WeakKeyDictionary[World, TrajectoryBank] = WeakKeyDictionary()
+        scenes = len(worlds)
+        self.goals_w = np.zeros((scenes * count, 2))
+        self._clock_s = np.zeros((scenes, count))
+        self._step_s = 0.0
+        # Poses before and after the last `advance`, and offsets from the trajectories, to which robots push.
+        self._before = np.zeros((scenes, count, 4))
+        self._targets = np.zeros((scenes, count, 4))
+        self._offsets = np.zeros((scenes, count, 2))
+
+    def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
+        """Read the trajectories of `world`; raises `WorldError` if it has fewer than the group has agents."""
+        if world in self._banks:
+            return
+        found = len(world.trajectories)
+        if found < self.count:
+            raise WorldError(
+                f"{self._kind} has {self.count} on trajectories, and the world {world.name!r} has {found} "
+                "actors with one: choose actors=walkers or actors=none, or a smaller count."
+            )
+        self._banks[world] = TrajectoryBank.of(world.trajectories[: self.count])
+
+    def clear_paths(self) -> None:
+        """Nothing: trajectories depend on their worlds alone."""
+
+    def paths(self, agent: int, scene: int = 0) -> list[Array]:
+        """The way-points (P, 2) [m] of an agent of a scene, as a list of one."""
+        bank = self._banks[self._worlds[scene]]
+        return [bank.poses[bank.starts[agent] : bank.ends[agent], :2]]
+
+    def start_poses(self, world: World) -> Array:
+        """Poses (G, 4) at the start of an episode in `world`."""
+        poses = self._banks[world].poses_at(np.zeros(self.count))
+        return self._on_ground(world, poses)
+
+    def reset(self, scene: int, rng: np.random.Generator, avoid_xy: Array) -> Array:
+        """Start poses (G, 4) of a scene's agents."""
+        world = self._worlds[scene]
+        bank = self._banks[world]
+        self._clock_s[scene], self._offsets[scene] = 0.0, 0.0
+        poses = self.start_poses(world)
+        # The bodies have views of the targets.
+        self._targets = self._targets.copy()
+        self._targets[scene] = poses
+        self.goals_w[scene * self.count : (scene + 1) * self.count] = bank.poses[bank.ends - 1, :2]
+        return poses
+
+    def advance(self, step_s: float) -> Array:
+        """Let `step_s` pass; returns the poses (N, 4)."""
+        self._step_s = step_s
+        self._clock_s = self._clock_s + step_s
+        self._before = self._targets
+        length = np.linalg.norm(self._offsets, axis=2, keepdims=True)
+        left = np.maximum(length - self._speed_mps * step_s, 0.0)
+        self._offsets = self._offsets * (left / np.where(length > 0.0, length, 1.0))
+        poses = query_grouped(self._worlds.groups, self._poses_at, self._clock_s)
+        poses[..., :2] += self._offsets
+        self._targets = query_grouped(self._worlds.groups, self._on_ground, poses)
+        return self._targets.reshape(-1, 4)
+
+    def hold_back(self, scenes: Scenes, poses: Array) -> None:
+        """Set the agents of `scenes` (S,) to `poses` (S, G, 4), to which robots limited them."""
+        way = self._targets[scenes, :, :2] - self._before[scenes, :, :2]
+        reached = poses[..., :2] - self._before[scenes, :, :2]
+        length = np.maximum((way**2).sum(axis=2), 1e-12)
+        missing = 1.0 - np.clip((reached * way).sum(axis=2) / length, 0.0, 1.0)
+        blocked = np.abs(poses[..., :2] - self._targets[scenes, :, :2]).max(axis=2) > 1e-9
+        clock_s = self._clock_s.copy()
+        clock_s[scenes] -= np.where(blocked, missing, 0.0) * self._step_s
+        self._clock_s = np.maximum(clock_s, 0.0)
+        places = query_grouped(self._worlds.groups, self._poses_at, self._clock_s)[scenes, :, :2]
+        offsets, targets = self._offsets.copy(), self._targets.copy()
+        offsets[scenes] = np.where(blocked[..., None], poses[..., :2] - places, offsets[scenes])
+        targets[scenes, :, :2] = np.where(blocked[..., None], poses[..., :2], targets[scenes, :, :2])
+        self._offsets, self._targets = offsets, targets
+
+    def renew(self, mask: Flags) -> None:
+        """Nothing: the goals stay the last way-points."""
+
+    def _poses_at(self, world: World, clock_s: Array) -> Array:
+        return self._banks[world].poses_at(clock_s)
+
+    def _on_ground(self, world: World, poses: Array) -> Array:
+        """`poses` (..., G, 4) with the ground's height for agents that walk on it."""
+        found = poses.copy()
+        found[..., 2] = np.where(
+            self._banks[world].on_ground, world.terrain.height(poses[..., :2]), poses[..., 2]
+        )
+        return found

@@ -1,0 +1,46 @@
+"""The default actors: those that a world's file brings along, or else walkers."""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from dune_rl.config.agents import PERSON, TRAJECTORY
+from dune_rl.errors import WorldError
+
+# The mark, in an option's file, of groups whose place the file's own actors take.
+MARK = "unless_in_world"
+GROUP = "actor"
+
+
+def replace_default_actors(data: dict[str, Any], *, keep: bool = False) -> None:
+    """Replace marked groups of `data["actors"]` with the actors of the world's file, if it has any.
+
+    Marks are removed; with `keep`, that is all.
+    """
+    actors = data.get("actors")
+    if not isinstance(actors, Mapping):
+        return
+    marked = [name for name, group in actors.items() if isinstance(group, Mapping) and group.get(MARK)]
+    plain = {
+        name: {key: value for key, value in group.items() if key != MARK}
+        if isinstance(group, Mapping)
+        else group
+        for name, group in actors.items()
+    }
+    count = _count_in_world(data.get("world")) if marked and not keep and not data.get("agents") else 0
+    if count:
+        plain = {name: group for name, group in plain.items() if name not in marked}
+        plain[GROUP] = {"body": {"name": PERSON}, "count": count, "controller": TRAJECTORY}
+    data["actors"] = plain
+
+
+def _count_in_world(world: Any) -> int:
+    """Number of actors in a world's file; 0 for other worlds and for files that cannot be read."""
+    if not isinstance(world, Mapping) or world.get("name") != "sdf" or not isinstance(world.get("path"), str):
+        return 0
+    # Only now: reading meshes needs libraries that other commands do without.
+    from dune_rl.worlds.importing.sdf.build import count_actors
+
+    with suppress(WorldError, OSError):
+        return count_actors(world["path"])
+    return 0

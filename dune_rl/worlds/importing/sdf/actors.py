@@ -1,0 +1,112 @@
+"""The <actor>s of SDF files: the trajectories of their scripts."""
+
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.errors import WorldError
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
+from dune_rl.worlds.importing.sdf.shapes import parse_numbers, parse_pose
+from dune_rl.worlds.importing.untrusted_files import ImportReport, printable
+
+Array = NDArray[np.float64]
+
+MOST_ACTORS, _MOST_WAY_POINTS, _LONGEST_S = 500, 20_000, 1e6
+# A loop whose ends are farther apart than this is closed by a way back, at this speed if the script has none.
+_CLOSED_M, _USUAL_MPS = 0.1, 1.0
+# Origins of actors are up to this high above the ground that they walk on: Gazebo's are at the hip.
+_HIGHEST_ORIGIN_M = 2.0
+_TRUE = ("true", "1")
+
+
+def parse_actor(element: Element, matrix: Array, report: ImportReport) -> ActorTrajectory | None:
+    """The trajectory of an <actor> in the frame `matrix` (4, 4); None, with a warning, if it has none.
+
+    Trajectories of a script follow one another. Way-points of equal times count once, the last of them.
+    """
+    name = printable(element.get("name") or "actor", 60)
+    points = _way_points(element, name, matrix)
+    if not points:
+        plugin = element.find("plugin")
+        mover = "" if plugin is None else printable(plugin.get("name") or "without a name", 60)
+        reason = f"is moved by a plugin ({mover}), " if mover else ""
+        report.warn(f"the actor {name!r} {reason}has no <trajectory> and is left out")
+        return None
+    if element.find("skin") is not None or element.find("animation") is not None:
+        report.warn("skins and animations of <actor>s are not drawn; a person of ours walks in their place")
+    times = np.array(sorted(points))
+    poses = np.stack([points[time] for time in times.tolist()])
+    poses[:, 3] = np.unwrap(poses[:, 3])
+    script = element.find("script")
+    assert script is not None
+    loop = (script.findtext("loop") or "true").strip() in _TRUE
+    delay_s = float(parse_numbers(script.find("delay_start"), 1, (0.0,))[0])
+    if not 0.0 <= delay_s <= _LONGEST_S:
+        raise WorldError(
+            f"<delay_start> of the actor {name!r} must be 0 to {_LONGEST_S:g} s (got {delay_s:g})."
+        )
+    # Until the first way-point's time the actor stands there.
+    delay_s, times = delay_s + float(times[0]), times - times[0]
+    if (script.findtext("auto_start") or "true").strip() not in _TRUE:
+        report.warn(f"the actor {name!r} stands at its start, since its <auto_start> is false")
+        times, poses = times[:1], poses[:1]
+    elif loop:
+        times, poses = _close_loop(name, times, poses, report)
+    return ActorTrajectory(name, times, poses, loop, delay_s)
+
+
+def _way_points(element: Element, name: str, matrix: Array) -> dict[float, Array]:
+    """Poses (4,) by time [s] of all trajectories of an actor's script."""
+    points: dict[float, Array] = {}
+    start = 0.0
+    for trajectory in element.findall("script/trajectory"):
+        times = []
+        for way_point in trajectory.findall("waypoint"):
+            time = float(parse_numbers(way_point.find("time"), 1, (0.0,))[0])
+            if not 0.0 <= time <= _LONGEST_S:
+                raise WorldError(
+                    f"a <waypoint>'s <time> of the actor {name!r} must be 0 to {_LONGEST_S:g} (got {time:g})."
+                )
+            pose = matrix @ parse_pose(way_point)
+            yaw = np.arctan2(pose[1, 0], pose[0, 0])
+            points[start + time] = np.array([*pose[:3, 3], yaw])
+            times.append(time)
+        start += max(times, default=0.0)
+    if len(points) > _MOST_WAY_POINTS:
+        raise WorldError(f"the actor {name!r} has more than {_MOST_WAY_POINTS:,} <waypoint>s: reduce them.")
+    return points
+
+
+def _close_loop(name: str, times: Array, poses: Array, report: ImportReport) -> tuple[Array, Array]:
+    """The way-points and, where the last is far from the first, a way back at the mean speed."""
+    back = float(np.linalg.norm(poses[-1, :2] - poses[0, :2]))
+    if back <= _CLOSED_M:
+        return times, poses
+    travelled = float(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum())
+    speed = travelled / times[-1] if times[-1] > 0.0 and travelled > 0.0 else _USUAL_MPS
+    report.warn(
+        f"the loop of the actor {name!r} ends {back:.1f} m from its start: it walks back here"
+    )
+    first = poses[0].copy()
+    first[3] = poses[-1, 3] + (first[3] - poses[-1, 3] + np.pi) % (2 * np.pi) - np.pi
+    return np.append(times, times[-1] + back / speed), np.concatenate([poses, first[None]])
+
+
+def place_on_ground(
+    actors: list[ActorTrajectory], terrain: HeightField, report: ImportReport
+) -> tuple[ActorTrajectory, ...]:
+    """The actors with `on_ground` set for those near the ground; warns of those beyond its edge."""
+    xmin, xmax, ymin, ymax = terrain.extent
+    placed = []
+    for actor in actors:
+        xy = actor.poses[:, :2]
+        if (xy < [xmin, ymin]).any() or (xy > [xmax, ymax]).any():
+            report.warn(f"the actor {actor.name!r} walks beyond the edge of the ground")
+        over = actor.poses[:, 2] - terrain.height(xy)
+        near = bool((over <= _HIGHEST_ORIGIN_M).all())
+        placed.append(
+            ActorTrajectory(actor.name, actor.times, actor.poses, actor.loop, actor.delay_s, on_ground=near)
+        )
+    return tuple(placed)
