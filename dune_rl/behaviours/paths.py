@@ -132,5 +132,5 @@ def random_paths(
         return found
     raise WorldError(
         f"no path of {shortest:g} to {longest:g} m for an actor of radius {radius_m:g} m fits {world.name}: "
-        "shorten actors.length_range_m, give waypoints, or enlarge task.spawn.region"
+        "take actors=none, shorten actors.walker.path.length_range_m, or enlarge task.spawn.region"
     )

@@ -45,6 +45,19 @@ def interpolate_triangles(
 
 
 @compile_function
+def find_and_interpolate_triangles(
+    points: Any, origin: Any, inverse_spacing: float, last: Any, planes: Any, triangles: Any, found: Any
+) -> None:
+    """What `find_triangles` and `interpolate_triangles` find, (P,) each, with one search of each point."""
+    for point in range(len(points)):
+        column, row, x, y = _locate(points[point], origin, inverse_spacing, last)
+        triangle = 2 * (row * np.int64(last[0]) + column) + (1 if x >= y else 0)
+        triangles[point] = triangle
+        plane = planes[triangle]
+        found[point] = plane[0] + plane[1] * x + plane[2] * y
+
+
+@compile_function
 def interpolate_bilinear(
     points: Any, origin: Any, inverse_spacing: float, last: Any, values: Any, found: Any
 ) -> None:

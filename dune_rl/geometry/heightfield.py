@@ -5,7 +5,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dune_rl.geometry.grid_loops import find_triangles, interpolate_triangles
+from dune_rl.geometry.grid_loops import (
+    find_and_interpolate_triangles,
+    find_triangles,
+    interpolate_triangles,
+)
 
 Array = NDArray[np.float64]
 
@@ -78,7 +82,13 @@ class HeightField:
 
     def height_and_normal(self, xy: ArrayLike) -> tuple[Array, Array]:
         """`height` and `normal`."""
-        return self.height(xy), self.normal(xy)
+        points = np.ascontiguousarray(xy, np.float64)
+        triangles, found = np.empty(points.shape[:-1], np.int64), np.empty(points.shape[:-1])
+        find_and_interpolate_triangles(
+            points.reshape(-1, 2), *self._grid, self._planes, triangles.reshape(-1), found.reshape(-1)
+        )
+        height: Array = found[()]
+        return height, self._normals[triangles]
 
     def slope(self, xy: ArrayLike) -> Array:
         """Angle between the ground and the horizontal [rad], shape (...), at points (..., 2)."""

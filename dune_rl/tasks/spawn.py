@@ -264,7 +264,8 @@ class Spawner:
         if not usable.any():
             raise WorldError(
                 f"task.spawn.region {_rectangle(self.region)} has no free point with {radius_m:.2f} m of "
-                "clearance: make the actors smaller, or choose another task.spawn.region."
+                "clearance for actors: take actors=none, make them smaller, or choose another "
+                "task.spawn.region."
             )
         part = np.bincount(free.components[usable]).argmax()
         return free.centres(usable & (free.components == part))

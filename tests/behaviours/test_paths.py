@@ -95,5 +95,7 @@ def test_random_paths_depend_on_the_generator_alone():
 
 
 def test_no_room_for_a_path_is_an_error_that_says_what_to_change():
-    with pytest.raises(WorldError, match=r"no path of 100 to 200 m .* shorten actors\.length_range_m"):
+    with pytest.raises(
+        WorldError, match=r"no path of 100 to 200 m .* take actors=none, shorten actors\.walker\.path"
+    ):
         random_paths(yard(), points_anywhere, np.random.default_rng(0), 5, 0.5, (100.0, 200.0))

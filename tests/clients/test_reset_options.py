@@ -124,10 +124,25 @@ def test_robots_do_not_start_in_one_another() -> None:
     env = dune_rl.parallel_env("flat", 1, robots=["rover_zero"] * 2)
     with pytest.raises(ValueError, match="rover_0 and rover_1 would start in one another, at"):
         env.reset(options={"start": {"rover_0": (1.0, 1.0), "rover_1": (1.2, 1.0)}})
-    env.reset(seed=3)
-    x, y = env.simulation.group().body.motion.position_w[1, :2]
-    with pytest.raises(ValueError, match="give both of them starts"):
-        env.reset(seed=3, options={"start": {"rover_0": (x, y)}})
+    env.close()
+
+
+def test_robots_without_a_given_start_make_room_for_those_with_one() -> None:
+    env = dune_rl.parallel_env("flat", 1, robots=["rover_zero", "rover_zero", "leo_rover"])
+    groups = [group.body.motion for group in env.simulation.groups if group.name in ("rover", "leo_rover")]
+    for seed in range(3):
+        env.reset(seed=seed)
+        before = np.concatenate([each.position_w[:, :2] for each in groups])
+        # Where the last and the second would have started.
+        for agent, start in (("rover_0", before[2]), ("leo_rover_0", before[1])):
+            env.reset(seed=seed, options={"start": {agent: start}})
+            groups = [env.simulation.group(name).body.motion for name in ("rover", "leo_rover")]
+            after = np.concatenate([each.position_w[:, :2] for each in groups])
+            number = 0 if agent == "rover_0" else 2
+            np.testing.assert_allclose(after[number], start, atol=0.05)
+            gaps = np.hypot(*(after[:, None] - after).transpose(2, 0, 1))[np.triu_indices(3, 1)]
+            # Two footprints and half a metre.
+            assert gaps.min() > 1.1
     env.close()
 
 

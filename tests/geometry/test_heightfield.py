@@ -99,3 +99,14 @@ def test_the_given_array_is_not_shared():
     field = HeightField(heights, 1.0, (0.0, 0.0))
     heights[:] = 7.0
     assert float(field.height(np.array([1.2, 1.3]))) == 0.0
+
+
+def test_height_and_normal_together_are_those_of_each_alone():
+    rng = np.random.default_rng(3)
+    field = HeightField(rng.normal(size=(12, 17)), 0.3, (-2.0, 1.0))
+    points = rng.uniform(-4.0, 8.0, (200, 3, 2))
+    points[0, 0] = np.nan
+    for xy in (points, points[1, 1], points[:0]):
+        height, normal = field.height_and_normal(xy)
+        np.testing.assert_array_equal(height, field.height(xy))
+        np.testing.assert_array_equal(normal, field.normal(xy))

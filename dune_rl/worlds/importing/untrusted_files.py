@@ -28,6 +28,9 @@ _MAX_PIXELS = 64_000_000
 _TEXTURE_PIXELS, _COARSE_PIXELS = 1024, 32
 _MOST_TEXELS = 32_000_000
 
+# Reports that an error repeats.
+_MOST_REASONS = 4
+
 Bytes = NDArray[np.uint8]
 
 
@@ -38,18 +41,29 @@ class WorldWarning(DuneWarning):
 class ImportReport:
     """Collects the warnings of one import; equal texts are issued once.
 
-    They are issued by `emit_warnings`, since warnings are silenced while libraries read the files.
+    They are issued by `emit_warnings`, since warnings are silenced while libraries read the files. `hints`
+    are settings to try if the world is not as expected.
     """
 
     def __init__(self, source: str) -> None:
         self.source = source
         self.texts: list[str] = []
+        self.hints: list[str] = []
         self._texels = 0
 
     def warn(self, text: str) -> None:
         """Add a warning, unless there is an equal one."""
         if text not in self.texts:
             self.texts.append(text)
+
+    def explain(self, fault: str) -> WorldError:
+        """An error with the reasons that are known: what was left out, and what to try."""
+        reasons = self.texts[:_MOST_REASONS]
+        more = len(self.texts) - len(reasons)
+        lines = [fault, *(f"{self.source}: {text}" for text in [*reasons, *self.hints])]
+        if more:
+            lines.append(f"{self.source}: and {more} more such reports")
+        return WorldError("\n".join(lines))
 
     def limit_texture(self, picture: Bytes) -> Bytes:
         """`picture` (rows, columns, 3), or a coarse copy once the limit of all textures is reached."""

@@ -53,14 +53,15 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
     folder = WorldFiles(path.resolve().parent, path.resolve().parent)
     parts = load_mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
     parts = _move_near_origin(_declare_ground(parts, conf.ground), report)
-    world = assemble_world(
-        "mesh",
-        parts,
-        report,
-        spacing_m=conf.spacing_m,
-        friction=conf.friction,
-        region=check_region(conf.region),
-    )
+    region = check_region(conf.region)
+    try:
+        world = assemble_world(
+            "mesh", parts, report, spacing_m=conf.spacing_m, friction=conf.friction, region=region
+        )
+    except WorldError as error:
+        raise report.explain(str(error)) from None
+    for hint in report.hints:
+        report.warn(hint)
     world.surfaces = read_surfaces(conf, world.extent)
     report.emit_warnings()
     return world

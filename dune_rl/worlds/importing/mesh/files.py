@@ -17,6 +17,7 @@ from trimesh.resolvers import Resolver
 from dune_rl.errors import WorldError
 from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.worlds.importing.mesh.collada import load_collada_parts
+from dune_rl.worlds.importing.mesh.frame_hints import frame_hints
 from dune_rl.worlds.importing.mesh_parts import MeshPart, drop_faulty_triangles, mean_face_colours
 from dune_rl.worlds.importing.untrusted_files import (
     MAX_FACES,
@@ -85,6 +86,8 @@ def load_mesh_parts(
     kept = drop_faulty_triangles([part.transform(matrix) for part in parts], report)
     if not kept:
         raise WorldError(f"{path} has no triangles that can be used: export it with its faces.")
+    is_y_up = turn == "y" or (turn is None and kind == ".glb")
+    report.hints += frame_hints(kept, unit_m if unit_m is not None else own_unit, is_y_up)
     return kept
 
 

@@ -86,9 +86,7 @@ def _close_loop(name: str, times: Array, poses: Array, report: ImportReport) -> 
         return times, poses
     travelled = float(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum())
     speed = travelled / times[-1] if times[-1] > 0.0 and travelled > 0.0 else _USUAL_MPS
-    report.warn(
-        f"the loop of the actor {name!r} ends {back:.1f} m from its start: it walks back here"
-    )
+    report.warn(f"the loop of the actor {name!r} ends {back:.1f} m from its start: it walks back here")
     first = poses[0].copy()
     first[3] = poses[-1, 3] + (first[3] - poses[-1, 3] + np.pi) % (2 * np.pi) - np.pi
     return np.append(times, times[-1] + back / speed), np.concatenate([poses, first[None]])

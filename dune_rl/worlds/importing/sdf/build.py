@@ -70,18 +70,20 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
         elif contents.planes:
             parts = _add_planes(contents, parts, report)
         if not parts:
-            raise WorldError(
-                f"{path} has nothing that a robot could stand on: it needs a plane, mesh or height map."
+            raise _explain_lack_of_ground(path, report)
+        try:
+            world = assemble_world(
+                "sdf",
+                parts,
+                report,
+                spacing_m=conf.spacing_m,
+                friction=friction,
+                region=region,
+                light=contents.light,
             )
-        world = assemble_world(
-            "sdf",
-            parts,
-            report,
-            spacing_m=conf.spacing_m,
-            friction=friction,
-            region=region,
-            light=contents.light,
-        )
+        except WorldError as error:
+            report.hints.clear()
+            raise report.explain(str(error)) from None
     world.surfaces = read_surfaces(conf, world.extent)
     world.trajectories = place_on_ground(contents.actors, world.terrain, report)
     report.emit_warnings()
@@ -100,6 +102,13 @@ def count_actors(path: str) -> int:
     """Number of actors with trajectories in an SDF file; raises `WorldError` if it cannot be read."""
     found = resolve_world_path(path)
     return len(_read(found, ImportReport(found.name), actors_only=True).actors)
+
+
+def _explain_lack_of_ground(path: Path, report: ImportReport) -> WorldError:
+    # The hints are for single meshes: an SDF has <scale> and <pose> for that.
+    report.hints.clear()
+    reason = ", since all of it was left out:" if report.texts else ": it needs a plane, mesh or height map."
+    return report.explain(f"{path} has nothing that a robot could stand on{reason}")
 
 
 def _is_level(height_map: SdfHeightMap) -> bool:

@@ -46,7 +46,10 @@ class SdfFileFinder:
         if separator and scheme in ("model", "package"):
             found = self._find_model(rest)
         elif separator and scheme != "file":
-            self._report.warn(f"{scheme}:// addresses are not supported: {printable(uri)} is left out")
+            self._report.warn(
+                f"{scheme}:// addresses are not supported: {printable(uri)} is left out; download its folder "
+                "beside the file, and write model://FOLDER"
+            )
             return None
         else:
             found = _find_inside(beside, rest if separator else uri.strip())
