@@ -20,6 +20,7 @@ from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.visual import RobotVisual
 from dune_rl.worlds.appearance import bake_in_weather
 from dune_rl.worlds.batched_worlds import WorldAppearance
+from dune_rl.worlds.world import Rectangle, World
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -29,6 +30,11 @@ _CLEAR_OF_GROUND_M, _CLEAR_OF_WALLS_M = 0.35, 0.15
 _NEAREST_EYE_M, _FARTHEST_EYE_M = 0.9, 3.0
 # Bodies up to this height are seen from the same place.
 _USUAL_HEIGHT_M = 0.5
+# Where the agent is seen from if others hide it: from behind, beside, before.
+_TURNS_DEG = (0.0, 40.0, -40.0, 80.0, -80.0, 130.0, -130.0, 180.0)
+_HALF_ROBOT_M = 0.35
+# Smaller sites are seen from steeper above, and of larger ones a part.
+_SMALL_SITE_M, _LARGEST_SITE_M = 25.0, 60.0
 _GOAL_COLOUR = (0.10, 0.75, 0.35)
 
 
@@ -99,10 +105,13 @@ class Pictures:
         height: int = 480,
         samples: int = 1,
         agent: str | None = None,
+        *,
+        turns_for_agents: bool = False,
     ) -> Picture:
         """RGB (height, width, 3) of an agent, the first one without a name, from behind and above.
 
-        The viewpoint is clear of what is in the way.
+        The viewpoint is clear of fixed objects. With `turns_for_agents` it is beside or before the agent
+        where others would hide it from behind.
         """
         group = self._simulation.group() if agent is None else self._group_of(agent)
         row = scene * group.count + (0 if agent is None else group.names.index(agent))
@@ -114,10 +123,32 @@ class Pictures:
         body = group.body
         excess = body.conf.height_m - _USUAL_HEIGHT_M if isinstance(body, KinematicBody) else 0.0
         more = max(excess, 0.0)
-        target = position + _LOOK_AHEAD_M * ahead + [0.0, 0.0, 0.5 * more]
-        eye = position - (_BEHIND_M + more) * ahead + [0.0, 0.0, _ABOVE_M + more]
-        eye = self._free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
+        others = self._others(scene, group, row) if turns_for_agents else np.zeros((0, 4))
+        views = []
+        for turn in np.deg2rad(_TURNS_DEG):
+            forward = np.array([np.cos(yaw + turn), np.sin(yaw + turn), 0.0])
+            eye = position - (_BEHIND_M + more) * forward + [0.0, 0.0, _ABOVE_M + more]
+            eye = self._free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
+            look_m = _LOOK_AHEAD_M * max(np.cos(turn), 0.0)
+            views.append((eye, position + look_m * ahead + [0.0, 0.0, 0.5 * more]))
+            if not _is_hidden(position, eye, others):
+                break
+        else:
+            views = views[:1]
+        eye, target = views[-1]
         return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
+
+    def _others(self, scene: int, group: AgentGroup, row: int) -> Array:
+        """Positions on the ground, radii and heights (K, 4) [m] of the scene's agents but that of `row`."""
+        found = []
+        for other in self._simulation.groups:
+            body = other.body
+            height = body.conf.height_m if isinstance(body, KinematicBody) else _USUAL_HEIGHT_M
+            for each in self._rows(scene, other):
+                if other is not group or each != row:
+                    x, y = body.motion.position_w[each, :2].tolist()
+                    found.append([x, y, other.radius_m, height])
+        return np.array(found).reshape(-1, 4)
 
     def _group_of(self, agent: str) -> AgentGroup:
         return next(group for group in self._simulation.groups if agent in group.names)
@@ -136,13 +167,16 @@ class Pictures:
         samples: int = 2,
         bearing_rad: float = -2.3,
     ) -> Picture:
-        """RGB (height, width, 3) of the whole world, seen from above at `bearing_rad` from its middle."""
-        xmin, xmax, ymin, ymax = self._simulation.worlds.worlds[scene].extent
+        """RGB (height, width, 3) of the whole world, or of its site where that is a small part of an imported
+        world, seen from above at `bearing_rad` from its middle; steeply in small ones.
+        """
+        xmin, xmax, ymin, ymax = _site(self._simulation.worlds.worlds[scene])
         middle = np.array([(xmin + xmax) / 2, (ymin + ymax) / 2])
-        reach = min(60.0, max(xmax - xmin, ymax - ymin))
+        reach = min(_LARGEST_SITE_M, max(xmax - xmin, ymax - ymin))
         level = self._ground(scene, middle)
-        away = 0.95 * reach * np.array([np.cos(bearing_rad), np.sin(bearing_rad)])
-        eye = (*(middle + away).tolist(), level + 0.42 * reach)
+        small = float(np.clip((_SMALL_SITE_M - reach) / 20.0, 0.0, 1.0))
+        away = (0.95 * reach + 2.0 * small) * np.array([np.cos(bearing_rad), np.sin(bearing_rad)])
+        eye = (*(middle + away).tolist(), level + (0.42 + 0.6 * small) * reach + small)
         target = (*(middle + 0.06 * away).tolist(), level)
         return self.seen(Viewpoint(eye, target, 0.95), scene, width, height, samples)
 
@@ -167,6 +201,38 @@ class Pictures:
         eye = start + ways[chosen] * float(free[chosen])
         eye[2] = max(eye[2], self._ground(scene, eye[:2]) + _CLEAR_OF_GROUND_M)
         return eye
+
+
+def _is_hidden(position: Array, eye: Array, others: Array) -> bool:
+    """Whether an agent of `others` (K, 4: x, y, radius, height) is between a robot and the eye."""
+    way = eye[:2] - position[:2]
+    offset = others[:, :2] - position[:2]
+    share = np.clip(offset @ way / max(float(way @ way), 1e-9), 0.0, 1.0)
+    aside = np.linalg.norm(offset - share[:, None] * way, axis=1)
+    # The lines of sight from all of the robot narrow toward the eye.
+    between = (aside < others[:, 2] + _HALF_ROBOT_M * (1.0 - share)) & (share > 0.0)
+    below_top = (eye[2] - position[2]) * share < others[:, 3]
+    return bool((between & below_top).any())
+
+
+def _site(world: World) -> Rectangle:
+    """The rectangle of an imported world's objects and region, with a margin; otherwise the whole world.
+
+    Of larger sites it is the part about the region.
+    """
+    extent = np.array(world.extent)
+    if not world.region_candidates:
+        return world.extent
+    corners = [np.array(world.region).reshape(2, 2).T]
+    corners += [prop.vertices[:, :2] for prop in world.props if prop.solid]
+    points = np.concatenate(corners)
+    middle = corners[0].mean(axis=0)
+    low = np.maximum(points.min(axis=0), middle - _LARGEST_SITE_M / 2)
+    high = np.minimum(points.max(axis=0), middle + _LARGEST_SITE_M / 2)
+    margin = 0.1 * float((high - low).max())
+    xmin, ymin = np.maximum(low - margin, extent[[0, 2]]).tolist()
+    xmax, ymax = np.minimum(high + margin, extent[[1, 3]]).tolist()
+    return xmin, xmax, ymin, ymax
 
 
 def _painter(look: WorldAppearance) -> Renderer:

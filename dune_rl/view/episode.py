@@ -77,9 +77,11 @@ class EpisodeView:
         """The agent's readings by name, without the axes of scenes and agents."""
         return {name: value[0, self._row] for name, value in self.simulation.observe(self.group.name).items()}
 
-    def render_from_behind(self, width: int, height: int) -> Picture:
-        """RGB (height, width, 3) of the agent from behind."""
-        return self._pictures.from_behind(0, width, height, self.conf.samples, agent=self.agent)
+    def render_from_behind(self, width: int, height: int, *, turns_for_agents: bool = False) -> Picture:
+        """RGB (height, width, 3) of the agent from behind; see `Pictures.from_behind`."""
+        return self._pictures.from_behind(
+            0, width, height, self.conf.samples, agent=self.agent, turns_for_agents=turns_for_agents
+        )
 
     def render_world(self) -> Picture:
         """RGB (height, width, 3) of the whole world at the start of the episode."""

@@ -35,7 +35,8 @@ def write_sheet(view: EpisodeView, path: Path) -> Path:
     title = f"{conf.world.name}, seed {conf.seed}, {steps / conf.physics.control_hz:.1f} s into the episode"
     if len(view.simulation.agents) > 1:
         title += f", {view.agent}"
-    figure = contact_sheet(view.readings(), view.sensors, view.render_from_behind(1280, 960), title)
+    picture = view.render_from_behind(1280, 960, turns_for_agents=True)
+    figure = contact_sheet(view.readings(), view.sensors, picture, title)
     with write_atomically(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110, facecolor=figure.get_facecolor())
     return path

@@ -16,6 +16,7 @@ from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.worlds.appearance import bake_world
+from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, RegionCandidate
 from dune_rl.worlds.world import World
 
 # Any ground will do for a rover that is put down by hand.
@@ -109,6 +110,38 @@ def test_the_view_is_never_from_inside_the_ground(monkeypatch):
     assert min(nearest) < 0.5
 
 
+def test_the_view_turns_where_a_walker_would_hide_the_robot(monkeypatch):
+    walker = {"waypoints": [[-8.0, 8.0], [8.0, 8.0]]}
+    simulation = started_simulation("flat", 1, actors=[walker, walker], sensors=["goal"])
+    pictures = Pictures(simulation)
+    rover, people = motion_of_group(simulation), simulation.group("walker").body
+    place, yaw = rover.position_w[0], float(rover.yaw[0])
+
+    def eye(*bearings: float) -> np.ndarray:
+        poses = people.poses.copy()
+        for row, bearing in enumerate(bearings):
+            poses[row, :2] = place[:2] + 1.2 * np.array([np.cos(yaw + bearing), np.sin(yaw + bearing)])
+        people.poses = poses
+        people.read()
+        views: list[Viewpoint] = []
+        with monkeypatch.context() as patch:
+            patch.setattr(pictures, "seen", lambda view, *_: views.append(view))
+            pictures.from_behind(turns_for_agents=True)
+            pictures.from_behind()
+        # Films do not turn.
+        np.testing.assert_allclose(np.array(views[1].eye)[:2], behind[:2])
+        return turned(yaw).T @ (np.array(views[0].eye) - place)
+
+    behind = eye_behind(pictures, monkeypatch)
+    assert eye(0.0, 0.5)[0] < -2.0 and abs(eye(0.0, 0.5)[1]) < 1e-6
+    left = eye(0.0, np.pi)
+    assert abs(left[1]) > 1.0
+    # And to the other side, if somebody is there.
+    right = eye(np.pi, np.arctan2(left[1], left[0]))
+    assert right[1] * left[1] < 0.0
+    simulation.close()
+
+
 def test_a_scene_shows_its_robots_its_walkers_and_the_goals():
     walker = {"waypoints": [[-3.0, 3.0], [3.0, 3.0]]}
     simulation = started_simulation(
@@ -154,6 +187,27 @@ def test_the_place_is_seen_whole_from_above():
     assert np.nonzero(red)[0].mean() < row - 5
     assert seen[0, :, 2].mean() > seen[0, :, 0].mean()
     assert pictures.of_the_place(0, *SIZE).shape == (72, 96, 3)
+
+
+def test_of_a_wide_imported_world_the_site_is_seen_and_of_a_small_one_the_inside(tmp_path):
+    def view_of(world: World) -> Viewpoint:
+        pictures = RoverInWorld(world).pictures
+        views: list[Viewpoint] = []
+        pictures.seen = lambda view, *_: views.append(view)  # type: ignore[method-assign]
+        pictures.of_the_place()
+        return views[0]
+
+    def elevation(view: Viewpoint) -> float:
+        way = np.array(view.eye) - view.target
+        return float(np.arctan2(way[2], np.hypot(way[0], way[1])))
+
+    wide, small = plain(box(4.0, 4.0, 3.0, 3.0, 1.0)), plain(box(4.0, 4.0, 3.0, 3.0, 1.0))
+    small.region = (3.0, 6.0, 1.0, 4.0)
+    small.region_candidates = (RegionCandidate(small.region, BETWEEN_OBJECTS, 5.0),)
+    first, second = view_of(wide), view_of(small)
+    away = np.linalg.norm(np.subtract(second.target[:2], (4.5, 3.5)))
+    assert away < 1.0 < np.linalg.norm(first.target[:2])
+    assert elevation(second) > elevation(first) > np.deg2rad(20.0)
 
 
 @pytest.mark.parametrize("make", [dune_rl.parallel_env, dune_rl.gym_env])
