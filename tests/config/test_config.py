@@ -21,6 +21,7 @@ from dune_rl.config.compose import (
     compose_resumed,
 )
 from dune_rl.config.schema import Conf, EnvConf, EvaluateConf
+from dune_rl.config.world_actors import MARK
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.errors import ConfigError
@@ -79,6 +80,7 @@ BODY = RandomisationConf(
 WALKERS = AgentGroupConf(body=PersonConf(), count=2, controller="path", path=PathConf())
 PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "none"): {},
+    ("actors", "default"): {"walker": WALKERS},
     ("actors", "walkers"): {"walker": WALKERS},
     ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
     ("learning", "sac"): SacConf(),
@@ -179,8 +181,8 @@ def test_yaml_states_every_setting(group: str, option: str) -> None:
         inherits = "defaults" in stated
         stated.pop("defaults", None)
     if inherits:
-        # It changes another option, which states the rest.
-        assert leaves(stated) < settings
+        # It changes another option, which states the rest; a mark of default actors is no setting.
+        assert leaves(stated) - {f"actors.walker.{MARK}"} < settings
     else:
         assert leaves(stated) | ({"path"} & settings) | of_every_term(settings) == settings
 
@@ -233,7 +235,7 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
         (["world=flat", "actors=crowd"],
-         "there is no actors 'crowd'; choose external_walkers, none or walkers"),
+         "there is no actors 'crowd'; choose default, external_walkers, none or walkers"),
         (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
         (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
         (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
