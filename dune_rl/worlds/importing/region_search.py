@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.signal import fftconvolve
+from scipy import fft, ndimage
 
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, OPEN_GROUND, RegionCandidate
@@ -118,10 +117,13 @@ def _find_between_objects(grid: _Grid) -> Mask:
     sector = np.floor(np.arctan2(up, across) / (2 * np.pi / _SECTORS)).astype(int) % _SECTORS
     near = (distance > 0) & (distance <= reach)
     occupied = np.empty((_SECTORS, rows, columns), bool)
+    # Correlations by FFT: scipy.signal, which has them, takes a second to import.
+    shape = [fft.next_fast_len(side + 2 * reach, real=True) for side in (rows, columns)]
+    spectrum = fft.rfft2(coarse, shape)
     for number in range(_SECTORS):
-        # A correlation, which is the convolution with the reversed kernel.
         kernel = (near & (sector == number))[::-1, ::-1].astype(np.float32)
-        occupied[number] = fftconvolve(coarse, kernel, mode="same") > 0.5
+        counts = fft.irfft2(spectrum * fft.rfft2(kernel, shape), shape)
+        occupied[number] = counts[reach : reach + rows, reach : reach + columns] > 0.5
     gap = np.ones((rows, columns), bool)
     between = np.ones((rows, columns), bool)
     for first in range(_SECTORS):
