@@ -22,7 +22,8 @@ HOUSE: Walls = [
     *((6, 5.5, 6, 9), (6, 0, 6, 3.5)),
 ]
 MAZE_AT, HOUSE_AT = (4.0, -11.0), (-20.0, 10.0)
-MAZE_INSIDE, HOUSE_INSIDE = (4.0, 16.0, -11.0, 1.0), (-20.0, -8.0, 10.0, 19.0)
+# A door's sill belongs to the inside.
+MAZE_INSIDE, HOUSE_INSIDE = (4.0, 16.0, -11.0, 1.0), (-20.3, -8.0, 10.0, 19.0)
 ORCHARD_INSIDE, CRATES_INSIDE = (15.0, 35.0, -20.0, 7.5), (11.0, 29.0, 11.0, 29.0)
 
 

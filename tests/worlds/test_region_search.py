@@ -4,8 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 from scipy import ndimage
-from sites import CRATES_INSIDE, HOUSE_INSIDE, MAZE_INSIDE, ORCHARD_INSIDE, write_site
+from sites import CRATES_INSIDE, HOUSE, HOUSE_INSIDE, MAZE_INSIDE, ORCHARD_INSIDE, write_site
 from world_files import SHARED_WORLDS
 
 import dune_rl
@@ -55,6 +56,28 @@ def test_the_first_region_is_within_the_site_and_connected(tmp_path, name, insid
     parts, _ = ndimage.label(free.traversable & rows[:, None] & columns)
     column, row = np.rint((spawner.cells - [free.x[0], free.y[0]]) / free.cell_m).astype(int).T
     assert np.bincount(parts[row, column]).max() > 0.97 * len(spawner.cells)
+
+
+@pytest.mark.parametrize("has_roof", [False, True])
+def test_a_building_of_a_mesh_file_has_its_region_in_its_rooms(tmp_path, has_roof):
+    def add(name: str, x: float, y: float, bottom: float, size: tuple[float, float, float], yaw: float = 0.0):
+        mesh = trimesh.creation.box(size)
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(yaw, [0, 0, 1]))
+        mesh.apply_translation([x, y, bottom + size[2] / 2])
+        scene.add_geometry(mesh, node_name=name)
+
+    scene = trimesh.Scene()
+    add("apron", 0.0, 0.0, -0.5, (60.0, 60.0, 0.5))
+    add("floor", 6.0, 4.5, -0.1, (12.0, 9.0, 0.12))
+    for number, (x0, y0, x1, y1) in enumerate(HOUSE):
+        size = (float(np.hypot(x1 - x0, y1 - y0)) + 0.15, 0.15, 2.6)
+        add(f"Wall_{number}", (x0 + x1) / 2, (y0 + y1) / 2, 0.0, size, float(np.arctan2(y1 - y0, x1 - x0)))
+    if has_roof:
+        add("roof", 6.0, 4.5, 2.6, (12.6, 9.6, 0.2))
+    scene.export(tmp_path / "building.glb")
+    world = build_mesh(MeshConf(path=str(tmp_path / "building.glb"), up="z"))
+    assert world.region_candidates[0].place == BETWEEN_OBJECTS
+    assert is_within(world.region, (-0.3, 12.0, 0.0, 9.0))
 
 
 def test_without_objects_the_region_is_open_ground_in_the_middle(tmp_path):

@@ -230,7 +230,7 @@ def test_what_is_not_supported_is_named_once(tmp_path):
     texts = [str(w.message) for w in caught]
     for said in (
         "<plugin> is not supported",
-        "<actor> is not supported",
+        "the actor 'a' has no <trajectory>",
         "<road> is not supported",
         "<sensor> is not supported",
         "<polyline> as a shape is not supported",

@@ -30,7 +30,8 @@ _CLOSING_M = 1.0
 # A cell counts by half at this distance from the nearest object, and less beyond it.
 _HALF_WEIGHT_M = 3.0
 # Largest sides of a region, and the least free area and diagonal of one between objects.
-_OPEN_M, _SIDES_M = 8.0, (12.0, 8.0, 5.0)
+_OPEN_M = 8.0
+_SIDES_M = ((12.0, 12.0), (12.0, 8.0), (8.0, 12.0), (8.0, 8.0), (5.0, 5.0))
 _LEAST_M2, _LEAST_DIAGONAL_M = 6.0, 4.0
 # From this size on, where the paths of walkers fit too, a place between objects is preferred to open ground.
 _LARGE_M2, _LARGE_DIAGONAL_M = 12.0, 8.0
@@ -177,8 +178,10 @@ def _best_window(inside: Mask, grid: _Grid) -> _Window | None:
     Free cells that do not belong to that part count against a window. None if every part is too small.
     """
     best: _Window | None = None
-    for side in _SIDES_M:
-        for rows, columns in _promising_windows(inside, grid, side):
+    for sides in _SIDES_M:
+        for highest, rows, columns in _promising_windows(inside, grid, sides):
+            if best is not None and highest <= best.score:
+                break
             parts, _ = ndimage.label(inside[rows, columns])
             if not parts.any():
                 continue
@@ -199,9 +202,15 @@ def _best_window(inside: Mask, grid: _Grid) -> _Window | None:
     return best
 
 
-def _promising_windows(inside: Mask, grid: _Grid, side_m: float) -> Iterator[tuple[slice, slice]]:
-    """The windows of a side with the most cells of a place, less its other free cells."""
-    size = [max(1, min(int(side_m / grid.cell_m), side)) for side in inside.shape]
+def _promising_windows(
+    inside: Mask, grid: _Grid, sides_m: tuple[float, float]
+) -> Iterator[tuple[float, slice, slice]]:
+    """The windows of `sides_m` with the most cells of a place, and upper bounds of their scores.
+
+    The highest bounds come first.
+    """
+    limits = zip(sides_m, inside.shape, strict=True)
+    size = [max(1, min(int(side_m / grid.cell_m), side)) for side_m, side in limits]
     gain = grid.weight * (inside * (1.0 + _OUTSIDE_COST) - grid.usable * _OUTSIDE_COST)
     sums = _window_sums(gain, size[0], size[1])
     stride = max(1, min(size) // 6)
@@ -209,7 +218,8 @@ def _promising_windows(inside: Mask, grid: _Grid, side_m: float) -> Iterator[tup
     order = np.argsort(-sums.reshape(-1), kind="stable")[:_MOST_WINDOWS]
     for row, column in zip(*np.unravel_index(order, sums.shape), strict=True):
         first_row, first_column = int(row) * stride, int(column) * stride
-        yield slice(first_row, first_row + size[0]), slice(first_column, first_column + size[1])
+        rows, columns = slice(first_row, first_row + size[0]), slice(first_column, first_column + size[1])
+        yield float(sums[row, column]), rows, columns
 
 
 def _find_open_square(grid: _Grid) -> RegionCandidate | None:
