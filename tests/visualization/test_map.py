@@ -11,6 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
+from sites import write_site
 from states import episode_state
 from world_files import CRATE, write_yard
 
@@ -540,3 +541,19 @@ def test_ctrl_c_leaves_no_half_a_file(call: Call, folder: Path, monkeypatch: pyt
     monkeypatch.setattr(Figure, "savefig", interrupted)
     assert call("+world=flat", "view=map", COARSE) == 130
     assert not list((folder / "views").iterdir())
+
+
+def test_the_regions_to_choose_from_are_on_the_map_with_their_numbers(tmp_path) -> None:
+    content = maps.map_content(conf_of("+world=sdf", f"world.path={write_site(tmp_path, 'maze')}"), [])
+    figure = draw_site_map(content, "maze", "", 72)
+    panel, closer = figure.axes[1], figure.axes[2]
+    numbers = {text.get_text(): text.xy for text in panel.texts if text.get_text() in "12"}
+    for number, each in enumerate(content.world.region_candidates, start=1):
+        assert numbers[f"{number}"] == (each.rectangle[0], each.rectangle[3])
+    dashed = [patch for patch in panel.patches if patch.get_linestyle() not in ("-", "solid")]
+    other = content.world.region_candidates[1].rectangle
+    assert any(patch.get_xy() == (other[0], other[2]) for patch in dashed)
+    assert not [text for text in closer.texts if text.get_bbox_patch() is not None]
+    written = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert "others to choose: world.region=2" in written
+    assert "wall" in written

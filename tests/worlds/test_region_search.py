@@ -5,11 +5,13 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
+from rich.console import Console
 from scipy import ndimage
 from sites import CRATES_INSIDE, HOUSE, HOUSE_INSIDE, MAZE_INSIDE, ORCHARD_INSIDE, write_site
 from world_files import SHARED_WORLDS
 
 import dune_rl
+from dune_rl.command import print_world_notes
 from dune_rl.config.build import describe_world
 from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError, WorldError
@@ -104,6 +106,9 @@ def test_the_choice_is_told_in_one_line(tmp_path):
     (line,) = describe_world(conf)
     assert line.startswith("Starts and goals: x 4")
     assert "between objects" in line and "world.region=2 chooses another of 2; view=map shows them" in line
+    console = Console(record=True, width=80)
+    print_world_notes(console, conf)
+    assert console.export_text() == f"{line}\n"
     elsewhere = compose_environment(
         "sdf", [f"world.path={write_site(tmp_path, 'maze')}", "task.spawn.region=anywhere"]
     )

@@ -134,8 +134,10 @@ def _find_between_objects(grid: _Grid) -> Mask:
         between &= ~gap
     fine = between.repeat(step, axis=0).repeat(step, axis=1)
     fine = fine[: grid.objects.shape[0], : grid.objects.shape[1]]
-    closed: Mask = ndimage.binary_closing(fine, iterations=max(1, round(_CLOSING_M / grid.cell_m)))
-    return closed | fine
+    closed = fine | ndimage.binary_closing(fine, iterations=max(1, round(_CLOSING_M / grid.cell_m)))
+    # Without the ground before doors, which is near to both sides of a wall.
+    inner: Mask = ndimage.binary_erosion(closed, iterations=max(1, round(_COARSE_M / grid.cell_m)))
+    return inner
 
 
 def _search_between_objects(grid: _Grid) -> list[RegionCandidate]:
@@ -177,9 +179,19 @@ def _best_window(inside: Mask, grid: _Grid) -> _Window | None:
 
     Free cells that do not belong to that part count against a window. None if every part is too small.
     """
+    if not inside.any():
+        return None
+    ((low_row, high_row), (low_column, high_column)) = (
+        np.flatnonzero(inside.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0)
+    )
+    bounds = slice(low_row, high_row + 1), slice(low_column, high_column + 1)
+    gain = inside[bounds] * (1.0 + _OUTSIDE_COST) - grid.usable[bounds] * _OUTSIDE_COST
+    integral = _integrate(grid.weight[bounds] * gain)
     best: _Window | None = None
-    for sides in _SIDES_M:
-        for highest, rows, columns in _promising_windows(inside, grid, sides):
+    for sides_m in _SIDES_M:
+        for highest, rows, columns in _promising_windows(integral, sides_m, grid.cell_m):
+            rows = slice(rows.start + low_row, rows.stop + low_row)
+            columns = slice(columns.start + low_column, columns.stop + low_column)
             if best is not None and highest <= best.score:
                 break
             parts, _ = ndimage.label(inside[rows, columns])
@@ -203,18 +215,13 @@ def _best_window(inside: Mask, grid: _Grid) -> _Window | None:
 
 
 def _promising_windows(
-    inside: Mask, grid: _Grid, sides_m: tuple[float, float]
+    integral: Array, sides_m: tuple[float, float], cell_m: float
 ) -> Iterator[tuple[float, slice, slice]]:
-    """The windows of `sides_m` with the most cells of a place, and upper bounds of their scores.
-
-    The highest bounds come first.
-    """
-    limits = zip(sides_m, inside.shape, strict=True)
-    size = [max(1, min(int(side_m / grid.cell_m), side)) for side_m, side in limits]
-    gain = grid.weight * (inside * (1.0 + _OUTSIDE_COST) - grid.usable * _OUTSIDE_COST)
-    sums = _window_sums(gain, size[0], size[1])
+    """The windows of `sides_m` with the largest sums, and these; see `_integrate`."""
+    limits = zip(sides_m, integral.shape, strict=True)
+    size = [max(1, min(int(side_m / cell_m), count - 1)) for side_m, count in limits]
     stride = max(1, min(size) // 6)
-    sums = sums[::stride, ::stride]
+    sums = _window_sums(integral, size[0], size[1], stride)
     order = np.argsort(-sums.reshape(-1), kind="stable")[:_MOST_WINDOWS]
     for row, column in zip(*np.unravel_index(order, sums.shape), strict=True):
         first_row, first_column = int(row) * stride, int(column) * stride
@@ -232,7 +239,7 @@ def _find_open_square(grid: _Grid) -> RegionCandidate | None:
     edge = min(_EDGE_M, 0.15 * min(height, width))
     wide = min(_OPEN_M, width - 2 * edge, height - 2 * edge)
     cells = max(1, min(int(wide / grid.cell_m), *part.shape))
-    share = _window_sums(part.astype(np.float64), cells, cells) / cells**2
+    share = _window_sums(_integrate(part), cells, cells) / cells**2
     rows, columns = np.indices(share.shape).reshape(2, -1)
     middle_row, middle_column = (side / 2 for side in part.shape)
     if grid.objects.any():
@@ -249,13 +256,17 @@ def _find_open_square(grid: _Grid) -> RegionCandidate | None:
     return RegionCandidate(rectangle, OPEN_GROUND, area)
 
 
-def _window_sums(grid: NDArray[np.generic], rows: int, columns: int) -> Array:
-    # Sum of each window, indexed by its lowest row and column.
-    total = np.zeros((grid.shape[0] + 1, grid.shape[1] + 1))
-    total[1:, 1:] = grid.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
-    sums: Array = (
-        total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
-    )
+def _integrate(values: NDArray[np.generic]) -> Array:
+    """Sums (rows + 1, columns + 1) of `values` (rows, columns) below and left of each corner of a cell."""
+    integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+    integral[1:, 1:] = values.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
+    return integral
+
+
+def _window_sums(integral: Array, rows: int, columns: int, stride: int = 1) -> Array:
+    """The sum of each window, or of every `stride`-th along both axes, by its lowest row and column."""
+    bands = integral[rows::stride] - integral[:-rows:stride]
+    sums: Array = bands[:, columns::stride] - bands[:, :-columns:stride]
     return sums
 
 
