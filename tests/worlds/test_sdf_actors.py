@@ -1,9 +1,11 @@
 """The <actor>s of SDF files: their trajectories, and how environments let them walk."""
 
+import warnings
+
 import numpy as np
 import pytest
 from actors_files import SQUARE, actor, way_point
-from gazebo import GROUND, include, sdf
+from gazebo import GROUND, include, model, sdf
 
 import dune_rl
 from dune_rl.behaviours.trajectory import TrajectoryBank
@@ -126,6 +128,16 @@ def test_included_actors_stand_where_the_include_says(tmp_path):
 def test_what_is_different_here_is_said(tmp_path, element, message):
     with pytest.warns(WorldWarning, match=message):
         read(tmp_path, element)
+
+
+def test_an_actor_that_walks_through_an_obstacle_is_named(tmp_path):
+    wall = model("wall", "<box><size>0.2 4 1</size></box>", "4 2 0.5 0 0 0")
+    with pytest.warns(WorldWarning, match="the actor 'through' walks through an obstacle"):
+        read(tmp_path, wall, actor("through", *SQUARE))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read(tmp_path, wall, actor("beside", way_point(0, 2, 5), way_point(9, 6, 5)))
+    assert not [each for each in caught if "through an obstacle" in str(each.message)]
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
-from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.sdf.shapes import parse_numbers, parse_pose
 from dune_rl.worlds.importing.untrusted_files import ImportReport, printable
+from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,8 @@ MOST_ACTORS, _MOST_WAY_POINTS, _LONGEST_S = 500, 20_000, 1e6
 _CLOSED_M, _USUAL_MPS = 0.1, 1.0
 # Origins of actors are up to this high above the ground that they walk on: Gazebo's are at the hip.
 _HIGHEST_ORIGIN_M = 2.0
+# Distance of the places where obstacles are looked for, and how many these are.
+_LOOK_M, _MOST_LOOKS = 0.25, 20_000
 _TRUE = ("true", "1")
 
 
@@ -92,18 +94,31 @@ def _close_loop(name: str, times: Array, poses: Array, report: ImportReport) -> 
     return np.append(times, times[-1] + back / speed), np.concatenate([poses, first[None]])
 
 
+def _points_between(xy: Array) -> Array:
+    """Points (P, 2) a quarter of a metre apart, at most, on the lines between way-points (T, 2)."""
+    travelled = np.concatenate([[0.0], np.linalg.norm(np.diff(xy, axis=0), axis=1).cumsum()])
+    count = min(int(np.ceil(travelled[-1] / _LOOK_M)) + 1, _MOST_LOOKS)
+    at = np.linspace(0.0, travelled[-1], count)
+    return np.stack([np.interp(at, travelled, xy[:, axis]) for axis in (0, 1)], axis=1)
+
+
 def place_on_ground(
-    actors: list[ActorTrajectory], terrain: HeightField, report: ImportReport
+    actors: list[ActorTrajectory], world: World, report: ImportReport
 ) -> tuple[ActorTrajectory, ...]:
-    """The actors with `on_ground` set for those near the ground; warns of those beyond its edge."""
-    xmin, xmax, ymin, ymax = terrain.extent
+    """The actors with `on_ground` set for those near the ground.
+
+    Warns of those that walk beyond its edge or through obstacles.
+    """
+    xmin, xmax, ymin, ymax = world.extent
     placed = []
     for actor in actors:
         xy = actor.poses[:, :2]
         if (xy < [xmin, ymin]).any() or (xy > [xmax, ymax]).any():
             report.warn(f"the actor {actor.name!r} walks beyond the edge of the ground")
-        over = actor.poses[:, 2] - terrain.height(xy)
+        over = actor.poses[:, 2] - world.terrain.height(xy)
         near = bool((over <= _HIGHEST_ORIGIN_M).all())
+        if near and (world.clearance(_points_between(xy)) <= 0.0).any():
+            report.warn(f"the actor {actor.name!r} walks through an obstacle")
         placed.append(
             ActorTrajectory(actor.name, actor.times, actor.poses, actor.loop, actor.delay_s, on_ground=near)
         )

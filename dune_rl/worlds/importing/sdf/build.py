@@ -85,7 +85,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             report.hints.clear()
             raise report.explain(str(error)) from None
     world.surfaces = read_surfaces(conf, world.extent)
-    world.trajectories = place_on_ground(contents.actors, world.terrain, report)
+    world.trajectories = place_on_ground(contents.actors, world, report)
     report.emit_warnings()
     return world
 
