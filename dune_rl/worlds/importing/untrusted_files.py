@@ -48,7 +48,7 @@ class ImportReport:
     def __init__(self, source: str) -> None:
         self.source = source
         self.texts: list[str] = []
-        self.hints: list[str] = []
+        self.hints: dict[str, str] = {}
         self._texels = 0
 
     def warn(self, text: str) -> None:
@@ -60,7 +60,7 @@ class ImportReport:
         """An error with the reasons that are known: what was left out, and what to try."""
         reasons = self.texts[:_MOST_REASONS]
         more = len(self.texts) - len(reasons)
-        lines = [fault, *(f"{self.source}: {text}" for text in [*reasons, *self.hints])]
+        lines = [fault, *(f"{self.source}: {text}" for text in [*reasons, *self.hints.values()])]
         if more:
             lines.append(f"{self.source}: and {more} more such reports")
         return WorldError("\n".join(lines))

@@ -16,6 +16,7 @@ from dune_rl.worlds.importing.imported_world import (
     check_region,
 )
 from dune_rl.worlds.importing.mesh.files import UpAxis, load_mesh_parts
+from dune_rl.worlds.importing.mesh.frame_hints import has_usual_size
 from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
@@ -60,7 +61,9 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
         )
     except WorldError as error:
         raise report.explain(str(error)) from None
-    for hint in report.hints:
+    if has_usual_size(world.extent):
+        report.hints.pop("unit", None)
+    for hint in report.hints.values():
         report.warn(hint)
     world.surfaces = read_surfaces(conf, world.extent)
     report.emit_warnings()

@@ -87,7 +87,7 @@ def load_mesh_parts(
     if not kept:
         raise WorldError(f"{path} has no triangles that can be used: export it with its faces.")
     is_y_up = turn == "y" or (turn is None and kind == ".glb")
-    report.hints += frame_hints(kept, unit_m if unit_m is not None else own_unit, is_y_up)
+    report.hints |= frame_hints(kept, unit_m if unit_m is not None else own_unit, is_y_up)
     return kept
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.worlds.importing.mesh_parts import MeshPart
+from dune_rl.worlds.world import Rectangle
 
 # Sites beyond these sides are unusual, though there are some.
 _LARGE_M, _SMALL_M, _LEAST_SITE_M = 1_500.0, 1.5, 3.0
@@ -16,12 +17,20 @@ _SIDEWAYS, _UPRIGHT = 4.0, 2.0
 _FACES = np.cos(np.deg2rad(40.0))
 
 
-def frame_hints(parts: Sequence[MeshPart], unit_m: float, is_y_up: bool) -> list[str]:
-    """What to try for `parts` in metres and z up, that were read with `unit_m`, and as y up or z up."""
+def frame_hints(parts: Sequence[MeshPart], unit_m: float, is_y_up: bool) -> dict[str, str]:
+    """What to try, by "unit" and "axis", for `parts` in metres and z up.
+
+    They were read with `unit_m`, and as y up or z up.
+    """
     vertices = np.concatenate([part.vertices for part in parts])
     size = np.ptp(vertices, axis=0)
-    hints = [_unit_hint(size, unit_m), _axis_hint(parts, size, is_y_up)]
-    return [hint for hint in hints if hint]
+    hints = {"unit": _unit_hint(size, unit_m), "axis": _axis_hint(parts, size, is_y_up)}
+    return {about: hint for about, hint in hints.items() if hint}
+
+
+def has_usual_size(extent: Rectangle) -> bool:
+    """Whether a ground is as large as sites are, though a dome for the sky over it may be larger."""
+    return _SMALL_M <= max(extent[1] - extent[0], extent[3] - extent[2]) <= _LARGE_M
 
 
 def _unit_hint(size: NDArray[np.float64], unit_m: float) -> str:
