@@ -33,6 +33,8 @@ def describe_choice(region: Rectangle, candidates: tuple[RegionCandidate, ...]) 
     if not numbers:
         return None
     number, count = numbers[0], len(candidates)
-    other = 1 if number > 1 else 2
-    ways = f"world.region={other} chooses another of {count}" if count > 1 else "world.region chooses another"
-    return f"Starts and goals: {candidates[number - 1].describe()} ({ways}; view=map shows them)"
+    if count == 1:
+        ways = "world.region=[xmin,xmax,ymin,ymax] chooses another"
+    else:
+        ways = f"world.region={1 if number > 1 else 2} chooses another of {count}; view=map shows them"
+    return f"Starts and goals: {candidates[number - 1].describe()} ({ways})"
