@@ -117,18 +117,22 @@ class Motion:
 
     @cached_property
     def rotation(self) -> Array:
+        """Rotation matrices from body to world, (N, 3, 3)."""
         return rotation_from_yaw(self.roll_pitch_yaw[:, 2])
 
     @cached_property
     def velocity_b(self) -> Array:
+        """Velocity of the origin in the body frame [m/s], (N, 3)."""
         return to_body(self.rotation, self.velocity_w)
 
     @cached_property
     def angular_b(self) -> Array:
+        """Angular velocity in the body frame [rad/s], (N, 3)."""
         return to_body(self.rotation, self.angular_w)
 
     @cached_property
     def acceleration_b(self) -> Array:
+        """Mean acceleration of the origin over the control step, in the body frame [m/s²], (N, 3)."""
         return np.zeros_like(self.velocity_w)
 
     @property

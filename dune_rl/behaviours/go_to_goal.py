@@ -8,6 +8,8 @@ from pydantic import Field
 
 from dune_rl.state import GroupState, State
 
+Speed = Annotated[float, Field(gt=0.0, le=50.0, description="speed toward the goal [m/s]")]
+
 
 class GoToGoal:
     """Actions (N, 2): a speed [m/s] and the heading of the goal relative to the present one [rad].
@@ -15,7 +17,7 @@ class GoToGoal:
     The speed is the share of `speed_mps` that points at the goal; bodies do not exceed their own top speed.
     """
 
-    def __init__(self, num_rows: int, *, speed_mps: Annotated[float, Field(gt=0.0, le=50.0)] = 1.0) -> None:
+    def __init__(self, num_rows: int, *, speed_mps: Speed = 1.0) -> None:
         self._speed_mps = speed_mps
 
     def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:

@@ -83,9 +83,11 @@ class AgentGroupConf(Settings):
     """
 
     body: Annotated[SerializeAsAny[RobotSettings | PersonConf], BeforeValidator(_parse_body)]
-    count: int = Field(1, ge=1, le=_MOST_AGENTS)
+    count: int = Field(1, ge=1, le=_MOST_AGENTS, description="number of agents")
     controller: Annotated[SerializeAsAny[Controller], BeforeValidator(_parse_controller)] = "external"
-    path: PathConf | None = None
+    path: PathConf | None = Field(
+        None, description="where persons start, and between which ends they go; null: the defaults below"
+    )
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None

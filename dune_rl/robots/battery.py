@@ -16,7 +16,7 @@ class BatteryConf(Settings):
     Braking recovers nothing.
     """
 
-    capacity_wh: float = Field(gt=0.0)
+    capacity_wh: float = Field(gt=0.0, description="energy of a full battery [W h]")
     idle_w: float = Field(10.0, ge=0.0)
     efficiency: float = Field(0.7, gt=0.0, le=1.0)
 

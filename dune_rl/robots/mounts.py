@@ -13,7 +13,7 @@ class MountsConf(Settings):
     They apply to sensors whose own `mount_b` is null. `camera_pitch_deg` is the downward tilt of the camera.
     """
 
-    scanner_b: Triple = (0.174, 0.0, 0.196)
-    camera_b: Triple = (0.2, 0.0, 0.175)
+    scanner_b: Triple = Field((0.174, 0.0, 0.196), description="place of LiDARs and depth strip [m]")
+    camera_b: Triple = Field((0.2, 0.0, 0.175), description="place of cameras [m]")
     camera_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
-    imu_b: Triple = (0.0, 0.0, 0.096)
+    imu_b: Triple = Field((0.0, 0.0, 0.096), description="place of the IMU [m]")

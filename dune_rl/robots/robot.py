@@ -26,13 +26,19 @@ class BodyMotion(Protocol):
     """
 
     @property
-    def velocity_b(self) -> Array: ...
+    def velocity_b(self) -> Array:
+        """Velocity in the body frame [m/s], (N, 3)."""
+        ...
 
     @property
-    def angular_b(self) -> Array: ...
+    def angular_b(self) -> Array:
+        """Angular velocity in the body frame [rad/s], (N, 3)."""
+        ...
 
     @property
-    def roll_pitch_yaw(self) -> Array: ...
+    def roll_pitch_yaw(self) -> Array:
+        """Roll, pitch and yaw [rad], (N, 3)."""
+        ...
 
 
 @dataclass(frozen=True)

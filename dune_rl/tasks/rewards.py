@@ -46,7 +46,7 @@ def heading(state: State, group: GroupState, *, bonus: float = 0.01) -> Array:
 def velocity(
     state: State, group: GroupState, *, speed_scale: float = 0.0025, turn_scale: float = 0.0
 ) -> Array:
-    """`speed_scale` [s/m] times forward speed, less `turn_scale` [s/rad] times |yaw rate|."""
+    """`speed_scale` [s/m] times forward speed, less `turn_scale` [s/rad] times the yaw rate's magnitude."""
     reward = speed_scale * group.motion.velocity_b[:, 0]
     if turn_scale:
         reward -= turn_scale * np.abs(group.motion.angular_b[:, 2])

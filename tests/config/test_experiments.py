@@ -15,6 +15,8 @@ from dune_rl.learning.measures import average_metrics
 from dune_rl.learning.saved_policies import load_policy
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+README = EXPERIMENTS.parent / "README.md"
+SPEED_PAGE = EXPERIMENTS.parent / "docs" / "concepts" / "speed.md"
 POLICIES = sorted(EXPERIMENTS.rglob("policy.pt"))
 
 
@@ -55,7 +57,7 @@ def test_the_table_of_memory_is_that_of_its_files() -> None:
     for (part, old), (same, new) in zip(before, after, strict=True):
         assert part == same
         assert f"| {part} | {old} | {new} |" in text
-    assert f"hold {after[-1][1]} MiB" in (EXPERIMENTS.parent / "README.md").read_text()
+    assert f"hold {after[-1][1]} MiB" in SPEED_PAGE.read_text()
 
 
 def test_the_table_of_memory_of_imported_worlds_is_that_of_its_files() -> None:
@@ -94,16 +96,19 @@ def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
             digits = len(figure.partition(".")[2])
             assert figure == f"{scale * sum(values) / len(values):.{digits}f}", name
     share = shown["SR"][0].strip("*").split()[0]
-    assert f"| SR | 100, 100, 100 % | {share} %" in (EXPERIMENTS.parent / "README.md").read_text()
+    assert f"| SR | 100, 100, 100 % | {share} %" in README.read_text()
 
 
 def test_the_table_of_speed_is_that_of_its_run() -> None:
     lines = (EXPERIMENTS / "speed" / "benchmark.jsonl").read_text().splitlines()
     environment, cameras, _ = (json.loads(line) for line in lines)
-    text = (EXPERIMENTS.parent / "README.md").read_text()
+    text = SPEED_PAGE.read_text()
     for name in ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio"):
         assert f"(`{name}`) | {environment[name]:.2f} |" in text
     colour, depth = (cameras[f"overhead_ratio_{name}"] for name in ("camera", "depth"))
     assert f"(`overhead_ratio_camera`, `_depth`) | {colour:.2f}, {depth:.2f} |" in text
     assert f"| {environment['core_steps_per_s']:,.0f} steps/s:" in text
     assert f"| reset of a scene | {environment['reset_ms']:.1f} ms |" in text
+    headline = README.read_text()
+    assert f"takes {environment['overhead_ratio']:.2f} times its ten bare physics steps" in headline
+    assert f"{environment['core_steps_per_s']:,.0f} of them a second" in headline

@@ -26,7 +26,8 @@ from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.registry import WORLDS
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text()
+# The world, the package and the folder of options that the documentation shows.
+SHOWN = "\n".join((ROOT / "docs" / name).read_text() for name in ("tutorial.md", "how_to/vary_a_world.md"))
 TERRAIN = HeightField(np.zeros((21, 21)), 1.0, (-10.0, -10.0))
 CUBE = Prop("cube", "box", *upright_box([3.0, 0.0], 0.0, -0.2, 0.6, 1.0, 1.0))
 
@@ -46,8 +47,8 @@ def dish(conf: DishConf) -> World:
 
 @pytest.fixture
 def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder with the README's files, which is the current one and on Python's path."""
-    monkeypatch.chdir(write_package(README, tmp_path))
+    """A folder with the files of the documentation, which is the current one and on Python's path."""
+    monkeypatch.chdir(write_package(SHOWN, tmp_path))
     with packages_on_path(tmp_path):
         yield tmp_path
 
@@ -58,8 +59,8 @@ def fault(*words: str, folders: tuple[str, ...] = ()) -> str:
     return str(caught.value)
 
 
-def test_the_readme_as_a_new_user_tries_it(user: Path) -> None:
-    command = re.search(r"^python -m (dune_rl\.evaluate \+world=crater .*)$", README, flags=re.MULTILINE)
+def test_the_tutorial_s_world_as_a_new_user_tries_it(user: Path) -> None:
+    command = re.search(r"^python -m (dune_rl\.evaluate \+world=crater .*)$", SHOWN, flags=re.MULTILINE)
     assert command is not None
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(user), str(ROOT)])}
     done = subprocess.run(

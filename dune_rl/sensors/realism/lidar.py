@@ -30,12 +30,20 @@ class LidarRealismConf(RealismConf):
 
     kind = "lidar"
 
-    noise_m: float = Field(0.0, ge=0.0, le=10.0)
-    noise_share: float = Field(0.0, ge=0.0, le=1.0)
-    quantum_m: float = Field(0.0, ge=0.0, le=10.0)
-    dropout: float = Field(0.0, ge=0.0, le=1.0)
-    half_return_m: float | None = Field(None, gt=0.0, le=10_000.0)
-    reflectance: tuple[float, float] = (1.0, 1.0)
+    noise_m: float = Field(0.0, ge=0.0, le=10.0, description="standard deviation of a range [m]")
+    noise_share: float = Field(0.0, ge=0.0, le=1.0, description="its growth, as a share of the range")
+    quantum_m: float = Field(0.0, ge=0.0, le=10.0, description="step between two ranges [m]")
+    dropout: float = Field(0.0, ge=0.0, le=1.0, description="share of the beams that return nothing")
+    half_return_m: float | None = Field(
+        None,
+        gt=0.0,
+        le=10_000.0,
+        description="range at which half of the beams return that hit head-on [m]; null: all return",
+    )
+    reflectance: tuple[float, float] = Field(
+        (1.0, 1.0),
+        description="lowest and highest reflectance of an episode, relative to that of `half_return_m`",
+    )
 
     @model_validator(mode="after")
     def _low_to_high(self) -> Self:

@@ -34,13 +34,21 @@ class NoiseConf(Settings):
 
     wraps: ClassVar[bool] = False
 
-    noise_density: float = Field(0.0, ge=0.0)
-    noise: float = Field(0.0, ge=0.0)
-    bias: float = Field(0.0, ge=0.0)
-    bias_instability: float = Field(0.0, ge=0.0)
-    bias_correlation_s: float = Field(100.0, gt=0.0)
-    bias_walk: float = Field(0.0, ge=0.0)
-    quantum: float = Field(0.0, ge=0.0)
+    noise_density: float = Field(0.0, ge=0.0, description="white noise N, whatever the rate [u/√Hz]")
+    noise: float = Field(0.0, ge=0.0, description="standard deviation of white noise of each reading [u]")
+    bias: float = Field(
+        0.0, ge=0.0, description="standard deviation of a bias that is constant over an episode [u]"
+    )
+    bias_instability: float = Field(
+        0.0,
+        ge=0.0,
+        description="floor of the Allan deviation, as data sheets state it, of a wandering bias [u]",
+    )
+    bias_correlation_s: float = Field(100.0, gt=0.0, description="correlation time of the wandering bias [s]")
+    bias_walk: float = Field(
+        0.0, ge=0.0, description="random walk K of a bias that starts at 0 with an episode [u/s/√Hz]"
+    )
+    quantum: float = Field(0.0, ge=0.0, description="step between two values [u]")
 
 
 class AngleNoiseConf(NoiseConf):

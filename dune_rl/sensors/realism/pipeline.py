@@ -30,9 +30,18 @@ class RealismConf(Settings):
 
     kind: ClassVar[PartKind | None] = None
 
-    preset: str | None = None
-    rate_hz: float | None = Field(None, gt=0.0, le=10_000.0)
-    latency_s: float = Field(0.0, ge=0.0, le=2.0)
+    preset: str | None = Field(
+        None, description="name of a known device, whose figures stand in for what is not set"
+    )
+    rate_hz: float | None = Field(
+        None,
+        gt=0.0,
+        le=10_000.0,
+        description="readings a second, which divide the control rate [Hz]; null: one each control step",
+    )
+    latency_s: float = Field(
+        0.0, ge=0.0, le=2.0, description="delay of a reading, a whole number of control steps [s]"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -100,7 +109,10 @@ class ImuRealismConf(RealismConf):
 
     kind = "imu"
 
-    heading_from: Literal["gyroscope", "magnetometer"] = "gyroscope"
+    heading_from: Literal["gyroscope", "magnetometer"] = Field(
+        "gyroscope",
+        description="what yaw is measured with: the integrated gyroscope, which drifts, or a magnetometer",
+    )
 
     accelerometer: NoiseConf = NoiseConf()
     gyroscope: NoiseConf = NoiseConf()

@@ -1,0 +1,272 @@
+"""The generated parts of pages, by name: `<!-- generated: NAME -->` in a page stands for one of these."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from conf_comments import option_summary, read_comments
+from realism_tables import devices_table, faults_table, sensors_table
+from settings_tables import Section, as_code, first_paragraph, read_section, render_section
+
+from dune_rl import paths
+from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.registry import BEHAVIOURS
+from dune_rl.bodies.person import PersonConf
+from dune_rl.config.agents import AgentGroupConf
+from dune_rl.config.compose import compose
+from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
+from dune_rl.engine_comparison.command_line import PAGE
+from dune_rl.engine_comparison.job import EnginesConf
+from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.sac.settings import SacConf
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.metrics.registry import METRICS
+from dune_rl.physics.interface import PhysicsConf
+from dune_rl.registry import Registry
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.robots.registry import ROBOTS
+from dune_rl.sensors.conf import SensorsConf
+from dune_rl.settings import Settings
+from dune_rl.tasks.registry import REWARDS, TERMINATIONS
+from dune_rl.tasks.task import TaskConf
+from dune_rl.worlds.registry import WORLDS
+from dune_rl.worlds.surfaces import SURFACES
+
+COMMANDS: Mapping[str, tuple[Any, str]] = {
+    "train": (Conf, "train"),
+    "evaluate": (EvaluateConf, "evaluate"),
+    "view": (ViewConf, "view"),
+    "benchmark": (BenchmarkConf, "benchmark"),
+}
+SECTIONS: Mapping[str, tuple[Any, str]] = {
+    "weather": (WeatherConf, "weather/clear"),
+    "physics": (PhysicsConf, "physics/bullet"),
+    "randomisation": (RandomisationConf, "randomisation/none"),
+    "learning": (SacConf, "learning/sac"),
+}
+_TAGS = frozenset({"name", "term", "sensor"})
+
+
+def command_settings(command: str) -> Section:
+    """The settings that a command has beside those of an environment."""
+    if command == "engines":
+        # It has no file in conf/: the help of the command says what its settings mean.
+        return read_section(EnginesConf, "", {words.split("=")[0]: said for words, said in PAGE.settings})
+    model, file = COMMANDS[command]
+    own = frozenset(model.model_fields) - frozenset(EnvConf.model_fields) - {"learning"}
+    section = read_section(model, "", read_comments(file), only=own)
+    # Of the file, which names a new folder for each run.
+    known = {"run_dir": "`runs/TIME_WORLD_seedSEED`"}
+    section.settings = [
+        replace(each, default=known.get(each.path, each.default)) for each in section.settings
+    ]
+    return section
+
+
+def section_settings(name: str) -> Section:
+    """The settings of a section that is the same whatever option is chosen."""
+    model, file = SECTIONS[name]
+    return read_section(model, name, read_comments(file), without=frozenset({"name"}))
+
+
+def sensor_settings() -> Section:
+    """The settings of the sensors, without those of their faults."""
+    section = read_section(SensorsConf, "sensors", read_comments("sensors/default"))
+    for inner in section.sections:
+        if inner.path == "sensors.realism":
+            inner.sections = []
+    return section
+
+
+def environment_settings() -> Section:
+    """`agents`, `robots` and the like: what chooses the agents of a scene."""
+    only = frozenset({"agents", "robots"})
+    return read_section(EnvConf, "", read_comments("environment"), only=only)
+
+
+def group_settings() -> Section:
+    """The settings of an agent group, of a person's body and of its path."""
+    comments = {path.removeprefix("walker."): text for path, text in read_comments("actors/walkers").items()}
+    comments["body"] = "a robot or `person`: a name, or `{name: NAME}` with settings"
+    group = read_section(AgentGroupConf, "agents.NAME", comments, only=frozenset(AgentGroupConf.model_fields))
+    group.sections = []
+    for name, model in (("body", PersonConf), ("path", PathConf)):
+        own = {key.removeprefix(f"{name}."): text for key, text in comments.items()}
+        group.sections.append(read_section(model, f"agents.NAME.{name}", own, without=frozenset({"name"})))
+    return group
+
+
+def spawn_settings() -> Section:
+    """The settings of starts and goals."""
+    return _only_section(read_section(TaskConf, "task", read_comments("task/point_goal")), "task.spawn")
+
+
+def metrics_settings() -> Section:
+    """The settings of the metrics as a whole."""
+    return read_section(MetricsConf, "metrics", read_comments("metrics/paper"))
+
+
+def part_settings(kind: str) -> Section:
+    """The settings of every built-in part of a kind, a section for each part."""
+    registry, path, files = KINDS[kind]
+    whole = Section("", "")
+    for name in registry.own:
+        model = registry.settings_class(name)
+        assert model is not None
+        comments = files(name)
+        section = read_section(model, path.replace("NAME", name), comments, without=_TAGS)
+        section.about = comments.get("", "") or (model.__doc__ or "")
+        whole.sections.append(section)
+    return whole
+
+
+def _option_comments(group: str) -> Callable[[str], dict[str, str]]:
+    def read(name: str) -> dict[str, str]:
+        summary = option_summary(paths.conf_folder() / group / f"{name}.yaml")
+        return {"": summary, **read_comments(f"{group}/{name}")}
+
+    return read
+
+
+def _robot_comments(name: str) -> dict[str, str]:
+    return {"path": "file of the robot's description", **_option_comments("robot")(name)}
+
+
+def _term_comments(section: str, file: str, common: Mapping[str, str]) -> Callable[[str], dict[str, str]]:
+    def read(name: str) -> dict[str, str]:
+        comments = read_comments(file)
+        inside = f"{section}.{name}."
+        own = {path.removeprefix(inside): text for path, text in comments.items() if path.startswith(inside)}
+        return {**common, **own}
+
+    return read
+
+
+_REWARD_MEANINGS = {
+    "weight": "factor on the term",
+    "termination": "name of the termination term",
+    "comfort_m": "clearance below which the value grows [m]",
+    "unless": "names of rewards: the term pays nothing in a step in which one of these does",
+}
+_TERMINATION_MEANINGS = {
+    "truncates": "the episode is cut off, which is no end of the task",
+    "renew": "the agent gets another goal, and its episode goes on",
+}
+_METRIC_MEANINGS = {
+    "termination": "name of the termination term",
+    "reduce": "what makes one value of an episode's steps",
+    "initial": "the value where an episode has none",
+}
+KINDS: Mapping[str, tuple[Registry[Any], str, Callable[[str], dict[str, str]]]] = {
+    "world": (WORLDS, "world=NAME", _option_comments("world")),
+    "robot": (ROBOTS, "robot=NAME", _robot_comments),
+    "reward": (REWARDS, "task.rewards.NAME", _term_comments("rewards", "task/point_goal", _REWARD_MEANINGS)),
+    "termination": (
+        TERMINATIONS,
+        "task.terminations.NAME",
+        _term_comments("terminations", "task/point_goal", _TERMINATION_MEANINGS),
+    ),
+    "metric": (METRICS, "metrics.terms.NAME", _term_comments("terms", "metrics/paper", _METRIC_MEANINGS)),
+    "behaviour": (BEHAVIOURS, "controller=NAME", lambda name: {}),
+}
+
+
+def _only_section(section: Section, path: str) -> Section:
+    (found,) = (each for each in section.sections if each.path == path)
+    return found
+
+
+def options_table(group: str) -> str:
+    """The options of a group, each with what the comment at the top of its file says."""
+    rows = [
+        f"| `{path.stem}` | {as_code(option_summary(path))} |"
+        for path in sorted((paths.conf_folder() / group).glob("*.yaml"))
+    ]
+    return "\n".join(["| option | what it is |", "|---|---|", *rows])
+
+
+def rewards_table(task: str) -> str:
+    """The reward terms of a task: weight, parameters, and what the term's docstring says."""
+    conf = compose(["+world=flat", f"task={task}"]).task
+    rows = []
+    for name, term in conf.rewards.items():
+        said = first_paragraph(type(term).__doc__ or "")
+        parameters = _parameters(term, {"term", "weight"})
+        rows.append(f"| `{name}` | {term.weight:g} | {as_code(said)} | {parameters} |")
+    return "\n".join(["| reward | weight | value in a step | parameters |", "|---|---|---|---|", *rows])
+
+
+def _parameters(term: Settings, without: set[str]) -> str:
+    values = term.model_dump(mode="json", exclude=without)
+    return "; ".join(f"`{key}` {_shown(value)}" for key, value in values.items() if value != [])
+
+
+def _shown(value: Any) -> str:
+    return (
+        ", ".join(value)
+        if isinstance(value, list)
+        else str(value).lower()
+        if value is True or value is False
+        else str(value)
+    )
+
+
+def terminations_table(task: str) -> str:
+    """The terminations of a task: what the term's docstring says, and whether it truncates."""
+    conf = compose(["+world=flat", f"task={task}"]).task
+    rows = []
+    for name, term in conf.terminations.items():
+        said = first_paragraph(type(term).__doc__ or "")
+        parameters = _parameters(term, {"term", "truncates", "renew"})
+        effect = (
+            "another goal"
+            if getattr(term, "renew", False)
+            else "truncates"
+            if term.truncates
+            else "terminates"
+        )
+        rows.append(f"| `{name}` | {effect} | {as_code(said)} | {parameters} |")
+    return "\n".join(["| name | effect | when | parameters |", "|---|---|---|---|", *rows])
+
+
+def surfaces_table() -> str:
+    """The contact properties of every surface."""
+    rows = [
+        f"| {each.name} | {each.friction:g} | {each.restitution:g} | {each.stiffness_npm:.1e} "
+        f"| {each.rolling_resistance:g} |"
+        for each in SURFACES
+    ]
+    head = "| surface | friction | restitution | stiffness [N/m] | rolling resistance |"
+    return "\n".join([head, "|---|---|---|---|---|", *rows])
+
+
+def generated_part(words: str, level: int) -> str:
+    """The Markdown that `<!-- generated: WORDS -->` stands for, with headings from `level` on.
+
+    Raises KeyError for words that mean nothing.
+    """
+    kind, *rest = words.split()
+    if kind in _TABLES:
+        return _TABLES[kind](*rest)
+    return render_section(_SETTINGS[kind](*rest), level)
+
+
+_SETTINGS: Mapping[str, Callable[..., Section]] = {
+    "command": command_settings,
+    "section": section_settings,
+    "sensors": sensor_settings,
+    "environment": environment_settings,
+    "group": group_settings,
+    "spawn": spawn_settings,
+    "metrics": metrics_settings,
+    "parts": part_settings,
+}
+_TABLES: Mapping[str, Callable[..., str]] = {
+    "options": options_table,
+    "rewards": rewards_table,
+    "terminations": terminations_table,
+    "surfaces": surfaces_table,
+    "realism-sensors": sensors_table,
+    "realism-faults": faults_table,
+    "realism-devices": devices_table,
+}

@@ -1,0 +1,28 @@
+"""The README: short, and its first two commands set themselves up."""
+
+from documents import DOCS, ROOT, code_blocks
+
+README = ROOT / "README.md"
+
+
+def test_readme_opens_with_two_commands_that_set_themselves_up() -> None:
+    (first, run), (second, test) = code_blocks(README)[:2]
+    assert (first, second) == ("sh", "sh")
+    for block in (run, test):
+        assert len(block.strip().splitlines()) == 1
+        assert "-m venv" in block
+        assert "-c constraints.txt" in block
+    assert "dune_rl.train +world=inspection" in run
+    assert "-m pytest" in test
+
+
+def test_readme_is_short() -> None:
+    assert len(README.read_text().splitlines()) < 200
+
+
+def test_readme_leads_to_every_guide() -> None:
+    text = README.read_text()
+    guides = {path.name for path in (DOCS / "how_to").glob("*.md")} - {"index.md"}
+    # The kinds of parts are listed by the page that all of them share.
+    missing = {name for name in guides if f"docs/how_to/{name}" not in text and not name.startswith("add_a")}
+    assert not missing
