@@ -14,7 +14,7 @@ USAGE = (
 CLOSING = (
     "conf/ holds every setting with its meaning and unit. To see what a command would\n"
     "use, add --cfg job. Own options go in a folder of the same shape as conf/:\n"
-    "--config-dir FOLDER. README.md has the rest."
+    "--config-dir FOLDER. docs/ has the rest."
 )
 SETTINGS = (
     ("+experiment=NAME", "a study's settings in one word"),
