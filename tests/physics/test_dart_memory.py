@@ -1,6 +1,7 @@
-"""DART's copies of collision meshes: given back once nobody uses them, and not before."""
+"""DART's copies of collision meshes: freed once nobody uses them, and not before."""
 
 import gc
+import zlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,12 +11,14 @@ pytest.importorskip("dartpy")
 
 import dune_rl.physics.dart.memory as memory
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.dart.memory import MeshCopy, forget_copies, return_unused_copies
-from dune_rl.physics.dart.statics import CollisionMeshes
+from dune_rl.physics.dart.memory import MeshCopy, forget_copies, free_unused_copies
+from dune_rl.physics.dart.statics import CollisionMeshes, _watch_copies
 from dune_rl.physics.interface import StaticBody
-from dune_rl.physics.process_memory import PAGE, read_memory
+from dune_rl.physics.process_memory import read_memory
 
-pytestmark = pytest.mark.skipif(memory._bullets_allocator_setter() is None, reason="DART tells no addresses")
+pytestmark = pytest.mark.skipif(
+    not _watch_copies.is_needed, reason="this DART keeps no copies, or cannot say"
+)
 
 
 def terrain(seed: int, cells: int = 64) -> tuple[StaticBody, ...]:
@@ -26,71 +29,97 @@ def terrain(seed: int, cells: int = 64) -> tuple[StaticBody, ...]:
 
 
 @pytest.fixture
-def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[MeshCopy]]:
+def forgotten() -> Iterator[list[MeshCopy]]:
     """The copies that nobody uses any more; none at first."""
-    return_unused_copies()
+    gc.collect()
+    free_unused_copies()
     yield memory._unused
-    return_unused_copies()
+    free_unused_copies()
 
 
-def is_zero(copy: MeshCopy) -> bool:
-    content = read_memory(copy.address, copy.pages * PAGE)
-    assert content is not None
-    return not any(content)
+@pytest.fixture
+def freed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The addresses of what is freed, which is freed indeed."""
+    addresses: list[int] = []
+    library = memory._c_library()
+
+    class Library:
+        malloc = staticmethod(library.malloc)
+
+        @staticmethod
+        def free(address: int) -> None:
+            addresses.append(address)
+            library.free(address)
+
+    monkeypatch.setattr(memory, "_c_library", Library)
+    return addresses
 
 
-def test_copies_are_found_and_given_back_once_they_are_not_used(forgotten: list[MeshCopy]) -> None:
-    meshes = CollisionMeshes(terrain(0))
+def is_whole(copy: MeshCopy) -> bool:
+    content = read_memory(copy.start, copy.used)
+    return content is not None and zlib.crc32(content) == copy.checksum
+
+
+@pytest.mark.parametrize("cells", [3, 64])
+def test_copies_are_found_and_freed_once_they_are_not_used(
+    cells: int, forgotten: list[MeshCopy], freed: list[int]
+) -> None:
+    meshes = CollisionMeshes(terrain(0, cells))
+    freed.clear()
     assert not forgotten
     del meshes
     gc.collect()
     copies = list(forgotten)
-    # Vertices and indices of 8194 triangles: 3 corners of 32 and 4 bytes each.
-    assert sorted(copy.used // PAGE for copy in copies) == [23, 191]
-    assert not any(is_zero(copy) for copy in copies)
-    another = CollisionMeshes(terrain(1))
-    assert all(is_zero(copy) for copy in copies) and not forgotten
-    del another
-    gc.collect()
+    # 3 corners of each triangle, and of 2 that make the mesh a fold: 32 bytes, and an index of 4.
+    corners = 3 * (2 * cells**2 + 2)
+    assert sorted(copy.used for copy in copies) == [4 * corners, 32 * corners]
+    assert all(is_whole(copy) for copy in copies) and not freed
+    free_unused_copies()
+    assert sorted(freed) == sorted(copy.block for copy in copies) and not forgotten
 
 
-def test_meshes_that_are_in_use_stay(forgotten: list[MeshCopy]) -> None:
+def test_meshes_that_are_in_use_stay(forgotten: list[MeshCopy], freed: list[int]) -> None:
     kept, dropped = CollisionMeshes(terrain(0)), CollisionMeshes(terrain(1))
     del dropped
     gc.collect()
-    gone = list(forgotten)
-    return_unused_copies()
-    assert all(is_zero(copy) for copy in gone)
+    assert len(forgotten) == 2
+    freed.clear()
+    free_unused_copies()
+    assert len(freed) == 2
     del kept
     gc.collect()
-    assert len(forgotten) == 2 and not any(is_zero(copy) for copy in forgotten)
+    assert len(forgotten) == 2 and all(is_whole(copy) for copy in forgotten)
+    assert not {copy.block for copy in forgotten} & set(freed)
 
 
-def test_memory_with_other_content_is_left_alone(forgotten: list[MeshCopy]) -> None:
-    array = np.ones(8 * PAGE, np.uint8)
-    start = -(-array.ctypes.data // PAGE) * PAGE
-    forget_copies([MeshCopy(start, 4, 4 * PAGE, checksum=1)])
-    return_unused_copies()
-    assert array.all()
-
-
-def test_memory_that_is_gone_is_no_fault() -> None:
-    forget_copies([MeshCopy(0, 1, PAGE, checksum=0)])
-    return_unused_copies()
-
-
-def test_small_meshes_are_let_be(forgotten: list[MeshCopy]) -> None:
-    meshes = CollisionMeshes(terrain(0, cells=4))
+def test_equal_meshes_have_copies_of_their_own(forgotten: list[MeshCopy]) -> None:
+    (body,) = terrain(0, 5)
+    meshes = CollisionMeshes((body, body))
     del meshes
     gc.collect()
-    assert not forgotten
+    assert len({copy.block for copy in forgotten}) == len(forgotten) == 4
 
 
-def test_nothing_is_watched_where_bullet_cannot_be_asked(
+def test_memory_with_other_content_is_left_alone(forgotten: list[MeshCopy], freed: list[int]) -> None:
+    array = np.ones(10_000, np.uint8)
+    forget_copies([MeshCopy(array.ctypes.data, array.ctypes.data, array.nbytes, checksum=1)])
+    forget_copies([MeshCopy(0, 16, 64, checksum=1)])
+    free_unused_copies()
+    assert not freed and array.all()
+
+
+def test_nothing_is_freed_where_dart_does_so(
     monkeypatch: pytest.MonkeyPatch, forgotten: list[MeshCopy]
 ) -> None:
-    monkeypatch.setattr(memory, "_bullets_allocator_setter", lambda: None)
+    monkeypatch.setitem(_watch_copies.__dict__, "is_needed", False)
     meshes = CollisionMeshes(terrain(2))
     del meshes
     gc.collect()
     assert not forgotten
+
+
+def test_a_trial_tells_whether_copies_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A mesh that is not even loaded leaves nothing behind.
+    assert not memory.CopyWatch(lambda corners: None).is_needed
+    monkeypatch.setattr(memory, "_allocator_setter", lambda: None)
+    assert not memory.CopyWatch(lambda corners: pytest.fail("there is nothing to try")).is_needed

@@ -2,22 +2,23 @@
 
 For Bullet's detector DART 6.20 copies the triangles of a mesh into a `btTriangleMesh`, which it never deletes
 (dart/collision/bullet/BulletCollisionDetector.cpp): 108 bytes of each triangle, for every world that a
-process enters. Bullet says where it puts these copies, and their pages are given back to the operating system
-once nobody uses them. What is lost then is address space, of which there is plenty.
+process enters. Bullet says where it puts these copies, and they are freed here once nobody uses them, if a
+trial shows that DART does not do so itself.
 """
 
 import ctypes
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.process_memory import IS_SUPPORTED, PAGE, read_memory, return_pages
+from dune_rl.physics.process_memory import IS_SUPPORTED, read_memory
 
 # Bullet's vectors have four components, the last of which is not used.
 _COMPONENTS = 4
@@ -25,36 +26,66 @@ _POINTER_BYTES = ctypes.sizeof(ctypes.c_void_p)
 _ALIGNMENT = 16
 
 _ALLOCATE = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
+_FREE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+# Three triangles, which no plane holds.
+_TRIAL_MESH = (
+    ((0.0, 0.0, 0.0), (1.5, 0.0, 0.0), (0.0, 1.25, 0.0)),
+    ((0.0, 0.0, 0.0), (0.0, 1.25, 0.0), (0.0, 0.0, 1.75)),
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 1.75), (1.5, 0.0, 0.0)),
+)
+
+# The size [bytes] of each block that Bullet has allocated and not freed, by its address.
+Blocks = dict[int, int]
 
 
 @dataclass(frozen=True)
 class MeshCopy:
-    """The whole pages of a block that Bullet has allocated for a copy of a mesh.
+    """A block of memory with a part of a mesh's copy: `used` bytes from `start` on with this `checksum`."""
 
-    They begin at `address`; the first `used` bytes have the copy, with this `checksum`, the rest is room.
-    """
-
-    address: int
-    pages: int
+    block: int
+    start: int
     used: int
     checksum: int
 
 
-@contextmanager
-def watch_copies(meshes: Sequence[NDArray[np.float64]], found: list[MeshCopy]) -> Iterator[None]:
-    """Add to `found` the copies that DART makes in the block of meshes with these corners, (F, 3, 3) each."""
-    blocks: dict[int, int] = {}
-    with _logged_allocations(blocks):
-        yield
-    for corners in meshes:
-        # DART's files have float32.
-        vertices = corners.reshape(-1, 3).astype(np.float32).astype(np.float64)
-        # Indices of a small mesh begin like those of a large one, but they are as long as they must be.
-        for rows, width in (
-            (vertices, _COMPONENTS),
-            (np.arange(len(vertices), dtype=np.int32).reshape(-1, 1), 1),
-        ):
-            found += _find_array(rows, width, blocks)
+class CopyWatch:
+    """Finds the copies that DART makes of meshes, if it keeps them.
+
+    `load(corners)` returns an object that holds a mesh, of these corners (F, 3, 3), in a detector of its own.
+    It is called once, for a trial.
+    """
+
+    def __init__(self, load: Callable[[NDArray[np.float64]], Any]) -> None:
+        self._load = load
+
+    @contextmanager
+    def __call__(self, meshes: Sequence[NDArray[np.float64]], found: list[MeshCopy]) -> Iterator[None]:
+        """Add to `found` the copies that DART makes in the block of meshes with these corners.
+
+        There are none where DART frees them itself, or cannot be asked.
+        """
+        if not self.is_needed:
+            yield
+            return
+        with _logged_allocations() as blocks:
+            yield
+        # The largest first: indices of a small mesh begin like those of a large one.
+        for corners in sorted(meshes, key=len, reverse=True):
+            for copy in _find_copies(corners, blocks):
+                del blocks[copy.block]
+                found.append(copy)
+
+    @cached_property
+    def is_needed(self) -> bool:
+        """Whether DART keeps the copies of a mesh when the detector, and all else that used it, is gone."""
+        if _allocator_setter() is None:
+            return False
+        with _logged_allocations() as blocks:
+            loaded = self._load(np.array(_TRIAL_MESH))
+            copies = _find_copies(np.array(_TRIAL_MESH), blocks)
+            del loaded
+            return bool(copies) and all(copy.block in blocks for copy in copies)
 
 
 _unused: list[MeshCopy] = []
@@ -65,42 +96,53 @@ def forget_copies(copies: list[MeshCopy]) -> None:
     _unused.extend(copies)
 
 
-def return_unused_copies() -> None:
-    """Give back the pages of copies that nobody uses; to be called before other meshes are loaded."""
+def free_unused_copies() -> None:
+    """Free the copies that nobody uses; to be called before other meshes are loaded."""
     while _unused:
         copy = _unused.pop()
-        # What has changed belongs to others: it was freed after all, and used again.
-        content = read_memory(copy.address, copy.used)
+        # What has changed belongs to others.
+        content = read_memory(copy.start, copy.used)
         if content is not None and zlib.crc32(content) == copy.checksum:
-            return_pages(copy.address, copy.pages)
+            _c_library().free(copy.block)
 
 
 @contextmanager
-def _logged_allocations(blocks: dict[int, int]) -> Iterator[None]:
-    """Note the size [bytes] of each large block that Bullet allocates meanwhile, by its address."""
-    set_allocator = _bullets_allocator_setter()
-    if set_allocator is None:
-        yield
-        return
-    allocate = ctypes.CDLL(None).malloc
-    allocate.argtypes, allocate.restype = [ctypes.c_size_t], ctypes.c_void_p
+def _logged_allocations() -> Iterator[Blocks]:
+    """Note which blocks Bullet allocates meanwhile and has not freed; yields what is complete at the end."""
+    blocks: Blocks = {}
+    set_allocator, library = _allocator_setter(), _c_library()
+    assert set_allocator is not None
 
-    def logged(size: int) -> int | None:
-        address: int | None = allocate(size)
-        if address is not None and size >= 2 * PAGE:
+    def allocate(size: int) -> int | None:
+        address: int | None = library.malloc(size)
+        if address is not None:
             blocks[address] = size
         return address
 
-    callback = _ALLOCATE(logged)
-    # Null is what Bullet begins with: malloc and free.
-    set_allocator(ctypes.cast(callback, ctypes.c_void_p), None)
+    def free(address: int | None) -> None:
+        if address is not None:
+            blocks.pop(address, None)
+        library.free(address)
+
+    callbacks = _ALLOCATE(allocate), _FREE(free)
+    set_allocator(*(ctypes.cast(callback, ctypes.c_void_p) for callback in callbacks))
     try:
-        yield
+        yield blocks
     finally:
+        # Null is what Bullet begins with: malloc and free.
         set_allocator(None, None)
 
 
-def _bullets_allocator_setter() -> Any:
+@cache
+def _c_library() -> Any:
+    library = ctypes.CDLL(None)
+    library.malloc.argtypes, library.malloc.restype = [ctypes.c_size_t], ctypes.c_void_p
+    library.free.argtypes, library.free.restype = [ctypes.c_void_p], None
+    return library
+
+
+@cache
+def _allocator_setter() -> Callable[..., None] | None:
     """Bullet's `btAlignedAllocSetCustom(allocate, free)`; None where DART does not offer it."""
     if not IS_SUPPORTED:
         return None
@@ -110,22 +152,27 @@ def _bullets_allocator_setter() -> Any:
     return setter
 
 
-def _find_array(rows: NDArray[Any], width: int, blocks: Mapping[int, int]) -> Iterator[MeshCopy]:
-    """The copies of `rows` (n, k), stored as rows of `width` entries, at the start of one of the blocks."""
+def _find_copies(corners: NDArray[np.float64], blocks: Blocks) -> list[MeshCopy]:
+    """The copies of a mesh's vertices and indices among the blocks."""
+    # DART's files have float32.
+    vertices = corners.reshape(-1, 3).astype(np.float32).astype(np.float64)
+    indices = np.arange(len(vertices), dtype=np.int32).reshape(-1, 1)
+    found = _find_copy(vertices, _COMPONENTS, blocks), _find_copy(indices, 1, blocks)
+    return [copy for copy in found if copy is not None]
+
+
+def _find_copy(rows: NDArray[Any], width: int, blocks: Blocks) -> MeshCopy | None:
+    """The copy of `rows` (n, k), stored as rows of `width` entries, at the start of one of the blocks."""
     size = len(rows) * width * rows.itemsize
-    if size < 2 * PAGE:
-        return
     for block, length in blocks.items():
-        # As Bullet aligns: behind a pointer to the block.
-        first = -(-(block + _POINTER_BYTES) // _ALIGNMENT) * _ALIGNMENT
-        if first + size > block + length:
+        # As Bullet aligns: behind a pointer to the block. Arrays grow by doubling.
+        start = -(-(block + _POINTER_BYTES) // _ALIGNMENT) * _ALIGNMENT
+        if not size <= block + length - start <= 2 * size + _ALIGNMENT + _POINTER_BYTES:
             continue
-        content = read_memory(first, size)
+        content = read_memory(start, size)
         if content is None:
             continue
         stored = np.frombuffer(content, rows.dtype).reshape(-1, width)
-        if not np.array_equal(stored[:, : rows.shape[1]], rows):
-            continue
-        start, end = -(-first // PAGE) * PAGE, (block + length) // PAGE * PAGE
-        used = content[start - first :]
-        yield MeshCopy(start, (end - start) // PAGE, len(used), zlib.crc32(used))
+        if np.array_equal(stored[:, : rows.shape[1]], rows):
+            return MeshCopy(block, start, size, zlib.crc32(content))
+    return None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import PhysicsError
 from dune_rl.physics.dart.files import is_open_surface, mesh_corners, write_meshes
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.memory import MeshCopy, forget_copies, return_unused_copies, watch_copies
+from dune_rl.physics.dart.memory import CopyWatch, MeshCopy, forget_copies, free_unused_copies
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
 from dune_rl.physics.interface import StaticBody
@@ -160,9 +160,12 @@ def add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> 
 
 
 class CollisionMeshes:
-    """Mesh shapes of static bodies, and the collision detector that holds their bounding volume trees."""
+    """Mesh shapes of static bodies, and the collision detector that holds their bounding volume trees.
 
-    def __init__(self, statics: tuple[StaticBody, ...]) -> None:
+    With `frees_copies`, what DART keeps of them is freed after them.
+    """
+
+    def __init__(self, statics: tuple[StaticBody, ...], *, frees_copies: bool = True) -> None:
         self.statics = statics
         self.detector = dartpy.collision.BulletCollisionDetector()
         self.is_open = [is_open_surface(body) for body in statics]
@@ -174,10 +177,14 @@ class CollisionMeshes:
         for shape in self.shapes:
             add_shape(body, shape, 0.0)
         self._group = self.detector.createCollisionGroup()
-        return_unused_copies()
+        frames = [*body.getShapeNodes()]
+        if not frees_copies:
+            self._group.addShapeFrames(frames)
+            return
+        free_unused_copies()
         copies: list[MeshCopy] = []
-        with watch_copies(meshes, copies):
-            self._group.addShapeFrames([*body.getShapeNodes()])
+        with _watch_copies(meshes, copies):
+            self._group.addShapeFrames(frames)
         finalize(self, forget_copies, copies)
 
     def _load(self, meshes: Sequence[Array]) -> list[Any]:
@@ -194,6 +201,15 @@ class CollisionMeshes:
                 )
             return [node.getShape() for node in nodes]
 
+
+def _load_alone(corners: Array) -> CollisionMeshes:
+    """A mesh of these corners (F, 3, 3) in a detector of its own."""
+    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+    body = StaticBody("trial", corners.reshape(-1, 3), faces, 1.0, ground=False)
+    return CollisionMeshes((body,), frees_copies=False)
+
+
+_watch_copies = CopyWatch(_load_alone)
 
 # Scenes with the same statics share an entry, which lives as long as one of them. The entry holds the
 # statics, so that no other tuple can get the same id.
