@@ -15,9 +15,13 @@ from vehicles import (
     CAR_WHEELBASE_M,
     ROCKER_TRACK_M,
     ROCKER_WHEELS_X,
+    box_link,
+    rolling,
     small_link,
     steering,
     transmission,
+    wheel_link,
+    write,
     write_car,
     write_rocker_bogie,
 )
@@ -147,6 +151,28 @@ def test_settings_override_what_is_found(tmp_path):
 def test_a_joint_about_z_without_a_wheel_does_not_steer(tmp_path):
     extra = small_link("turret"), steering("turret", "base_link", (0.0, 0.0, 0.2), 1.0)
     assert "turret_joint" not in read(write_car(tmp_path, *extra)).body.drive_joints
+
+
+@pytest.mark.parametrize(
+    "limits", ['lower="0" upper="0"', 'lower="0" upper="0.5"', 'lower="0.1" upper="0.5"']
+)
+def test_named_joints_that_cannot_steer_to_both_sides_are_refused(tmp_path, limits):
+    path = write_car(tmp_path, limit_rad=0.6)
+    path.write_text(path.read_text().replace('lower="-0.6" upper="0.6"', limits))
+    with pytest.raises(RobotError, match=r"car\.urdf: left_knuckle_joint, .* cannot steer to both sides"):
+        read(path, steering_joints=("left_knuckle_joint", "right_knuckle_joint"))
+
+
+def test_an_axle_that_steers_alone_is_refused(tmp_path):
+    elements = [box_link("base_link", 20.0, (0.7, 0.36, 0.12), "0 0 0.1")]
+    for side, y in (("left", 0.25), ("right", -0.25)):
+        knuckle, wheel = f"{side}_knuckle", f"{side}_wheel"
+        elements += [small_link(knuckle), steering(knuckle, "base_link", (0.0, y, 0.0), 0.6)]
+        elements += [wheel_link(wheel, 1.0, 0.12, 0.06), rolling(wheel, knuckle, (0.0, 0.0, 0.0))]
+    path = write(tmp_path, "axle", *elements)
+    with pytest.raises(RobotError, match="none is before or behind the axle"):
+        read(path)
+    assert read(path, drive={"kind": "skid_steer"}).steering is None
 
 
 def test_it_stands_where_no_speed_and_no_heading_are_commanded(tmp_path):

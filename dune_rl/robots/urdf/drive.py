@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dune_rl.errors import RobotError
 from dune_rl.robots.ackermann import AckermannConf, AckermannDrive
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.steering_geometry import SteeringGeometry
@@ -78,8 +79,26 @@ def derive_drive(conf: UrdfConf, layout: RobotLayout, mass_kg: float, model: Urd
     joints = [model.joints[name] for name in layout.pivots.joints]
     ackermann = _ackermann_conf(own, joints, wheels.max_speed_mps)
     geometry = steering_geometry(driven, layout.wheels, layout.pivots, own, radius, model)
+    _check_steering(geometry, layout, model)
     turning, steering_text = _steering_torque(conf, layout, joints, mass_kg, model)
     return DerivedDrive(wheels, ackermann, geometry, turning, (text, steering_text))
+
+
+def _check_steering(geometry: SteeringGeometry, layout: RobotLayout, model: UrdfModel) -> None:
+    """Raise `RobotError` if the steering joints cannot turn the robot to both sides."""
+    left, right = geometry.max_curvatures()
+    if 0.0 < left < np.inf and 0.0 < right < np.inf:
+        return
+    joints = ", ".join(layout.pivots.joints)
+    if np.isinf([left, right]).any():
+        raise RobotError(
+            f"{model.path.name}: {joints} steer, but none is before or behind the axle that it would turn the "
+            "robot about; robot.drive.kind=skid_steer drives it without steering."
+        )
+    raise RobotError(
+        f"{model.path.name}: {joints} cannot steer to both sides; give them a <limit> with lower below 0 and "
+        "upper above it, or name others in robot.steering_joints."
+    )
 
 
 def _wheel_torque(conf: UrdfConf, layout: RobotLayout, mass_kg: float, radius_m: float) -> tuple[float, str]:
