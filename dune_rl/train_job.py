@@ -133,7 +133,11 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
         command.print_error(f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}")
         sys.exit(128 + result.signal)
     if conf.film:
-        _film(console, conf, result)
+        try:
+            _film(console, conf, result)
+        except (DuneError, OSError) as error:
+            # All else of the run is there, a sweep's objective too.
+            command.print_error(f"note: {FILM_FILE} is left out: {error}")
     _show_end(console, conf, result)
     return result
 

@@ -30,8 +30,18 @@ def replace_default_actors(data: dict[str, Any], *, keep: bool = False) -> None:
     count = _count_in_world(data.get("world")) if marked and not keep and not data.get("agents") else 0
     if count:
         plain = {name: group for name, group in plain.items() if name not in marked}
-        plain[GROUP] = {"body": {"name": PERSON}, "count": count, "controller": TRAJECTORY}
+        plain[GROUP] = _merge(
+            {"body": {"name": PERSON}, "count": count, "controller": TRAJECTORY}, plain.get(GROUP)
+        )
     data["actors"] = plain
+
+
+def _merge(group: dict[str, Any], own: Any) -> dict[str, Any]:
+    """A group with what its settings, `actors.actor.*`, say otherwise."""
+    if not isinstance(own, Mapping):
+        return group
+    body = own.get("body")
+    return group | dict(own) | ({"body": group["body"] | dict(body)} if isinstance(body, Mapping) else {})
 
 
 def _count_in_world(world: Any) -> int:

@@ -1,6 +1,7 @@
 """The command lines, end to end on a run of seconds: what they write, say and return."""
 
 import csv
+import errno
 import importlib.util
 import json
 import os
@@ -76,6 +77,23 @@ def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.Capt
     message = capsys.readouterr().err
     assert "short.pt is truncated" in message
     assert message.count("\n") <= 2
+
+
+def test_a_run_ends_with_a_film_and_does_without_where_it_cannot_be_made(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["+world=flat", *TINY, "film=true", "sensors.camera=null"]
+    assert call(train.main, "run_dir=filmed", *words) == 0
+    assert (folder / "filmed" / "film.mp4").stat().st_size > 1000
+    assert "  film.mp4" in capsys.readouterr().out
+
+    def fail(*arguments: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("dune_rl.view.outputs.write_video", fail)
+    assert call(train.main, "run_dir=unfilmed", *words) == 0
+    shown = capsys.readouterr()
+    assert "note: film.mp4 is left out" in shown.err and "after 192 frames" in shown.out
 
 
 @pytest.mark.parametrize(

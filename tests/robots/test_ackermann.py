@@ -153,12 +153,11 @@ def test_a_joint_about_z_without_a_wheel_does_not_steer(tmp_path):
     assert "turret_joint" not in read(write_car(tmp_path, *extra)).body.drive_joints
 
 
-@pytest.mark.parametrize(
-    "limits", ['lower="0" upper="0"', 'lower="0" upper="0.5"', 'lower="0.1" upper="0.5"']
-)
+@pytest.mark.parametrize("limits", [(0, 0), (0, 0.5), (0.1, 0.5), (-0.6, 0)])
 def test_named_joints_that_cannot_steer_to_both_sides_are_refused(tmp_path, limits):
     path = write_car(tmp_path, limit_rad=0.6)
-    path.write_text(path.read_text().replace('lower="-0.6" upper="0.6"', limits))
+    new = 'lower="{}" upper="{}"'.format(*limits)
+    path.write_text(path.read_text().replace('lower="-0.6" upper="0.6"', new))
     with pytest.raises(RobotError, match=r"car\.urdf: left_knuckle_joint, .* cannot steer to both sides"):
         read(path, steering_joints=("left_knuckle_joint", "right_knuckle_joint"))
 

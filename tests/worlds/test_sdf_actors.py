@@ -177,6 +177,34 @@ def test_an_environment_has_the_file_s_actors_unless_told_otherwise(tmp_path):
     assert set(compose_environment("sdf", [f"world.path={empty}"]).actors) == {"walker"}
 
 
+def test_settings_of_the_file_s_actors_count(tmp_path):
+    path = write(tmp_path, actor("a", *SQUARE), actor("b", *SQUARE))
+
+    def groups(*words):
+        conf = compose_environment("sdf", [f"world.path={path}", *words])
+        return {group.name: group for group in conf.groups if group.name != "rover"}
+
+    (one,) = groups("actors.actor.count=1", "actors.actor.body.speed_mps=0.4").values()
+    assert (one.count, one.body.speed_mps, one.controller) == (1, 0.4, "trajectory")
+    # A group of one's own that has their name is not lost.
+    (own,) = groups("+actors.actor={body: person, count: 3, controller: path}").values()
+    assert (own.count, own.controller) == (3, "path")
+
+
+def test_trajectories_that_last_too_long_together_are_refused(tmp_path):
+    long = "".join(
+        f'<trajectory id="{number}">{way_point(0, 0, 0)}{way_point(9e5, 1, 0)}</trajectory>'
+        for number in (1, 2)
+    )
+    with pytest.raises(WorldError, match="must end before 1e\\+06 s"):
+        read(tmp_path, actor("slow", script=long))
+
+
+def test_way_points_that_are_too_far_off_are_refused(tmp_path):
+    with pytest.raises(WorldError, match="is farther off than 1e\\+06 m"):
+        read(tmp_path, actor("far", way_point(0, 0, 0), way_point(3, 1e200, 0)))
+
+
 def test_actors_walk_on_time_on_the_ground_in_every_scene(tmp_path):
     late = actor("late", *SQUARE, script="<delay_start>1</delay_start>")
     simulation = simulation_of(write(tmp_path, actor("a", *SQUARE), late), 2)

@@ -92,8 +92,8 @@ def _check_steering(geometry: SteeringGeometry, layout: RobotLayout, model: Urdf
     joints = ", ".join(layout.pivots.joints)
     if np.isinf([left, right]).any():
         raise RobotError(
-            f"{model.path.name}: {joints} steer, but none is before or behind the axle that it would turn the "
-            "robot about; robot.drive.kind=skid_steer drives it without steering."
+            f"{model.path.name}: {joints} steer, but none is before or behind the axle that it would turn "
+            "the robot about; robot.drive.kind=skid_steer drives it without steering."
         )
     raise RobotError(
         f"{model.path.name}: {joints} cannot steer to both sides; give them a <limit> with lower below 0 and "

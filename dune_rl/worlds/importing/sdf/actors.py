@@ -14,6 +14,7 @@ from dune_rl.worlds.world import World
 Array = NDArray[np.float64]
 
 MOST_ACTORS, _MOST_WAY_POINTS, _LONGEST_S = 500, 20_000, 1e6
+_FARTHEST_M = 1e6
 # A loop whose ends are farther apart than this is closed by a way back, at this speed if the script has none.
 _CLOSED_M, _USUAL_MPS = 0.1, 1.0
 # Origins of actors are up to this high above the ground that they walk on: Gazebo's are at the hip.
@@ -72,10 +73,14 @@ def _way_points(element: Element, name: str, matrix: Array) -> dict[float, Array
                     f"a <waypoint>'s <time> of the actor {name!r} must be 0 to {_LONGEST_S:g} (got {time:g})."
                 )
             pose = matrix @ parse_pose(way_point)
+            if not np.abs(pose[:3, 3]).max() <= _FARTHEST_M:
+                raise WorldError(f"a <waypoint> of the actor {name!r} is farther off than {_FARTHEST_M:g} m.")
             yaw = np.arctan2(pose[1, 0], pose[0, 0])
             points[start + time] = np.array([*pose[:3, 3], yaw])
             times.append(time)
         start += max(times, default=0.0)
+        if start > _LONGEST_S:
+            raise WorldError(f"the <trajectory>s of the actor {name!r} must end before {_LONGEST_S:g} s.")
     if len(points) > _MOST_WAY_POINTS:
         raise WorldError(f"the actor {name!r} has more than {_MOST_WAY_POINTS:,} <waypoint>s: reduce them.")
     return points
