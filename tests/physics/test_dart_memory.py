@@ -1,6 +1,7 @@
 """DART's copies of collision meshes: freed once nobody uses them, and not before."""
 
 import gc
+import signal
 import zlib
 from collections.abc import Iterator
 
@@ -123,3 +124,24 @@ def test_a_trial_tells_whether_copies_are_kept(monkeypatch: pytest.MonkeyPatch) 
     assert not memory.CopyWatch(lambda corners: None).is_needed
     monkeypatch.setattr(memory, "_allocator_setter", lambda: None)
     assert not memory.CopyWatch(lambda corners: pytest.fail("there is nothing to try")).is_needed
+
+
+def test_a_small_mesh_does_not_take_the_copy_of_a_large_one(forgotten: list[MeshCopy]) -> None:
+    small, large = terrain(4, cells=24)[0], terrain(5)[0]
+    meshes = CollisionMeshes((small, large, small))
+    del meshes
+    gc.collect()
+    corners = sorted(3 * (2 * cells**2 + 2) for cells in (24, 64, 24))
+    assert sorted(copy.used for copy in forgotten) == sorted(
+        width * count for width in (4, 32) for count in corners
+    )
+
+
+def test_an_interrupt_waits_until_bullet_has_its_memory() -> None:
+    """In Bullet's allocator an exception would leave it without memory, and end the process."""
+    went_on = False
+    with pytest.raises(KeyboardInterrupt), _watch_copies([], []):
+        signal.raise_signal(signal.SIGINT)
+        went_on = True
+    assert went_on
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -7,6 +7,8 @@ trial shows that DART does not do so itself.
 """
 
 import ctypes
+import signal
+import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,6 +26,10 @@ from dune_rl.physics.process_memory import IS_SUPPORTED, read_memory
 _COMPONENTS = 4
 _POINTER_BYTES = ctypes.sizeof(ctypes.c_void_p)
 _ALIGNMENT = 16
+# Arrays are told apart by so many bytes first: a vertex, or six indices.
+_HEAD_BYTES = 24
+# What a block may have beyond its array's doubled size.
+_SLACK_BYTES = 64
 
 _ALLOCATE = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
 _FREE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
@@ -68,22 +74,21 @@ class CopyWatch:
         if not self.is_needed:
             yield
             return
-        with _logged_allocations() as blocks:
+        with _deferred_signals(), _logged_allocations() as blocks:
             yield
+        arrays = _Arrays(blocks)
         # The largest first: indices of a small mesh begin like those of a large one.
         for corners in sorted(meshes, key=len, reverse=True):
-            for copy in _find_copies(corners, blocks):
-                del blocks[copy.block]
-                found.append(copy)
+            found += arrays.take_copies(corners)
 
     @cached_property
     def is_needed(self) -> bool:
         """Whether DART keeps the copies of a mesh when the detector, and all else that used it, is gone."""
         if _allocator_setter() is None:
             return False
-        with _logged_allocations() as blocks:
+        with _deferred_signals(), _logged_allocations() as blocks:
             loaded = self._load(np.array(_TRIAL_MESH))
-            copies = _find_copies(np.array(_TRIAL_MESH), blocks)
+            copies = _Arrays(blocks).take_copies(np.array(_TRIAL_MESH))
             del loaded
             return bool(copies) and all(copy.block in blocks for copy in copies)
 
@@ -152,27 +157,72 @@ def _allocator_setter() -> Callable[..., None] | None:
     return setter
 
 
-def _find_copies(corners: NDArray[np.float64], blocks: Blocks) -> list[MeshCopy]:
-    """The copies of a mesh's vertices and indices among the blocks."""
-    # DART's files have float32.
-    vertices = corners.reshape(-1, 3).astype(np.float32).astype(np.float64)
-    indices = np.arange(len(vertices), dtype=np.int32).reshape(-1, 1)
-    found = _find_copy(vertices, _COMPONENTS, blocks), _find_copy(indices, 1, blocks)
-    return [copy for copy in found if copy is not None]
+class _Arrays:
+    """Bullet's arrays at the start of blocks of memory."""
+
+    def __init__(self, blocks: Blocks) -> None:
+        # Block, start of the array and room in it, by what the array begins with.
+        self._by_head: dict[bytes, list[tuple[int, int, int]]] = {}
+        for block, length in blocks.items():
+            # As Bullet aligns: behind a pointer to the block.
+            start = -(-(block + _POINTER_BYTES) // _ALIGNMENT) * _ALIGNMENT
+            room = block + length - start
+            content = read_memory(start, _HEAD_BYTES) if room >= _HEAD_BYTES else None
+            if content is not None:
+                self._by_head.setdefault(_head(content), []).append((block, start, room))
+
+    def take_copies(self, corners: NDArray[np.float64]) -> list[MeshCopy]:
+        """The copies of a mesh's vertices and indices, which are not found again."""
+        # DART's files have float32.
+        vertices = corners.reshape(-1, 3).astype(np.float32).astype(np.float64)
+        indices = np.arange(len(vertices), dtype=np.int32).reshape(-1, 1)
+        found = self._take(vertices, _COMPONENTS), self._take(indices, 1)
+        return [copy for copy in found if copy is not None]
+
+    def _take(self, rows: NDArray[Any], width: int) -> MeshCopy | None:
+        """The copy of `rows` (n, k), stored as rows of `width` entries."""
+        size = len(rows) * width * rows.itemsize
+        places = self._by_head.get(_head(rows.tobytes()), [])
+        for place in places:
+            block, start, room = place
+            # Arrays grow by doubling.
+            content = read_memory(start, size) if size <= room <= 2 * size + _SLACK_BYTES else None
+            if content is None:
+                continue
+            stored = np.frombuffer(content, rows.dtype).reshape(-1, width)
+            if np.array_equal(stored[:, : rows.shape[1]], rows):
+                places.remove(place)
+                return MeshCopy(block, start, size, zlib.crc32(content))
+        return None
 
 
-def _find_copy(rows: NDArray[Any], width: int, blocks: Blocks) -> MeshCopy | None:
-    """The copy of `rows` (n, k), stored as rows of `width` entries, at the start of one of the blocks."""
-    size = len(rows) * width * rows.itemsize
-    for block, length in blocks.items():
-        # As Bullet aligns: behind a pointer to the block. Arrays grow by doubling.
-        start = -(-(block + _POINTER_BYTES) // _ALIGNMENT) * _ALIGNMENT
-        if not size <= block + length - start <= 2 * size + _ALIGNMENT + _POINTER_BYTES:
-            continue
-        content = read_memory(start, size)
-        if content is None:
-            continue
-        stored = np.frombuffer(content, rows.dtype).reshape(-1, width)
-        if np.array_equal(stored[:, : rows.shape[1]], rows):
-            return MeshCopy(block, start, size, zlib.crc32(content))
-    return None
+def _head(content: bytes) -> bytes:
+    """The first bytes of an array as a key, in which zeros have no sign."""
+    return (np.frombuffer(content[:_HEAD_BYTES]) + 0.0).tobytes()
+
+
+@contextmanager
+def _deferred_signals() -> Iterator[None]:
+    """Run Python's handlers of signals after the block instead of in it.
+
+    In it they would run within the callbacks of `_logged_allocations`, which cannot raise: Ctrl-C would give
+    Bullet no memory, and end the process.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        # Handlers run in the main thread alone.
+        yield
+        return
+    arrived: list[int] = []
+    handlers: dict[int, Any] = {}
+    try:
+        for number in signal.valid_signals():
+            handler = signal.getsignal(number)
+            if callable(handler):
+                handlers[number] = handler
+                signal.signal(number, lambda number, frame: arrived.append(number))
+        yield
+    finally:
+        for deferred, handler in handlers.items():
+            signal.signal(deferred, handler)
+        for deferred in arrived:
+            signal.raise_signal(deferred)
