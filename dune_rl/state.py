@@ -193,8 +193,9 @@ class GroupState:
 
     `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
-    half the width of a robot, the radius of a person. `energy` is None unless a metric needs it. `endings`
-    has the flags (N,) of each termination term by name; rewards and metrics are evaluated after these.
+    half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
+    any. `energy` is None unless a metric needs it. `endings` has the flags (N,) of each termination term by
+    name; rewards and metrics are evaluated after these.
     """
 
     name: str
@@ -208,6 +209,7 @@ class GroupState:
     radius_m: float = 0.0
     energy: EnergyState | None = None
     endings: dict[str, Flags] = field(default_factory=dict)
+    wheel_radius_m: float | None = None
 
     @cached_property
     def clearance(self) -> Array:

@@ -71,6 +71,10 @@ class TermRegistry(Registry[StatefulTerm]):
             term = partial(part.target, **part.signature.arguments(conf))
         return term if part.is_own else _CheckedTerm(term, part.origin, num_rows)
 
+    def needs_joints(self, conf: Settings) -> bool:
+        """Whether the term reads the joints' state: it has the attribute `needs_joints`."""
+        return bool(getattr(self.part_of(conf).target, "needs_joints", False))
+
 
 class _CheckedTerm:
     """Wraps a user's term, and checks the shape (N,) of the arrays that it returns."""

@@ -122,14 +122,17 @@ class AgentGroup:
         self.action_size = len(low)
         self._rest = self._rest_action()
         self.outline, self.radius_m = self._shape()
+        wheels = body.robot.wheels if isinstance(body, ArticulatedBody) else None
+        self.wheel_radius_m = None if wheels is None else wheels.radius_m
         self.num_rows = num_rows
         self._controller: Controller | None = None
 
     def equip(self, suite: SensorSuite | None) -> None:
         """Set the sensors and create the controller; called once, after all groups have been built."""
         self.suite = suite
-        if suite is not None and isinstance(self.body, ArticulatedBody):
-            self.body.reads_joints = suite.needs_joints
+        if isinstance(self.body, ArticulatedBody):
+            by_sensors = suite is not None and suite.needs_joints
+            self.body.reads_joints = by_sensors or (self._metrics is not None and self._metrics.needs_joints)
         if self.setup.controller is not None:
             self._controller = self.setup.controller(self)
 

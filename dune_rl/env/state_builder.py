@@ -130,6 +130,7 @@ class StateBuilder:
                 done=group.done.copy(),
                 proximity=proximity,
                 radius_m=group.radius_m,
+                wheel_radius_m=group.wheel_radius_m,
                 energy=group.energy,
             )
         return State(states, self._worlds, len(steps))

@@ -8,18 +8,32 @@ from dune_rl.terms import TermConf, TermRegistry
 
 Reduction = Literal["mean", "sum", "min", "max", "last", "first"]
 
+_TERMS = "dune_rl.metrics.terms"
 _OWN = {
-    "battery_share": "BatteryShare",
-    "clearance": "clearance",
-    "collisions": "collisions",
-    "ended_by": "ended_by",
-    "energy_wh": "energy_wh",
-    "range_km": "BatteryRange",
-    "smoothness": "smoothness",
-    "success": "Success",
-    "time_to_goal": "time_to_goal",
-    "vertical_roughness": "vertical_roughness",
-    "vort": "vort",
+    "abs_pitch": "driving:abs_pitch",
+    "abs_roll": "driving:abs_roll",
+    "actor_gap": "social:actor_gap",
+    "battery_share": "energy:BatteryShare",
+    "clearance": "paper:clearance",
+    "collisions": "paper:collisions",
+    "encounters": "social:Encounters",
+    "ended_by": "paper:ended_by",
+    "energy_wh": "energy:energy_wh",
+    "jerk": "driving:Jerk",
+    "near_misses": "social:NearMisses",
+    "path_length": "driving:PathLength",
+    "range_km": "energy:BatteryRange",
+    "risk_seconds": "social:risk_seconds",
+    "seconds_near": "social:seconds_near",
+    "slip": "driving:slip",
+    "smoothness": "paper:smoothness",
+    "speed": "driving:speed",
+    "spl": "driving:Spl",
+    "success": "paper:Success",
+    "time_in_collision": "paper:time_in_collision",
+    "time_to_goal": "paper:time_to_goal",
+    "vertical_roughness": "paper:vertical_roughness",
+    "vort": "paper:vort",
 }
 
 
@@ -36,7 +50,7 @@ class MetricTermConf(TermConf):
 METRICS = TermRegistry(
     "metric",
     "dune_rl.metrics.registry:METRICS",
-    own={name: f"dune_rl.metrics.terms:{target}" for name, target in _OWN.items()},
+    own={name: f"{_TERMS}.{target}" for name, target in _OWN.items()},
     base=MetricTermConf,
 )
 

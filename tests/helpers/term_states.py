@@ -13,6 +13,7 @@ from dune_rl.state import (
     EpisodeState,
     GoalState,
     GroupState,
+    JointState,
     Motion,
     State,
 )
@@ -54,6 +55,8 @@ def agents(
     battery: BatteryModel | None = None,
     radius_m: float = 0.0,
     endings: dict[str, Any] | None = None,
+    wheel_radius_m: float | None = None,
+    joint_speed: Any = None,
 ) -> GroupState:
     """`rows` agents in the open, 5 m from their goals and facing them, at rest, but for what is given.
 
@@ -77,6 +80,7 @@ def agents(
             vector(velocity_w),
             np.zeros((rows, 3)),
             numbers(diverged, bool),
+            None if joint_speed is None else _joints_at(np.broadcast_to(joint_speed, (rows, 4))),
             rotation=rotation_matrices(vector(quaternion)),
             velocity_b=vector(velocity_b),
             angular_b=vector(angular_b),
@@ -89,7 +93,13 @@ def agents(
         radius_m,
         None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
         {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
+        wheel_radius_m,
     )
+
+
+def _joints_at(speed: np.ndarray) -> JointState:
+    """Joints (N, J) that turn at these speeds, without torque."""
+    return JointState(np.zeros_like(speed), speed, np.zeros_like(speed))
 
 
 def state_of(*groups: GroupState, extent: tuple[float, float, float, float] = EXTENT) -> State:

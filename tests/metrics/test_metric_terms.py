@@ -8,8 +8,10 @@ from hypothesis.extra.numpy import arrays
 from term_states import agents, state_of
 
 from dune_rl.errors import ConfigError
-from dune_rl.metrics import terms
-from dune_rl.metrics.terms import BatteryRange, BatteryShare, Success
+from dune_rl.metrics.terms import energy
+from dune_rl.metrics.terms import paper as terms
+from dune_rl.metrics.terms.energy import BatteryRange, BatteryShare
+from dune_rl.metrics.terms.paper import Success
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.state import GroupState
 
@@ -96,13 +98,13 @@ def driven(work_j: float, speed: float = 0.0, **changes) -> GroupState:
 
 def test_energy_is_the_idle_power_and_the_work_by_its_efficiency() -> None:
     # 7.2 W for 0.05 s are 0.36 J; 9 J of work take 18 J.
-    assert value(terms.energy_wh, driven(9.0)) == pytest.approx([18.36 / 3600])
-    assert value(terms.energy_wh, driven(np.nan, diverged=True)) == pytest.approx([0.36 / 3600])
+    assert value(energy.energy_wh, driven(9.0)) == pytest.approx([18.36 / 3600])
+    assert value(energy.energy_wh, driven(np.nan, diverged=True)) == pytest.approx([0.36 / 3600])
 
 
 def test_energy_that_is_not_measured_is_an_error() -> None:
     with pytest.raises(ConfigError, match=r"rover is not measured: set metrics\.energy=true"):
-        value(terms.energy_wh, agents(battery=BATTERY))
+        value(energy.energy_wh, agents(battery=BATTERY))
 
 
 def test_share_and_range_follow_from_energy_and_way() -> None:

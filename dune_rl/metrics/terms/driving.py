@@ -1,0 +1,119 @@
+"""Metric terms of how an agent drives: its path, attitude, slip and jerk."""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.errors import ConfigError
+from dune_rl.state import Array, Flags, GroupState, State
+
+
+class PathLength:
+    """Horizontal length [m] of the path since the last control step; its sum is that of the episode."""
+
+    def __init__(self, num_rows: int) -> None:
+        self._last_w = np.zeros((num_rows, 2))
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Paths begin at the present places of the agents in `mask` (N,)."""
+        self._last_w[mask] = group.motion.position_w[mask, :2]
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Lengths (N,); to be called once a control step."""
+        position = group.motion.position_w[:, :2]
+        moved: Array = np.hypot(*(position - self._last_w).T)
+        self._last_w[:] = position
+        return moved
+
+
+class Spl:
+    """Success weighted by path length (SPL), so far: 0 until `success` is 1.
+
+    Then it is the straight distance from the start to the first goal, over the length of the path to it or
+    that distance, whichever is more (Anderson et al. 2018, On Evaluation of Embodied Navigation Agents, where
+    the distance is along the shortest path: a straight line is a lower bound of it, and so of SPL).
+    """
+
+    def __init__(self, num_rows: int, *, termination: str = "goal_reached") -> None:
+        self._termination = termination
+        self._path = PathLength(num_rows)
+        self._straight_m = np.zeros(num_rows)
+        self._length_m = np.zeros(num_rows)
+        self._share = np.zeros(num_rows)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """The episodes of the agents in `mask` (N,) begin."""
+        self._path.reset(mask, group)
+        self._straight_m[mask] = group.goal.distance[mask]
+        self._length_m[mask] = 0.0
+        self._share[mask] = 0.0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Shares (N,); to be called once a control step."""
+        self._length_m += self._path(state, group)
+        reached = group.ended_by(self._termination) & (self._share == 0.0)
+        if reached.any():
+            longest = np.maximum(self._length_m, self._straight_m)
+            share = np.divide(self._straight_m, longest, out=np.ones_like(longest), where=longest > 0.0)
+            self._share = np.where(reached, share, self._share)
+        clean = group.contacts.total == 0
+        return np.where(clean, self._share, 0.0)
+
+
+def speed(state: State, group: GroupState) -> Array:
+    """Horizontal speed [m/s]."""
+    velocity = group.motion.velocity_w
+    return np.hypot(velocity[:, 0], velocity[:, 1])
+
+
+def abs_roll(state: State, group: GroupState) -> Array:
+    """Size of the roll angle [deg]."""
+    return np.rad2deg(np.abs(group.motion.roll_pitch_yaw[:, 0]))
+
+
+def abs_pitch(state: State, group: GroupState) -> Array:
+    """Size of the pitch angle [deg]."""
+    return np.rad2deg(np.abs(group.motion.roll_pitch_yaw[:, 1]))
+
+
+class Jerk:
+    """Size of the change of the acceleration from one control step to the next, by its time [m/s³].
+
+    It is that of the mean acceleration of a control step, in the body frame; NaN in the first step.
+    """
+
+    def __init__(self, num_rows: int) -> None:
+        self._last_b = np.full((num_rows, 3), np.nan)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """There is no acceleration before the episodes of the agents in `mask` (N,)."""
+        self._last_b[mask] = np.nan
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Sizes (N,); to be called once a control step."""
+        acceleration = group.motion.acceleration_b
+        change = acceleration - self._last_b
+        self._last_b[:] = acceleration
+        size: Array = np.sqrt(np.einsum("ij,ij->i", change, change)) / group.episode.step_s
+        return size
+
+
+def slip(state: State, group: GroupState, *, least_mps: Annotated[float, Field(gt=0.0)] = 0.1) -> Array:
+    """Longitudinal slip ratio: |r w - v| / max(|r w|, |v|), in 0 to 2.
+
+    v [m/s] is the forward speed and r w that of the wheels' rims, the mean over the motors (Wong, Theory of
+    Ground Vehicles, section 1.3, without the sign). NaN where both are below `least_mps`.
+    """
+    joints, radius = group.motion.joints, group.wheel_radius_m
+    if joints is None or radius is None:
+        raise ConfigError(f"slip is that of wheels, and {group.name} has none: leave this metric out for it")
+    rim, forward = radius * joints.speed.mean(axis=1), group.motion.velocity_b[:, 0]
+    fastest = np.maximum(np.abs(rim), np.abs(forward))
+    ratio = np.full(len(rim), math.nan)
+    np.divide(np.abs(rim - forward), fastest, out=ratio, where=fastest >= least_mps)
+    return ratio
+
+
+slip.needs_joints = True  # type: ignore[attr-defined]

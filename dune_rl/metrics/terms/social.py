@@ -1,0 +1,162 @@
+"""Metric terms of an agent among others: distances, near misses, encounters and risk.
+
+Agents are discs in plan view here: of half a robot's width, or of a person's radius. A gap is the distance
+between two discs, negative where they overlap. `groups` names the groups that count; without any, all other
+agents do.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.errors import ConfigError
+from dune_rl.metrics.encounter_loops import find_gaps, find_times_to_contact
+from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.suggestions import one_of
+
+Metres = Annotated[float, Field(gt=0.0)]
+
+
+def actor_gap(
+    state: State, group: GroupState, *, groups: tuple[str, ...] = (), max_m: Metres = 12.0
+) -> Array:
+    """Gap [m] to the nearest other agent, at most `max_m`."""
+    return np.clip(_gaps(state, group, groups), 0.0, max_m)
+
+
+def seconds_near(
+    state: State, group: GroupState, *, groups: tuple[str, ...] = (), within_m: Metres = 0.5
+) -> Array:
+    """Time [s] of this step if another agent is nearer than `within_m`, else 0.
+
+    Its sum is the intrusion into personal space; with 0.5 m also the risk-seconds of the DUnE authors' later
+    study of social navigation.
+    """
+    return np.where(_gaps(state, group, groups) < within_m, group.episode.step_s, 0.0)
+
+
+def risk_seconds(
+    state: State, group: GroupState, *, groups: tuple[str, ...] = (), within_m: Metres = 1.0
+) -> Array:
+    """Time [s] of this step, weighted by the nearness of the nearest other agent: 1 on contact, 0 from
+    `within_m` on.
+    """
+    nearness = 1.0 - np.clip(_gaps(state, group, groups) / within_m, 0.0, 1.0)
+    risk: Array = nearness * group.episode.step_s
+    return risk
+
+
+class NearMisses:
+    """1 in a step in which a near miss begins.
+
+    It is a spell in which the agent would touch another within `time_s` if both kept their velocities; it is
+    counted once, and a step in which something is touched is a collision, not a near miss. Time to contact as
+    in Hayward 1972.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        groups: tuple[str, ...] = (),
+        time_s: Annotated[float, Field(gt=0.0)] = 1.0,
+    ) -> None:
+        self._groups, self._time_s = groups, time_s
+        self._was_near = np.zeros(num_rows, bool)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """No spell goes on in the episodes of the agents in `mask` (N,)."""
+        self._was_near[mask] = False
+
+    def __call__(self, state: State, group: GroupState) -> Flags:
+        """Flags (N,); to be called once a control step."""
+        near = _times_to_contact(state, group, self._groups) < self._time_s
+        begins: Flags = near & ~self._was_near & ~group.contacts.touching
+        self._was_near = near
+        return begins
+
+
+class Encounters:
+    """How many encounters there were whose smallest gap was from `least_m` up to `most_m`.
+
+    An encounter is a spell in which the gap to the nearest other agent stays below `within_m`. One that still
+    goes on counts by its smallest gap so far.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        groups: tuple[str, ...] = (),
+        least_m: Annotated[float, Field(ge=0.0)] = 0.0,
+        most_m: Metres = 1.2,
+        within_m: Metres = 1.2,
+    ) -> None:
+        if not least_m < most_m <= within_m:
+            raise ConfigError(
+                f"encounters need least_m < most_m <= within_m (got {least_m:g}, {most_m:g}, {within_m:g})"
+            )
+        self._groups, self._range, self._within_m = groups, (least_m, most_m), within_m
+        self._ended = np.zeros(num_rows)
+        self._nearest_m = np.full(num_rows, np.inf)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """There was none in the episodes of the agents in `mask` (N,)."""
+        self._ended[mask] = 0.0
+        self._nearest_m[mask] = np.inf
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Numbers (N,); to be called once a control step."""
+        gaps = np.maximum(_gaps(state, group, self._groups), 0.0)
+        near = gaps < self._within_m
+        self._ended += ~near & self._is_of_this_class
+        self._nearest_m = np.where(near, np.minimum(self._nearest_m, gaps), np.inf)
+        return self._ended + self._is_of_this_class
+
+    @property
+    def _is_of_this_class(self) -> Flags:
+        least, most = self._range
+        within: Flags = (self._nearest_m >= least) & (self._nearest_m < most)
+        return within
+
+
+def _gaps(state: State, group: GroupState, names: tuple[str, ...]) -> Array:
+    """Gaps [m], (N,), to the nearest other agent of the groups; inf without any."""
+    found = np.full(len(group.done), np.inf)
+    position = group.motion.position_w[:, :2]
+    for other in _others(state, group, names):
+        places, reach = other.motion.position_w[:, :2], group.radius_m + other.radius_m
+        find_gaps(position, reach, places, group.count, other.count, other is group, found)
+    return found
+
+
+def _times_to_contact(state: State, group: GroupState, names: tuple[str, ...]) -> Array:
+    """Shortest times to contact [s], (N,), with other agents of the groups; inf without any."""
+    found = np.full(len(group.done), np.inf)
+    mine = group.motion
+    for other in _others(state, group, names):
+        theirs = other.motion
+        find_times_to_contact(
+            mine.position_w[:, :2],
+            mine.velocity_w[:, :2],
+            group.radius_m + other.radius_m,
+            theirs.position_w[:, :2],
+            theirs.velocity_w[:, :2],
+            group.count,
+            other.count,
+            other is group,
+            found,
+        )
+    return found
+
+
+def _others(state: State, group: GroupState, names: tuple[str, ...]) -> Iterator[GroupState]:
+    unknown = [name for name in names if name not in state.groups]
+    if unknown:
+        raise ConfigError(f"there is no group {unknown[0]!r} of agents; choose {one_of(list(state.groups))}")
+    for name, other in state.groups.items():
+        if not names or name in names:
+            # The step's state is another object than the one in which goals were renewed.
+            yield group if name == group.name else other
