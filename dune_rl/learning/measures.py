@@ -1,74 +1,35 @@
 """Statistics of evaluated episodes: means, confidence intervals, paired tests, and their CSV file."""
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.errors import CheckpointError
 from dune_rl.files import write_atomically
-from dune_rl.learning.statistics import Estimate, PairedTest, estimate_mean, estimate_proportion, mcnemar_test
+from dune_rl.learning.statistics import (
+    Estimate,
+    PairedTest,
+    estimate_mean,
+    estimate_proportion,
+    estimate_ratio,
+    mcnemar_test,
+)
+from dune_rl.metrics.catalogue import Measure, measures_of
 
 # The metrics of one agent in one episode, by name.
 MetricsRow = dict[str, float]
 
-# Measures with meaning and unit: the paper's short names, and the battery's.
-MEASURES: dict[str, tuple[str, str]] = {
-    "SR": ("goal reached without collision", ""),
-    "TR": ("goal reached", ""),
-    "TC": ("collisions per episode", ""),
-    "MTT": ("mean time to traverse", "s"),
-    "OC": ("obstacle clearance", "m"),
-    "VR": ("vertical roughness", "m/s²"),
-    "VORT": ("velocity over rough terrain", "m/s"),
-    "TSR": ("smoothness of route, less is smoother", ""),
-    "energy": ("drawn from the battery", "W h"),
-    "battery": ("share of a full one", ""),
-    "range": ("with a full battery", "km"),
-}
-# Metric behind each measure.
-_METRICS = {
-    "SR": "success",
-    "TR": "reached",
-    "TC": "collisions",
-    "MTT": "time_to_goal",
-    "OC": "clearance",
-    "VR": "vertical_roughness",
-    "VORT": "vort",
-    "TSR": "smoothness",
-    "energy": "energy_wh",
-    "battery": "battery_share",
-    "range": "range_km",
-}
-_SHARES = ("SR", "TR")
-# Columns that tables leave out: ids, what TensorBoard logs separately, and details.
-_UNLISTED = {
-    "agent", "episode", "steps", "return", "goals", "min_clearance",
-    "diverged", "stuck", "flipped", "out_of_world", "timeout",
-}  # fmt: skip
-
-
-def measured_columns(names: Sequence[str]) -> dict[str, str]:
-    """The measures that metrics of these `names` give, each with its metric.
-
-    Those of `MEASURES` come first, by their short names; other metric terms follow by their own.
-    """
-    known = {measure: metric for measure, metric in _METRICS.items() if metric in names}
-    taken = {*_METRICS.values(), *_UNLISTED}
-    return known | {name: name for name in names if name not in taken and "/" not in name}
-
 
 def average_metrics(rows: Sequence[Mapping[str, float]]) -> MetricsRow:
-    """Means over `rows` of the measures, the return and the steps; NaN where no row has a value."""
+    """The measures over `rows`, the return and the steps; NaN where no row has a value."""
     if not rows:
         return {}
-    columns = {**measured_columns(list(rows[0])), "return": "return", "steps": "steps"}
-    values = {name: np.array([row[column] for row in rows]) for name, column in columns.items()}
-    return {
-        name: float(column[~np.isnan(column)].mean()) if not np.isnan(column).all() else float("nan")
-        for name, column in values.items()
-    }
+    found = {measure.name: _value(measure, rows) for measure in measures_of(list(rows[0]))}
+    return found | {name: _mean(_column(rows, name)) for name in ("return", "steps")}
 
 
 def selection_score(statistics: Mapping[str, float]) -> float:
@@ -79,15 +40,47 @@ def selection_score(statistics: Mapping[str, float]) -> float:
 def estimate_metrics(rows: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
     """Each measure over `rows`, with its 95 % confidence interval.
 
-    SR and TR are shares of episodes; the rest are means over the episodes
-    that have a value: MTT over those that reached the goal, VORT over those
-    that crossed uneven ground.
+    Shares have Wilson's interval; the rest are means over the episodes that have a value, with a studentised
+    bootstrap: MTT over those that reached the goal, VORT over those that crossed uneven ground. Where an
+    episode has several agents, whole episodes are resampled, as its agents are not independent.
     """
-    columns = measured_columns(list(rows[0])) if rows else {}
-    return {
-        name: (estimate_proportion if name in _SHARES else estimate_mean)([row[column] for row in rows])
-        for name, column in columns.items()
-    }
+    if not rows:
+        return {}
+    episodes = _clusters(rows)
+    found = {}
+    for measure in measures_of(list(rows[0])):
+        values = _column(rows, measure.metric)
+        if measure.per is not None:
+            found[measure.name] = estimate_ratio(values, _column(rows, measure.per), episodes)
+        elif measure.is_share and episodes is None:
+            found[measure.name] = estimate_proportion(values)
+        else:
+            found[measure.name] = estimate_mean(values, episodes)
+    return found
+
+
+def _clusters(rows: Sequence[Mapping[str, float]]) -> NDArray[np.int64] | None:
+    """The episode of each row, if some have several agents."""
+    ids = np.array([row.get("episode", index) for index, row in enumerate(rows)])
+    unique, episodes = np.unique(ids, return_inverse=True)
+    return None if len(unique) == len(rows) else episodes
+
+
+def _column(rows: Sequence[Mapping[str, float]], name: str) -> NDArray[np.float64]:
+    return np.array([row[name] for row in rows], float)
+
+
+def _value(measure: Measure, rows: Sequence[Mapping[str, float]]) -> float:
+    values = _column(rows, measure.metric)
+    if measure.per is None:
+        return _mean(values)
+    total = float(np.nansum(_column(rows, measure.per)))
+    return float(np.nansum(values)) / total if total else math.nan
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    seen = values[~np.isnan(values)]
+    return float(seen.mean()) if len(seen) else math.nan
 
 
 def compare_success(

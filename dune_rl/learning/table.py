@@ -6,23 +6,22 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from dune_rl.learning.measures import MEASURES, MetricsRow, compare_success
+from dune_rl.learning.measures import MetricsRow, compare_success
 from dune_rl.learning.statistics import Estimate
+from dune_rl.metrics.catalogue import CATALOGUE, Measure
 
-# Scale, form and unit of what is not printed as a plain number.
-_FORMS = {"SR": (100, "{:.0f}", " %"), "TR": (100, "{:.0f}", " %"), "battery": (100, "{:.2f}", " %")}
+_BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
 def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1) -> Table:
     """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
 
-    Measures that not all policies have are left out. The intervals take the
-    `num_agents` agents of an episode for independent, and the caption says so.
+    Measures that not all policies have are left out. Where episodes have `num_agents`, the title says so.
     """
     caption = "brackets: 95 % intervals"
     if num_agents > 1:
         title += f", {num_agents} agents each"
-        caption += ", as if the agents of an episode were independent"
+        caption += ", over whole episodes"
     table = Table(title=title, caption=caption, caption_justify="left", title_justify="left")
     table.add_column("measure", no_wrap=True)
     for policy in results:
@@ -30,10 +29,11 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, 
     for name in dict.fromkeys(name for estimates in results.values() for name in estimates):
         if not all(name in estimates for estimates in results.values()):
             continue
-        meaning, unit = MEASURES.get(name, ("", ""))
+        measure = _BY_NAME.get(name, Measure(name, name))
+        unit = f" [{measure.unit}]" if measure.unit not in ("", "%") else ""
         # As Text: in a string, rich takes brackets for markup.
-        label = Text("  ".join(filter(None, (name, meaning))) + (f" [{unit}]" if unit else ""))
-        table.add_row(label, *(_cell(name, estimates[name]) for estimates in results.values()))
+        label = Text("  ".join(filter(None, (name, measure.meaning))) + unit)
+        table.add_row(label, *(_cell(measure, estimates[name]) for estimates in results.values()))
     return table
 
 
@@ -46,11 +46,14 @@ def paired_line(first: tuple[str, Sequence[MetricsRow]], second: tuple[str, Sequ
     )
 
 
-def _cell(name: str, estimate: Estimate) -> str:
+def _cell(measure: Measure, estimate: Estimate) -> str:
     if math.isnan(estimate.value):
         return "-"
-    scale, form, unit = _FORMS.get(name, (1, "{:.2f}", ""))
-    value = form.format(estimate.value * scale) + unit
+
+    def form(value: float) -> str:
+        return f"{value * measure.scale:.{measure.decimals}f}"
+
+    value = form(estimate.value) + (" %" if measure.unit == "%" else "")
     if math.isnan(estimate.low):
         return value
-    return f"{value} ({form.format(estimate.low * scale)} to {form.format(estimate.high * scale)})"
+    return f"{value} ({form(estimate.low)} to {form(estimate.high)})"

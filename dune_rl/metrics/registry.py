@@ -16,6 +16,7 @@ _OWN = {
     "battery_share": "energy:BatteryShare",
     "clearance": "paper:clearance",
     "collisions": "paper:collisions",
+    "duration": "driving:duration",
     "encounters": "social:Encounters",
     "ended_by": "paper:ended_by",
     "energy_wh": "energy:energy_wh",

@@ -65,7 +65,13 @@ class Spl:
 def speed(state: State, group: GroupState) -> Array:
     """Horizontal speed [m/s]."""
     velocity = group.motion.velocity_w
-    return np.hypot(velocity[:, 0], velocity[:, 1])
+    horizontal: Array = np.hypot(velocity[:, 0], velocity[:, 1])
+    return horizontal
+
+
+def duration(state: State, group: GroupState) -> Array:
+    """Time since the episode began [s]."""
+    return np.multiply(group.episode.steps, group.episode.step_s, dtype=np.float64)
 
 
 def abs_roll(state: State, group: GroupState) -> Array:

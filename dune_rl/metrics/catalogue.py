@@ -1,0 +1,278 @@
+"""The measures that evaluations report: what each means, and which metric of an episode it comes from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from dune_rl.metrics.episode import BUILT_IN
+
+_PAPER = "Vice & Sukthankar 2025"
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A measure over episodes, and how it is made of their metrics.
+
+    `metric` is the metric whose mean over the episodes it is, or the share of them where it is a `share`.
+    `per` names another metric where the measure is a ratio of sums. `formula` is of one episode, `better` the
+    direction in which a policy is better, None where neither is. Tables multiply values by `scale`.
+    """
+
+    name: str
+    metric: str
+    meaning: str = ""
+    unit: str = ""
+    better: Literal["higher", "lower"] | None = None
+    formula: str = ""
+    source: str = ""
+    per: str | None = None
+    is_share: bool = False
+    scale: float = 1.0
+    decimals: int = 2
+
+
+CATALOGUE: tuple[Measure, ...] = (
+    Measure(
+        "SR",
+        "success",
+        "goal reached without collision",
+        "%",
+        "higher",
+        "1 if the goal is reached and nothing was touched, else 0",
+        _PAPER,
+        is_share=True,
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "TR",
+        "reached",
+        "goal reached",
+        "%",
+        "higher",
+        "1 if the goal is reached, else 0",
+        _PAPER,
+        is_share=True,
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "TC",
+        "collisions",
+        "collisions per episode",
+        "",
+        "lower",
+        "number of contacts that begin, one for each body",
+        _PAPER,
+    ),
+    Measure(
+        "MTT",
+        "time_to_goal",
+        "mean time to traverse",
+        "s",
+        "lower",
+        "time from the start to the first goal; episodes that reach one",
+        _PAPER,
+    ),
+    Measure(
+        "OC",
+        "clearance",
+        "obstacle clearance",
+        "m",
+        "higher",
+        "mean over time of min(distance of the outline to the nearest obstacle or agent, 12 m)",
+        _PAPER,
+    ),
+    Measure(
+        "VR",
+        "vertical_roughness",
+        "vertical roughness",
+        "m/s²",
+        "lower",
+        "mean over time of |vertical acceleration|, without gravity",
+        _PAPER,
+    ),
+    Measure(
+        "VORT",
+        "vort",
+        "velocity over rough terrain",
+        "m/s",
+        "higher",
+        "mean horizontal speed while the tilt is above uneven_tilt_deg (5°); episodes that meet such ground",
+        _PAPER,
+    ),
+    Measure(
+        "TSR",
+        "smoothness",
+        "smoothness of route",
+        "",
+        "lower",
+        "mean over time of |acceleration| [m/s²] + |angular velocity| [rad/s]",
+        _PAPER,
+    ),
+    Measure(
+        "SPL",
+        "spl",
+        "success weighted by path length",
+        "",
+        "higher",
+        "SR x d / max(path, d), d the straight distance from start to goal",
+        "Anderson et al. 2018",
+    ),
+    Measure(
+        "path", "path_length", "path length", "m", None, "sum of the horizontal steps", "Anderson et al. 2018"
+    ),
+    Measure("speed", "mean_speed", "mean speed", "m/s", None, "mean horizontal speed"),
+    Measure("roll", "roll", "mean |roll|", "°", "lower", "mean over time of |roll|"),
+    Measure("max roll", "max_roll", "largest |roll|", "°", "lower", "maximum over time of |roll|"),
+    Measure("pitch", "pitch", "mean |pitch|", "°", "lower", "mean over time of |pitch|"),
+    Measure("max pitch", "max_pitch", "largest |pitch|", "°", "lower", "maximum over time of |pitch|"),
+    Measure(
+        "jerk",
+        "jerk",
+        "jerk",
+        "m/s³",
+        "lower",
+        "mean over time of |change of the acceleration between control steps| / step",
+        "Francis et al. 2023",
+    ),
+    Measure(
+        "slip",
+        "slip",
+        "longitudinal slip",
+        "",
+        "lower",
+        "mean over time of |r w - v| / max(|r w|, |v|), while the faster is above 0.1 m/s",
+        "Wong, Theory of Ground Vehicles",
+    ),
+    Measure("contact", "time_in_collision", "time in collision", "s", "lower", "time with something touched"),
+    Measure(
+        "near misses",
+        "near_misses",
+        "near misses per episode",
+        "",
+        "lower",
+        "spells with a time to contact below 1 s at constant velocities, without contact",
+        "Hayward 1972",
+    ),
+    Measure(
+        "gap",
+        "actor_gap",
+        "gap to the nearest agent",
+        "m",
+        "higher",
+        "mean over time of min(gap, 12 m) between discs",
+        "Francis et al. 2023",
+    ),
+    Measure(
+        "min gap",
+        "min_actor_gap",
+        "smallest gap to an agent",
+        "m",
+        "higher",
+        "minimum over time of min(gap, 12 m)",
+        "Francis et al. 2023",
+    ),
+    Measure(
+        "intrusion",
+        "intrusion",
+        "time in personal space",
+        "s",
+        "lower",
+        "time with an agent within 1.2 m",
+        "Francis et al. 2023",
+    ),
+    Measure(
+        "s/goal",
+        "duration",
+        "seconds per goal",
+        "s",
+        "lower",
+        "time of all episodes / goals reached in them",
+        "the DUnE authors' later study",
+        per="goals",
+    ),
+    Measure(
+        "risk/goal",
+        "risk_seconds",
+        "risk-seconds per goal",
+        "s",
+        "lower",
+        "sum over time of max(0, 1 - gap / 1 m) / goals reached",
+        "after the DUnE authors' later study",
+        per="goals",
+    ),
+    Measure(
+        "at risk/goal",
+        "seconds_at_risk",
+        "seconds within 0.5 m of an agent, per goal",
+        "s",
+        "lower",
+        "time with an agent within 0.5 m / goals reached",
+        "the DUnE authors' later study",
+        per="goals",
+    ),
+    Measure(
+        "enc <0.5",
+        "encounters_intimate",
+        "encounters closer than 0.5 m",
+        "",
+        "lower",
+        "spells within 1.2 m whose smallest gap is below 0.5 m",
+        "the DUnE authors' later study",
+    ),
+    Measure(
+        "enc <0.8",
+        "encounters_personal",
+        "encounters of 0.5 to 0.8 m",
+        "",
+        None,
+        "spells within 1.2 m whose smallest gap is 0.5 to 0.8 m",
+        "the DUnE authors' later study",
+    ),
+    Measure(
+        "enc <1.2",
+        "encounters_social",
+        "encounters of 0.8 to 1.2 m",
+        "",
+        None,
+        "spells within 1.2 m whose smallest gap is 0.8 to 1.2 m",
+        "the DUnE authors' later study",
+    ),
+    Measure("stuck", "stuck_count", "times stuck", "", "lower", "number of ends by the termination stuck"),
+    Measure("flips", "flip_count", "times flipped", "", "lower", "number of ends by the termination flipped"),
+    Measure("energy", "energy_wh", "drawn from the battery", "W h", "lower", "motors' work and idling"),
+    Measure(
+        "battery", "battery_share", "share of a full battery", "%", "lower", "energy / capacity", scale=100.0
+    ),
+    Measure("range", "range_km", "with a full battery", "km", "higher", "path / share of the battery"),
+)
+
+# Metrics of which no measure is made: ids, and details that the CSV has.
+_DETAILS = {
+    "agent",
+    *BUILT_IN,
+    "goals",
+    "min_clearance",
+    "diverged",
+    "stuck",
+    "flipped",
+    "out_of_world",
+    "timeout",
+    "duration",
+}
+
+
+def measures_of(metrics: Sequence[str]) -> list[Measure]:
+    """The measures that metrics of these names give: those of the catalogue, then users' own by their names.
+
+    Names with a slash (reward terms and what was drawn at random) give none.
+    """
+    known = [
+        measure
+        for measure in CATALOGUE
+        if measure.metric in metrics and (measure.per is None or measure.per in metrics)
+    ]
+    taken = {measure.metric for measure in CATALOGUE} | _DETAILS
+    own = [Measure(name, name) for name in metrics if name not in taken and "/" not in name]
+    return [*known, *own]

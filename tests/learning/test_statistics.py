@@ -1,0 +1,97 @@
+"""Intervals: that they cover as often as they say, and what they do at their limits."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dune_rl.learning.statistics import Estimate, estimate_mean, estimate_proportion, estimate_ratio
+
+EPISODES, TRIALS = 100, 1000
+
+
+def coverage(truth: float, estimate: Callable[[np.random.Generator], Estimate]) -> float:
+    """How often the interval has the true value in it, of many samples."""
+    random = np.random.default_rng(5)
+    found = [estimate(random) for _ in range(TRIALS)]
+    return float(np.mean([each.low <= truth <= each.high for each in found]))
+
+
+def collisions(random: np.random.Generator, count: int = EPISODES) -> np.ndarray:
+    """Numbers of collisions, most of them 0 and a few large; 0.5 in the mean."""
+    return random.poisson(random.gamma(0.5, 1.0, count)).astype(float)
+
+
+def of_means(random: np.random.Generator) -> Estimate:
+    return estimate_mean(random.gamma(2.0, 1.0, EPISODES))
+
+
+def of_collisions(random: np.random.Generator) -> Estimate:
+    return estimate_mean(collisions(random))
+
+
+def of_seconds_per_goal(random: np.random.Generator) -> Estimate:
+    goals = random.integers(0, 4, EPISODES)
+    return estimate_ratio(10.0 * goals + random.gamma(2.0, 2.5, EPISODES), goals)
+
+
+def of_agents_of_an_episode(random: np.random.Generator) -> Estimate:
+    """Four agents in each of 50 episodes, which have much in common."""
+    episodes = np.repeat(np.arange(50), 4)
+    common = np.repeat(random.normal(3.0, 1.0, 50), 4)
+    return estimate_mean(common + random.normal(0.0, 0.3, 200), episodes)
+
+
+def of_shares(random: np.random.Generator) -> Estimate:
+    return estimate_proportion(random.random(EPISODES) < 0.85)
+
+
+@pytest.mark.parametrize(
+    ("truth", "estimate"),
+    [
+        (2.0, of_means),
+        (0.5, of_collisions),
+        # 1.5 goals and 20 s an episode.
+        ((15.0 + 5.0) / 1.5, of_seconds_per_goal),
+        (3.0, of_agents_of_an_episode),
+        (0.85, of_shares),
+    ],
+)
+def test_an_interval_covers_as_often_as_it_says(
+    truth: float, estimate: Callable[[np.random.Generator], Estimate]
+) -> None:
+    assert 0.93 <= coverage(truth, estimate) <= 0.97
+
+
+def test_agents_taken_for_independent_would_cover_too_seldom() -> None:
+    def as_if_independent(random: np.random.Generator) -> Estimate:
+        common = np.repeat(random.normal(3.0, 1.0, 50), 4)
+        return estimate_mean(common + random.normal(0.0, 0.3, 200))
+
+    assert coverage(3.0, as_if_independent) < 0.8
+
+
+def test_a_ratio_is_that_of_the_sums() -> None:
+    estimate = estimate_ratio([10.0, 30.0, 5.0], [1.0, 2.0, 0.0])
+    assert estimate.value == pytest.approx(45.0 / 3.0) and estimate.low < 15.0 < estimate.high
+
+
+def test_equal_ratios_have_equal_ends() -> None:
+    estimate = estimate_ratio([1.0, 2.0, 3.0], [2.0, 4.0, 6.0])
+    assert (estimate.low, estimate.value, estimate.high) == pytest.approx((0.5, 0.5, 0.5))
+
+
+def test_a_ratio_to_nothing_is_unknown() -> None:
+    assert math.isnan(estimate_ratio([1.0, 2.0], [0.0, 0.0]).value)
+    assert math.isnan(estimate_ratio([], []).value)
+
+
+def test_what_is_never_negative_has_no_negative_end() -> None:
+    estimate = estimate_mean([0.0] * 30 + [1.0])
+    assert 0.0 <= estimate.low < estimate.value < estimate.high
+
+
+def test_one_cluster_has_no_interval() -> None:
+    estimate = estimate_mean([1.0, 2.0, 3.0], [0, 0, 0])
+    assert estimate.value == pytest.approx(2.0) and math.isnan(estimate.low) and estimate.count == 3
