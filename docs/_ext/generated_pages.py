@@ -19,6 +19,7 @@ from dune_rl.engine_comparison.command_line import PAGE
 from dune_rl.engine_comparison.job import EnginesConf
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.sac.settings import SacConf
+from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.metrics.registry import METRICS
 from dune_rl.physics.interface import PhysicsConf
@@ -156,6 +157,13 @@ _METRIC_MEANINGS = {
     "termination": "name of the termination term",
     "reduce": "what makes one value of an episode's steps",
     "initial": "the value where an episode has none",
+    "groups": "names of the groups whose agents count; none: all others do",
+    "max_m": "the largest gap or clearance that counts [m]",
+    "within_m": "gap below which an agent is near [m]",
+    "least_m": "smallest gap of the class [m]",
+    "most_m": "gap from which on an encounter is of another class [m]",
+    "time_s": "time to contact below which it is a near miss [s]",
+    "least_mps": "speed below which there is no slip [m/s]",
 }
 KINDS: Mapping[str, tuple[Registry[Any], str, Callable[[str], dict[str, str]]]] = {
     "world": (WORLDS, "world=NAME", _option_comments("world")),
@@ -240,6 +248,25 @@ def surfaces_table() -> str:
     return "\n".join([head, "|---|---|---|---|---|", *rows])
 
 
+def measures_table() -> str:
+    """The measures of evaluations, with the metric that each is made of."""
+    rows = []
+    for measure in CATALOGUE:
+        of = f"`{measure.metric}`" + (f" / `{measure.per}`" if measure.per else "")
+        cells = (
+            f"**{measure.name}**",
+            of,
+            measure.meaning,
+            measure.unit,
+            measure.formula.replace("|", "\\|"),
+            measure.source,
+            measure.better or "",
+        )
+        rows.append(f"| {' | '.join(cells)} |")
+    head = "| name | metric | meaning | unit | formula of an episode | source | better |"
+    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
+
+
 def generated_part(words: str, level: int) -> str:
     """The Markdown that `<!-- generated: WORDS -->` stands for, with headings from `level` on.
 
@@ -266,6 +293,7 @@ _TABLES: Mapping[str, Callable[..., str]] = {
     "rewards": rewards_table,
     "terminations": terminations_table,
     "surfaces": surfaces_table,
+    "measures": measures_table,
     "realism-sensors": sensors_table,
     "realism-faults": faults_table,
     "realism-devices": devices_table,

@@ -136,7 +136,7 @@ def scalar_tags(run: Path) -> set[str]:
 
 def test_tags_begin_with_the_group_where_there_are_several(tmp_path: Path, two_groups) -> None:
     several = scalar_tags(two_groups[0])
-    assert {"walker/train/SR", "rover/eval/SR", "walker/reward/goal", "speed/frames"} <= several
+    assert {"walker/warmup/SR", "rover/eval/SR", "walker/reward/goal", "speed/frames"} <= several
     assert "train/SR" not in several
     learning = small(learning_starts=0, warm_up="go_to_goal")
     trainer(tmp_path, learning, make_env=make_team, total_frames=512).train()
