@@ -8,6 +8,7 @@ COMMANDS = (
     ("view", "pictures, films and maps: +world=inspection"),
     ("benchmark", "what a step costs on this machine"),
     ("engines", "compare PyBullet and DART"),
+    ("robots", "what a URDF gives: FILE.urdf"),
 )
 
 

@@ -37,6 +37,7 @@ class ComposeSettings(Protocol[ConfT]):
 # Errors of the file system that a user can mend; others are faults of ours.
 _FILE_ERRORS = {
     errno.EACCES: "no permission",
+    errno.ENOENT: "it cannot be made there",
     errno.EPERM: "no permission",
     errno.EEXIST: "a file of that name is in the way",
     errno.ENOTDIR: "a part of the path is a file",

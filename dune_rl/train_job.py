@@ -202,6 +202,6 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
         f"  tensorboard --logdir {result.run_dir.parent}",
-        f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * conf.total_frames}",
+        f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * max(conf.total_frames, result.frames)}",
     ]
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)

@@ -86,7 +86,14 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOve
 
 def group_names(loader: ConfigLoader) -> list[str]:
     """The folders of options: world, robot, ..."""
-    return [name for name in loader.get_group_options("", ObjectType.GROUP) if name != "hydra"]
+    names = loader.get_group_options("", ObjectType.GROUP)
+    # Other libraries in this process may have registered groups of theirs, which have no folder.
+    return [name for name in names if name != "hydra" and _has_folder(loader, name)]
+
+
+def _has_folder(loader: ConfigLoader, group: str) -> bool:
+    sources = (str(source.path).removeprefix("file://") for source in loader.get_search_path().get_path())
+    return any((Path(folder) / group).is_dir() for folder in sources)
 
 
 def option_names(loader: ConfigLoader, group: str) -> list[str]:

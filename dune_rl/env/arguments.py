@@ -48,10 +48,8 @@ def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[n
     if agent not in actions:
         raise ValueError(f"step needs an action for every agent; missing: {agent}")
     action = action_numbers(actions[agent])
-    if action.size != size or np.isnan(action).any():
-        raise ValueError(
-            f"the action of {agent} must be {size} numbers, none of them NaN (got {actions[agent]!r})"
-        )
+    if action.size != size or not np.isfinite(action).all():
+        raise ValueError(f"the action of {agent} must be {size} finite numbers (got {actions[agent]!r})")
     return action.reshape(size)
 
 
@@ -63,6 +61,6 @@ def group_actions(group: str, values: Any, shape: tuple[int, int, int]) -> NDArr
             f"actions of the group {group!r} must have the shape {shape} of scenes, agents and numbers"
             f" (got {rows.shape})"
         )
-    if np.isnan(rows).any():
-        raise ValueError(f"actions of the group {group!r} must be numbers, and some are NaN")
+    if not np.isfinite(rows).all():
+        raise ValueError(f"actions of the group {group!r} must be finite numbers, and some are not")
     return rows.reshape(-1, shape[2])

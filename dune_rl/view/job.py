@@ -58,6 +58,12 @@ def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
     return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": enabled})})
 
 
+def _stem(conf: ViewConf) -> str:
+    """What the files are called: the world's name, or that of the file that it was imported from."""
+    path = getattr(conf.world, "path", None)
+    return conf.world.name if path is None else f"{conf.world.name}_{Path(path).stem}"
+
+
 def _view(conf: ViewConf) -> None:
     folder = Path(conf.out)
     console = command.make_console()
@@ -66,7 +72,7 @@ def _view(conf: ViewConf) -> None:
 
         folder.mkdir(parents=True, exist_ok=True)
         command.print_world_notes(console, conf)
-        _print_path(console, write_map(conf, folder / f"{conf.world.name}_map.png", console))
+        _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console))
         return
     from dune_rl.view.episode import EpisodeView
     from dune_rl.view.outputs import write_orbit, write_sheet, write_video
@@ -77,11 +83,11 @@ def _view(conf: ViewConf) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         command.print_world_notes(console, conf)
         if conf.view == "orbit":
-            _print_path(console, write_orbit(episode, folder / f"{conf.world.name}_orbit.png"))
+            _print_path(console, write_orbit(episode, folder / f"{_stem(conf)}_orbit.png"))
         if conf.view in ("sheet", "both"):
-            _print_path(console, write_sheet(episode, folder / f"{conf.world.name}_sheet.png"))
+            _print_path(console, write_sheet(episode, folder / f"{_stem(conf)}_sheet.png"))
         if conf.view in ("video", "both"):
-            path = folder / f"{conf.world.name}_seed{conf.seed}.mp4"
+            path = folder / f"{_stem(conf)}_seed{conf.seed}.mp4"
             _print_path(console, write_video(episode, path, console))
     finally:
         episode.close()

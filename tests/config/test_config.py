@@ -26,7 +26,7 @@ from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.errors import ConfigError
 from dune_rl.learning.sac.settings import SacConf
-from dune_rl.metrics.episode import MetricsConf
+from dune_rl.metrics.episode import PAPER_METRICS, MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
@@ -78,6 +78,35 @@ BODY = RandomisationConf(
 )
 
 WALKERS = AgentGroupConf(body=PersonConf(), count=2, controller="path", path=PathConf())
+NAVIGATION: dict[str, Any] = {
+    "duration": {"reduce": "last", "initial": 0.0},
+    "path_length": {"reduce": "sum"},
+    "spl": {"reduce": "last", "initial": 0.0},
+    "mean_speed": {"term": "ground_speed"},
+    "roll": {"term": "abs_roll", "initial": 0.0},
+    "max_roll": {"term": "abs_roll", "reduce": "max", "initial": 0.0},
+    "pitch": {"term": "abs_pitch", "initial": 0.0},
+    "max_pitch": {"term": "abs_pitch", "reduce": "max", "initial": 0.0},
+    "jerk": {},
+    "time_in_collision": {"reduce": "sum"},
+    "near_misses": {"reduce": "sum"},
+    "actor_gap": {"initial": 12.0},
+    "min_actor_gap": {"term": "actor_gap", "reduce": "min", "initial": 12.0},
+    "intrusion": {"term": "seconds_near", "reduce": "sum", "within_m": 1.2},
+    "risk_seconds": {"reduce": "sum"},
+    "seconds_at_risk": {"term": "seconds_near", "reduce": "sum", "within_m": 0.5},
+    "encounters_intimate": {"term": "encounters", "reduce": "last", "initial": 0.0, "most_m": 0.5},
+    "encounters_personal": {
+        "term": "encounters",
+        "reduce": "last",
+        "initial": 0.0,
+        "least_m": 0.5,
+        "most_m": 0.8,
+    },
+    "encounters_social": {"term": "encounters", "reduce": "last", "initial": 0.0, "least_m": 0.8},
+    "stuck_count": {"term": "ended_by", "termination": "stuck", "reduce": "sum"},
+    "flip_count": {"term": "ended_by", "termination": "flipped", "reduce": "sum"},
+}
 PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "none"): {},
     ("actors", "default"): {"walker": WALKERS},
@@ -85,6 +114,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
+    ("metrics", "navigation"): MetricsConf(terms={**PAPER_METRICS, **NAVIGATION}),
     ("physics", "bullet"): PhysicsConf(),
     ("randomisation", "none"): RandomisationConf(),
     ("randomisation", "worlds"): WORLDS,

@@ -17,10 +17,12 @@ def env() -> ParallelDuneEnv:
     return dune_rl.parallel_env("flat", agents={"rover": {"body": "rover_zero", "count": 2}})
 
 
-@pytest.mark.parametrize("wrong", [None, "ahead", 1.0, np.zeros(3), {"speed": 1.0}, [np.nan, 0.0]])
+@pytest.mark.parametrize(
+    "wrong", [None, "ahead", 1.0, np.zeros(3), {"speed": 1.0}, [np.nan, 0.0], [np.inf, 0.0]]
+)
 def test_an_action_that_is_none_is_named(env: ParallelDuneEnv, wrong: Any) -> None:
     env.reset(seed=1)
-    with pytest.raises(ValueError, match="the action of rover_1 must be 2 numbers"):
+    with pytest.raises(ValueError, match="the action of rover_1 must be 2 finite numbers"):
         env.step({"rover_0": STILL, "rover_1": wrong})
     with pytest.raises(ValueError, match="missing: rover_1"):
         env.step({"rover_0": STILL})
@@ -29,7 +31,7 @@ def test_an_action_that_is_none_is_named(env: ParallelDuneEnv, wrong: Any) -> No
 
 
 @pytest.mark.parametrize(
-    ("values", "said"), [(np.zeros((1, 2, 3)), "shape"), (np.full((1, 2, 2), np.nan), "NaN")]
+    ("values", "said"), [(np.zeros((1, 2, 3)), "shape"), (np.full((1, 2, 2), np.nan), "finite")]
 )
 def test_actions_of_a_group_are_checked(env: ParallelDuneEnv, values: Any, said: str) -> None:
     env.reset(seed=1)

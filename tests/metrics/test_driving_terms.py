@@ -63,7 +63,7 @@ def test_roll_and_pitch_are_in_degrees_without_sign() -> None:
 
 def test_speed_is_horizontal() -> None:
     group = agents(velocity_w=(0.3, -0.4, 9.0))
-    assert driving.speed(state_of(group), group)[0] == pytest.approx(0.5)
+    assert driving.ground_speed(state_of(group), group)[0] == pytest.approx(0.5)
 
 
 def test_jerk_is_the_change_of_the_acceleration() -> None:

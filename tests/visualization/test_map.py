@@ -481,7 +481,7 @@ def test_an_imported_world_has_a_map(kind: str, call: Call, folder: Path) -> Non
     file = write_yard(folder, kind)
     words = ["+world=mesh", f"world.path={file.name}", "world.region=[-4,4,-4,4]"]
     assert call(*words, "view=map", COARSE) == 0
-    assert (folder / "views" / "mesh_map.png").exists()
+    assert (folder / "views" / f"mesh_{file.stem}_map.png").exists()
     conf = conf_of(*words)
     assert maps.title(conf) == f"mesh: {file.name}"
     assert str(folder) not in maps.subtitle(conf)

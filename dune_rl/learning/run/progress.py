@@ -48,8 +48,8 @@ class TrainingStatus:
         """Time left, speeds and success rates, in one line."""
         return self._join(
             f"{format_duration(self.seconds_left)} left",
-            f"{self.frames_per_s:,.0f} frames/s",
-            f"{self.updates_per_s:,.0f} updates/s",
+            self._speed("frames", self.frames_per_s),
+            self._speed("updates", self.updates_per_s),
             _percentage("success in training", self.success_rate),
             _percentage("evaluated", self.evaluated),
         )
@@ -58,9 +58,14 @@ class TrainingStatus:
         """What of the statistics has room beside a bar on 80 columns."""
         return self._join(
             f"{format_duration(self.seconds_left)} left",
-            f"{self.frames_per_s:,.0f} frames/s",
+            self._speed("frames", self.frames_per_s),
             _percentage("evaluated", self.evaluated),
         )
+
+    @staticmethod
+    def _speed(of: str, per_s: float) -> str:
+        """A speed; nothing before there is one."""
+        return f"{per_s:,.0f} {of}/s" if per_s > 0 else ""
 
     @staticmethod
     def _join(*words: str) -> str:

@@ -33,6 +33,11 @@ class SpeedMeter:
         return self._latest
 
     @property
+    def window_s(self) -> float:
+        """Time over which the latest speeds were measured [s]."""
+        return self._marks[-1][0] - self._marks[0][0] if self._marks else 0.0
+
+    @property
     def latest(self) -> tuple[float, float]:
         """Frames/s and updates/s at the last mark."""
         return self._latest

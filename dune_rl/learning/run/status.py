@@ -7,6 +7,8 @@ from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.run.speed import DurationEstimate, SpeedMeter
 
+_LEAST_WINDOW_S = 15.0
+
 
 class RunStatus:
     """Measures a run's speed and reports its progress.
@@ -33,7 +35,8 @@ class RunStatus:
         else:
             left = self._seconds_left(frames)
             self._show(frames, "training", success_rate, left)
-            line = self._estimate.line(left)
+            # Speeds over a moment, as where the warm-up has just ended, would mislead.
+            line = self._estimate.line(left) if self._speed.window_s >= _LEAST_WINDOW_S else None
             if line is not None:
                 self._reporter.note(line)
         return {"speed/frames": frames_per_s, "speed/updates": updates_per_s}

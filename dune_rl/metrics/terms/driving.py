@@ -62,7 +62,7 @@ class Spl:
         return np.where(clean, self._share, 0.0)
 
 
-def speed(state: State, group: GroupState) -> Array:
+def ground_speed(state: State, group: GroupState) -> Array:
     """Horizontal speed [m/s]."""
     velocity = group.motion.velocity_w
     horizontal: Array = np.hypot(velocity[:, 0], velocity[:, 1])
