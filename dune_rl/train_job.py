@@ -196,12 +196,13 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
     ]
     can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
     reference = "go_to_goal" if can_go else "random"
+    further = 2 * max(conf.total_frames, result.frames)
     lines += [
         "Try next:",
         f"  python -m dune_rl.view checkpoint={result.run_dir}",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
         f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
         f"  tensorboard --logdir {result.run_dir.parent}",
-        f"  python -m dune_rl.train resume={result.run_dir} total_frames={2 * max(conf.total_frames, result.frames)}",
+        f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
     ]
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)

@@ -23,9 +23,7 @@ def main(words: Sequence[str]) -> int:
     Further words are settings of the robot, as on other command lines: `robot.drive.kind=skid_steer`.
     """
     if {"-h", "--help"} & {*words}:
-        print(
-            f"{__doc__}\n\n{_USAGE}\nSettings and their meanings: conf/robot/urdf.yaml, docs/how_to/bring_a_robot.md"
-        )
+        print(f"{__doc__}\n\n{_USAGE}\nSettings: conf/robot/urdf.yaml; more in docs/how_to/bring_a_robot.md")
         return 0
     if not words or any("=" not in word for word in words[1:]):
         print(_USAGE, file=sys.stderr)
