@@ -31,7 +31,11 @@ class BehaviourSettings(Settings):
 BEHAVIOURS: Registry[Behaviour] = Registry(
     "behaviour",
     "dune_rl.behaviours.registry:BEHAVIOURS",
-    own={"go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal"},
+    own={
+        "go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal",
+        "mppi": "dune_rl.behaviours.drivers.mppi:Mppi",
+        "planner": "dune_rl.behaviours.drivers.planner:Planner",
+    },
     base=BehaviourSettings,
     product=Behaviour,
     form="a class with reset and act, made with (num_rows), or a function that returns such an object",

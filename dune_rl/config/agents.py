@@ -175,7 +175,7 @@ def resolve_groups(
 def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> ResolvedGroup:
     is_person = isinstance(group.body, PersonConf)
     is_external = group.controller == EXTERNAL
-    observes = is_external or isinstance(group.controller, FrozenPolicyConf)
+    observes = is_external or _reads_sensors(group.controller)
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
@@ -197,6 +197,14 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         group.task or task,
         group.metrics or metrics,
     )
+
+
+def _reads_sensors(controller: Controller) -> bool:
+    """Whether a controller needs its group's observation."""
+    if isinstance(controller, FrozenPolicyConf):
+        return True
+    part = BEHAVIOURS.find(controller.name) if isinstance(controller, BehaviourSettings) else None
+    return part is not None and getattr(part.target, "reads_sensors", False)
 
 
 def walker_sensors() -> SensorsConf:

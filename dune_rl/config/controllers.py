@@ -11,6 +11,7 @@ from dune_rl.config.agents import Controller as ControllerConf
 from dune_rl.config.agents import FrozenPolicyConf
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
+from dune_rl.env.driver_context import bind_to_group
 from dune_rl.sensors.sensor import Reading
 
 
@@ -24,7 +25,9 @@ def controller_factory(conf: ControllerConf) -> MakeController | None:
 
 
 def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
-    return BehaviourController(BEHAVIOURS.build(conf, group.num_rows))
+    behaviour = BEHAVIOURS.build(conf, group.num_rows)
+    bind_to_group(behaviour, conf.name, group)
+    return BehaviourController(behaviour)
 
 
 def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:

@@ -219,12 +219,15 @@ class BenchmarkConf(EnvConf):
     seed: int = Field(0, ge=0)
 
 
+BuiltInPolicy = Literal["go_to_goal", "mppi", "planner", "random"]
+
+
 class ViewConf(EnvConf):
     """A look at an environment: pictures and a video, seen from behind `agent` (None: the first)."""
 
     view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
     checkpoint: str | None = None
-    policy: Literal["go_to_goal", "random"] | None = None
+    policy: BuiltInPolicy | None = None
     agent: str | None = None
     seed: int = Field(0, ge=0)
     after_s: float = Field(3.0, ge=0.0)
@@ -258,8 +261,8 @@ class EvaluateConf(EnvConf):
     """An evaluation of a checkpoint or of a built-in policy."""
 
     checkpoint: str | None = None
-    policy: Literal["go_to_goal", "random"] | None = None
-    against: Literal["go_to_goal", "random"] | None = None
+    policy: BuiltInPolicy | None = None
+    against: BuiltInPolicy | None = None
     episodes: int = Field(100, ge=1)
     scenes: int = Field(16, ge=1)
     seed: int = Field(0, ge=0)

@@ -29,7 +29,7 @@ class KinematicBody:
 
     def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
         self.conf, self.count = conf, count
-        self._worlds, self._step_s = worlds, step_s
+        self._worlds, self.step_s = worlds, step_s
         rows = len(worlds) * count
         self.poses = np.zeros((rows, 4))
         self.blocked = np.zeros(rows, bool)
@@ -73,10 +73,10 @@ class KinematicBody:
         robot has pushed into an obstacle may move where it is less deep in it.
         """
         conf, poses = self.conf, self.poses.copy()
-        most = conf.max_turn_radps * self._step_s
+        most = conf.max_turn_radps * self.step_s
         turn = np.clip(actions[:, 1], -most, most)
         yaw = wrap_angle(poses[:, 3] + turn)
-        distance = np.clip(actions[:, 0], 0.0, conf.speed_mps) * self._step_s
+        distance = np.clip(actions[:, 0], 0.0, conf.speed_mps) * self.step_s
         target = poses[:, :2] + distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         by_scene = target.reshape(-1, self.count, 2)
         xmin, xmax, ymin, ymax = self._worlds.extents.T[:, :, None]
@@ -109,7 +109,7 @@ class KinematicBody:
     def read(self) -> None:
         """Derive the motion at the end of a control step: its mean velocities, and their change."""
         found = np.zeros((3, len(self.poses), 3))
-        _derive_motion(self.poses, self._start_poses, self.motion.velocity_w, self._step_s, found)
+        _derive_motion(self.poses, self._start_poses, self.motion.velocity_w, self.step_s, found)
         velocity_w, angular_w, acceleration_b = found
         self.motion = self._moving(velocity_w, angular_w, acceleration_b)
 

@@ -9,9 +9,11 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import ConfigError
+from dune_rl.learning.driver_policy import driver_policies
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policy_spec import PolicySpec
 
+DRIVERS = ("mppi", "planner")
 _SPEED_AND_HEADING = 2
 _WARMUP_NOISE = 0.1
 _WARMUP_RANDOM_SHARE = 0.3
@@ -27,7 +29,12 @@ def go_to_goal_fault(spec: PolicySpec) -> str | None:
 
 
 def built_in_policy(name: str, env: EnvBase, seed: int = 0) -> Policy:
-    """`go_to_goal` or `random` for every group of `env`; raises ConfigError where it cannot act."""
+    """A reference policy for every group of `env`; raises ConfigError where it cannot act.
+
+    `name` is go_to_goal, random, or a driver that reads the simulation: planner, mppi.
+    """
+    if name in DRIVERS:
+        return AllGroups(driver_policies(name, env, seed))
     specs = {group: PolicySpec.of(env, group) for group in env.group_map}
     if name == "random":
         return AllGroups(

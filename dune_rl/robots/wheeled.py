@@ -45,7 +45,7 @@ class WheeledRobot(RectangularHull):
         num_robots: int,
     ) -> None:
         self.body, self.mounts, self.battery = body, mounts, battery
-        self._drive_conf = drive
+        self._drive_conf, self._heading_conf = drive, heading
         self._on_left = np.array(on_left)
         self._heading = HeadingController(heading, drive.max_yaw_rate_radps, num_robots)
         self._drive = SkidSteerDrive(drive, num_robots)
@@ -65,6 +65,16 @@ class WheeledRobot(RectangularHull):
     def max_speed_mps(self) -> float:
         """Largest speed that can be commanded."""
         return self._drive_conf.max_speed_mps
+
+    @property
+    def max_yaw_rate_radps(self) -> float:
+        """Largest yaw rate that can be commanded."""
+        return self._drive_conf.max_yaw_rate_radps
+
+    @property
+    def heading_gain_per_s(self) -> float:
+        """Yaw rate over heading error, at rest."""
+        return self._heading_conf.kp
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Bounds, each (2,), of speed [m/s] and heading relative to the present one [rad]."""

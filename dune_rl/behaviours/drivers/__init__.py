@@ -1,0 +1,1 @@
+"""Reference drivers: classical navigation, to compare learned policies with."""

@@ -1,0 +1,48 @@
+"""What a driver may know of the body that it drives: a unicycle model, the LiDAR, and the readings."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.sensor import Reading
+
+
+@dataclass(frozen=True)
+class Unicycle:
+    """Model of a body with (speed, heading) actions, and its rectangle seen from above.
+
+    A commanded heading e [rad] gives the yaw rate `heading_gain_per_s` * e, at most `max_yaw_rate_radps`.
+    `turning_radius_m` is that of the smallest circle, 0 for a body that turns on the spot.
+    """
+
+    min_speed_mps: float
+    max_speed_mps: float
+    max_yaw_rate_radps: float
+    heading_gain_per_s: float
+    length_m: float
+    width_m: float
+    footprint_radius_m: float
+    turning_radius_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class DriverContext:
+    """The driven group, called `group`: its vehicle model, its LiDAR if it has one, its readings.
+
+    `lidar` has the mount that the body gives it. `observe` returns the latest readings by name, each (N, ...).
+    """
+
+    group: str
+    vehicle: Unicycle
+    lidar: LidarConf | None
+    observe: Callable[[], dict[str, Reading]]
+
+
+@runtime_checkable
+class ContextBehaviour(Protocol):
+    """A behaviour that is bound to the group that it drives before its first step."""
+
+    def bind(self, context: DriverContext) -> None:
+        """Take the context; raises ConfigError if it cannot drive there."""
+        ...

@@ -1,0 +1,148 @@
+"""The driver `mppi`: model-predictive path integral control on the LiDAR."""
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.behaviours.drivers.context import DriverContext
+from dune_rl.behaviours.drivers.path_integral_loops import update_controls
+from dune_rl.errors import ConfigError
+from dune_rl.seeding import stream
+from dune_rl.sensors.lidar import beam_angles
+from dune_rl.sensors.sensor import mount_position
+from dune_rl.state import GroupState, State
+
+Array = NDArray[np.float64]
+
+_STEP_S = 0.1
+_LAG_S = 0.15
+# Sets of samples, which a row uses one after another, beginning with an episode.
+_NOISE_SETS = 16
+# The noise is drawn at this many times of the horizon, and linear between them.
+_KNOTS = 6
+# Points on each segment of the scan, so that no body slips between two.
+_POINTS_PER_SEGMENT = 2
+# End, way, contact, nearness, backwards, turning: see `path_integral_loops`.
+_WEIGHTS = (3.0, 0.5, 100.0, 4.0, 0.5, 0.02)
+_READINGS = ("goal", "lidar", "velocity")
+
+
+class Mppi:
+    """Drives N bodies by sampled controls, weighted by the cost of where a unicycle model takes them.
+
+    It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
+    the vehicle's own size, limits and LiDAR mount; no map, no terrain, nothing of actors beyond their
+    returns, which it takes for obstacles at rest. It remembers nothing but its last plan, so that it can get stuck
+    behind walls, and it takes rising ground that the LiDAR meets for an obstacle.
+
+    Williams et al., "Information theoretic MPC for model-based reinforcement learning" (2017). `samples` and
+    `horizon_s` set its effort; `temperature` is the lambda of the weights; `margin_m` is the distance at
+    which obstacles begin to cost; `seed` is that of the noise, which is drawn once: equal readings give equal
+    actions in any number of scenes.
+    """
+
+    reads_sensors = True
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        samples: Annotated[int, Field(ge=8, le=100_000)] = 256,
+        horizon_s: Annotated[float, Field(ge=0.5, le=10.0)] = 2.5,
+        temperature: Annotated[float, Field(gt=0.0, le=100.0)] = 0.2,
+        margin_m: Annotated[float, Field(ge=0.01, le=5.0)] = 0.4,
+        seed: Annotated[int, Field(ge=0)] = 0,
+    ) -> None:
+        self._num_rows, self._samples, self._seed = num_rows, samples, seed
+        self._horizon = round(horizon_s / _STEP_S)
+        self._temperature, self._margin_m = temperature, margin_m
+        self._nominal = np.zeros((num_rows, self._horizon, 2))
+        self._steps = np.zeros(num_rows, np.int64)
+        self._context: DriverContext | None = None
+
+    def bind(self, context: DriverContext) -> None:
+        """Take the vehicle's model and its LiDAR; raises ConfigError without a reading that it needs."""
+        readings = context.observe()
+        missing = [name for name in _READINGS if name not in readings]
+        if missing or context.lidar is None:
+            raise ConfigError(
+                f"mppi cannot act for the group {context.group}: it needs the sensors goal, lidar and velocity, "
+                f"and {' and '.join(missing) or 'lidar'} is not enabled; add to sensors.enabled"
+            )
+        self._context = context
+        lidar = context.lidar
+        of_beams = beam_angles(lidar).reshape(lidar.n_segments, -1)
+        middle, width = of_beams.mean(axis=1), np.deg2rad(lidar.fov_deg) / lidar.n_segments
+        shares = (np.arange(_POINTS_PER_SEGMENT) + 0.5) / _POINTS_PER_SEGMENT - 0.5
+        bearings = middle[:, None] + width * shares
+        # Unit vectors (n_segments, points, 2) in the vehicle's frame.
+        self._directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+        self._mount = mount_position(lidar.mount_b)[:2]
+        self._noise = self._sample_noise(context)
+
+    def _sample_noise(self, context: DriverContext) -> Array:
+        """Deviations (sets, S, H, 2) of speeds [m/s] and yaw rates [rad/s]; the first sample has none."""
+        vehicle = context.vehicle
+        scale = np.array([0.4 * vehicle.max_speed_mps, 0.5 * vehicle.max_yaw_rate_radps])
+        shape = (_NOISE_SETS, self._samples, _KNOTS, 2)
+        knots = stream(self._seed, "mppi").normal(size=shape) * scale
+        knots[:, 0] = 0.0
+        place = np.linspace(0.0, _KNOTS - 1.0, self._horizon)
+        low = np.minimum(place.astype(np.int64), _KNOTS - 2)
+        share = (place - low)[:, None]
+        noise: Array = knots[:, :, low] * (1.0 - share) + knots[:, :, low + 1] * share
+        return noise
+
+    def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
+        """Forget the plans of the bodies in `mask` (N,)."""
+        self._nominal[mask] = 0.0
+        self._steps[mask] = 0
+
+    def act(self, state: State, group: GroupState) -> Array:
+        """Actions (N, 2): speed [m/s] and relative heading [rad], by the readings alone."""
+        if self._context is None or self._context.lidar is None:
+            raise ConfigError("mppi must be bound to the group that it drives (`bind`) before it acts")
+        vehicle = self._context.vehicle
+        readings = self._context.observe()
+        distance, bearing = np.asarray(readings["goal"], np.float64).T
+        goals = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
+        twists = np.ascontiguousarray(readings["velocity"][:, :2], np.float64)
+        points, counts = self._obstacles(readings["lidar"].astype(np.float64))
+        limits = (
+            vehicle.min_speed_mps,
+            vehicle.max_speed_mps,
+            vehicle.max_yaw_rate_radps,
+            vehicle.turning_radius_m,
+            vehicle.length_m / 2,
+            vehicle.width_m / 2,
+        )
+        noise = self._noise[self._steps % _NOISE_SETS]
+        model = (_STEP_S, _LAG_S)
+        update_controls(
+            self._nominal, noise, twists, goals, points, counts, limits, _WEIGHTS, self._margin_m, model,
+            self._temperature,
+        )  # fmt: skip
+        chosen = self._nominal[:, 0].copy()
+        self._shift(group.episode.step_s)
+        self._steps = self._steps + 1
+        heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
+        return np.column_stack([chosen[:, 0], heading])
+
+    def _obstacles(self, ranges: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Points (N, P, 2) [m] in the vehicles' frames that count within the horizon, first, and how many."""
+        assert self._context is not None and self._context.lidar is not None
+        vehicle, lidar = self._context.vehicle, self._context.lidar
+        reach = vehicle.max_speed_mps * self._horizon * _STEP_S + vehicle.footprint_radius_m + self._margin_m
+        points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
+        seen = np.repeat((ranges < lidar.range_m - 1e-3) & (ranges < reach), _POINTS_PER_SEGMENT, axis=1)
+        order = np.argsort(~seen, axis=1, kind="stable")
+        return np.take_along_axis(points, order[:, :, None], axis=1), seen.sum(axis=1)
+
+    def _shift(self, step_s: float) -> None:
+        """Move the plans on by a control step; the last control is kept."""
+        place = np.minimum(np.arange(self._horizon) + step_s / _STEP_S, self._horizon - 1.0)
+        low = np.minimum(place.astype(np.int64), self._horizon - 2)
+        share = (place - low)[:, None]
+        self._nominal = self._nominal[:, low] * (1.0 - share) + self._nominal[:, low + 1] * share

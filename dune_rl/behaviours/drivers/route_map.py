@@ -1,0 +1,147 @@
+"""Global planning: Dijkstra's algorithm on a grid of the true slopes and obstacles of a world."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_CELL_M = 0.2
+_MAX_CELLS = 160_000
+_EDGE_M = 0.5
+# Steps of 16 directions (rows, columns); their opposites follow. With them a route is at most 2.7 % longer than
+# the shortest, with 8 directions 8.2 %.
+_MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (2, -1), (1, -2))
+# Cost of a metre: 1, more on slopes (at the limit) and beside obstacles (at contact, fading over the distance).
+_SLOPE_COST = 2.0
+_NEAR_COST = 3.0
+_NEAR_M = 0.6
+# Cost of a metre in cells that are not traversable, from the nearest that is.
+_OFF_COST = 10.0
+# Cost of places from which no route leads to the goal, beside the straight distance.
+_NO_ROUTE_COST = 1_000.0
+_REACH = 4.0
+
+
+class RouteMap:
+    """Costs of travel of a round robot of `footprint_radius_m` in a world; see `FreeSpace` for what is free.
+
+    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle.
+    Cells are 0.2 m wide, larger in worlds of more than 80 by 80 m. It keeps no reference to the world.
+    """
+
+    def __init__(self, world: World, footprint_radius_m: float, max_slope_deg: float) -> None:
+        xmin, xmax, ymin, ymax = world.extent
+        cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
+        space = FreeSpace(world, footprint_radius_m, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
+        self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
+        self.traversable = space.traversable
+        self.clearance: Floats = space.clearance.astype(np.float32)
+        slope = world.terrain.slope(np.stack(np.meshgrid(self.x, self.y), axis=-1))
+        near = np.clip(1.0 - (space.clearance - footprint_radius_m) / _NEAR_M, 0.0, 1.0)
+        self.cost: Array = (
+            1.0 + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2 + _NEAR_COST * near * near
+        )
+        self._graph = self._edges()
+        self._off_m, self._nearest = self._nearest_traversable()
+
+    def _edges(self) -> csr_matrix:
+        """Costs between neighbouring traversable cells, both ways."""
+        rows, columns = self.traversable.shape
+        number = np.arange(rows * columns).reshape(rows, columns)
+        starts, ends, costs = [], [], []
+        for down, right in _MOVES:
+            length = self.cell_m * float(np.hypot(down, right))
+            # A long step also crosses the two cells between its ends.
+            halves = {(down // 2, right // 2), (down - down // 2, right - right // 2)} - {(0, 0), (down, right)}
+            at = _window(rows, columns, down, right, (0, 0))
+            to = _window(rows, columns, down, right, (down, right))
+            between = [_window(rows, columns, down, right, half) for half in sorted(halves)]
+            if down and right and abs(down) == abs(right):
+                # Corners are not cut.
+                between = [_window(rows, columns, down, right, side) for side in ((down, 0), (0, right))]
+            free = self.traversable[at] & self.traversable[to]
+            total = self.cost[at] + self.cost[to]
+            for cells in between:
+                free &= self.traversable[cells]
+                total = total + self.cost[cells]
+            starts.append(number[at][free])
+            ends.append(number[to][free])
+            costs.append(length * total[free] / (2 + len(between)))
+        one, other, cost = (np.concatenate(parts) for parts in (starts, ends, costs))
+        pairs = np.concatenate([one, other]), np.concatenate([other, one])
+        return csr_matrix((np.concatenate([cost, cost]), pairs), shape=(number.size, number.size))
+
+    def _nearest_traversable(self) -> tuple[Array, NDArray[np.int64]]:
+        """Distance [m] of each cell from the nearest traversable one, and that cell's number."""
+        if not self.traversable.any():
+            return np.zeros(self.traversable.shape), np.arange(self.traversable.size)
+        apart, (row, column) = distance_transform_edt(
+            ~self.traversable, sampling=self.cell_m, return_indices=True
+        )
+        return apart, (row * self.traversable.shape[1] + column).ravel()
+
+    def cell_number(self, xy: ArrayLike) -> int:
+        """Number of the cell of a point (2,) [m], or of the edge's cell nearest to it."""
+        x, y = np.asarray(xy, np.float64)
+        column = int(np.clip(np.floor((x - self.x[0]) / self.cell_m + 0.5), 0, len(self.x) - 1))
+        row = int(np.clip(np.floor((y - self.y[0]) / self.cell_m + 0.5), 0, len(self.y) - 1))
+        return row * len(self.x) + column
+
+    def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
+        """Cost of the cheapest route to a goal from each cell, (rows, columns).
+
+        It is exact from where the route costs up to four times the straight distance between both points, or
+        from everywhere if the start is farther. Cells that are not traversable lead to the nearest that is.
+        Without any route a cell costs 1,000 and its straight distance from the goal.
+        """
+        goal, start = np.asarray(goal_xy, np.float64), np.asarray(start_xy, np.float64)
+        source = int(self._nearest[self.cell_number(goal)])
+        begin = int(self._nearest[self.cell_number(start)])
+        limit = _REACH * (float(np.hypot(*(goal - start))) + 3.0)
+        found = dijkstra(self._graph, indices=source, limit=limit)
+        if not np.isfinite(found[begin]):
+            found = dijkstra(self._graph, indices=source)
+        cost = found[self._nearest].reshape(self.traversable.shape) + _OFF_COST * self._off_m
+        straight = np.hypot(self.x - goal[0], self.y[:, None] - goal[1])
+        result: Floats = np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32)
+        return result
+
+    def route(self, start_xy: ArrayLike, goal_xy: ArrayLike) -> Array:
+        """Centres (P, 2) [m] of the cells of the cheapest route; empty without any."""
+        source = int(self._nearest[self.cell_number(goal_xy)])
+        cell = int(self._nearest[self.cell_number(start_xy)])
+        found, previous = dijkstra(self._graph, indices=source, return_predecessors=True)
+        if not np.isfinite(found[cell]):
+            return np.zeros((0, 2))
+        cells = [cell]
+        while cells[-1] != source:
+            cells.append(int(previous[cells[-1]]))
+        row, column = np.divmod(np.array(cells), len(self.x))
+        return np.stack([self.x[column], self.y[row]], axis=-1)
+
+
+def _window(
+    rows: int, columns: int, down: int, right: int, offset: tuple[int, int]
+) -> tuple[slice, slice]:
+    """The cells at `offset` from those that a step (`down`, `right`) can begin in."""
+    first = max(0, -right)
+    last_row, last_column = rows - down, columns - max(0, right)
+    return (
+        slice(offset[0], last_row + offset[0]),
+        slice(first + offset[1], last_column + offset[1]),
+    )
+
+
+def shared_route_map(world: World, footprint_radius_m: float, max_slope_deg: float) -> RouteMap:
+    """The route map of a world, made once and kept with it."""
+    return world.memoize(
+        ("route map", footprint_radius_m, max_slope_deg),
+        lambda: RouteMap(world, footprint_radius_m, max_slope_deg),
+    )

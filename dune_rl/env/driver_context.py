@@ -1,0 +1,46 @@
+"""The vehicle model of an agent group, for the behaviours that drive by one."""
+
+from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext, Unicycle
+from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.errors import ConfigError
+
+_SPEED_AND_HEADING = 2
+# Of robots that do not say.
+_YAW_RATE_RADPS = 1.0
+_HEADING_GAIN_PER_S = 2.0
+
+
+def bind_to_group(behaviour: object, name: str, group: AgentGroup) -> None:
+    """Bind a behaviour to `group` if it wants that; raises ConfigError if it cannot drive there."""
+    if not isinstance(behaviour, ContextBehaviour):
+        return
+    if group.action_size != _SPEED_AND_HEADING:
+        raise ConfigError(
+            f"{name} cannot act for the group {group.name}: it outputs a speed and a heading, and the action has "
+            f"{group.action_size} components; choose another robot.action"
+        )
+    lidar = None if group.suite is None else group.suite.conf.lidar
+    behaviour.bind(DriverContext(group.name, _unicycle(group), lidar, group.observe))
+
+
+def _unicycle(group: AgentGroup) -> Unicycle:
+    low, high = group.action_bounds
+    speeds = float(low[0]), float(high[0])
+    body = group.body
+    if not isinstance(body, ArticulatedBody):
+        # A person turns to the commanded heading within the step, as far as its limit lets it.
+        conf = body.conf
+        size = 2.0 * conf.radius_m
+        return Unicycle(*speeds, conf.max_turn_radps, 1.0 / body.step_s, size, size, conf.radius_m)
+    robot = body.robot
+    steering = None if robot.wheels is None else robot.wheels.steering
+    return Unicycle(
+        *speeds,
+        getattr(robot, "max_yaw_rate_radps", _YAW_RATE_RADPS),
+        getattr(robot, "heading_gain_per_s", _HEADING_GAIN_PER_S),
+        robot.length_m,
+        robot.width_m,
+        robot.footprint_radius_m,
+        0.0 if steering is None else 1.0 / min(steering.max_curvatures()),
+    )
