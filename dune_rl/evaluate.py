@@ -16,7 +16,7 @@ CLOSING = (
 )
 SETTINGS = (
     ("checkpoint=PATH", "a run's folder, or a file of weights"),
-    ("policy=NAME", "go_to_goal or random, instead of a checkpoint"),
+    ("policy=NAME", "go_to_goal, planner, mppi or random, instead of a checkpoint"),
     ("against=NAME", "a built-in policy to compare with, in pairs"),
     ("episodes=N", "how many to run"),
     ("seed=N", "of the episodes"),

@@ -175,7 +175,7 @@ def resolve_groups(
 def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> ResolvedGroup:
     is_person = isinstance(group.body, PersonConf)
     is_external = group.controller == EXTERNAL
-    observes = is_external or _reads_sensors(group.controller)
+    observes = is_external or reads_sensors(group.controller)
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
@@ -199,7 +199,7 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
     )
 
 
-def _reads_sensors(controller: Controller) -> bool:
+def reads_sensors(controller: Controller) -> bool:
     """Whether a controller needs its group's observation."""
     if isinstance(controller, FrozenPolicyConf):
         return True

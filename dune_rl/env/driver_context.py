@@ -17,8 +17,8 @@ def bind_to_group(behaviour: object, name: str, group: AgentGroup) -> None:
         return
     if group.action_size != _SPEED_AND_HEADING:
         raise ConfigError(
-            f"{name} cannot act for the group {group.name}: it outputs a speed and a heading, and the action has "
-            f"{group.action_size} components; choose another robot.action"
+            f"{name} cannot act for the group {group.name}: it outputs a speed and a heading, and the action "
+            f"has {group.action_size} components; choose another robot.action"
         )
     lidar = None if group.suite is None else group.suite.conf.lidar
     behaviour.bind(DriverContext(group.name, _unicycle(group), lidar, group.observe))

@@ -41,5 +41,7 @@ def driver_policies(name: str, env: EnvBase, seed: int) -> list[DriverPolicy]:
     """The behaviour `name` for every group of `env`, which must run in this process."""
     simulation = getattr(env, "simulation", None)
     if not isinstance(simulation, VectorSimulation):
-        raise ConfigError(f"{name} needs the simulation in its own process: take an environment without workers")
+        raise ConfigError(
+            f"{name} needs the simulation in its own process: take an environment without workers"
+        )
     return [DriverPolicy(name, simulation, group, seed) for group in simulation.external]

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import no_grad
 
-from dune_rl.config.agents import FrozenPolicyConf
+from dune_rl.config.agents import reads_sensors
 from dune_rl.config.build import build_world, group_setups, make_torchrl_env, scene_class
 from dune_rl.config.schema import ViewConf
 from dune_rl.env.agent_group import AgentGroup
@@ -21,7 +21,7 @@ from dune_rl.env.simulation import VectorSimulation
 from dune_rl.files import write_atomically
 from dune_rl.tasks.spawn import Placement, SpawnConf
 from dune_rl.view.endings import EndingRecorder, finite_points
-from dune_rl.view.policies import policy_factory
+from dune_rl.view.policies import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
 from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import choose_spread_episodes, prop_footprints
@@ -153,12 +153,11 @@ def drive_episodes(conf: ViewConf, console: Console) -> list[Track]:
 
 
 def _with_needed_sensors(conf: ViewConf) -> ViewConf:
-    """`conf` with the sensor goal alone, where built-in policies are all that reads sensors."""
-    if conf.checkpoint is not None or any(
-        isinstance(group.controller, FrozenPolicyConf) for group in conf.groups
-    ):
+    """`conf` with only the sensors that a built-in policy reads, where nothing else reads any."""
+    if conf.checkpoint is not None or any(reads_sensors(group.controller) for group in conf.groups):
         return conf
-    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": ("goal",)})})
+    needed = SENSORS_OF_POLICIES.get(conf.policy or "", ("goal",))
+    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": needed})})
 
 
 class _TrackRecorder:

@@ -10,6 +10,9 @@ from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 
+# What built-in policies read, where it is not `goal` alone.
+SENSORS_OF_POLICIES = {"mppi": ("lidar", "goal", "velocity"), "planner": ()}
+
 
 def policy_factory(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:
     """Makes the policy of `conf` for all external groups of `env`: a new one for each episode.

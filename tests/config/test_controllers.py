@@ -31,11 +31,13 @@ def goal_distances(simulation: VectorSimulation, steps: int) -> np.ndarray:
     return np.array(distances)
 
 
-@pytest.mark.parametrize("controller", ["go_to_goal", {"name": "go_to_goal"}, {"checkpoint": str(POLICY)}])
+@pytest.mark.parametrize(
+    "controller", ["go_to_goal", {"name": "go_to_goal"}, "planner", "mppi", {"checkpoint": str(POLICY)}]
+)
 def test_a_group_drives_to_its_goals_by_itself(controller: object) -> None:
     simulation = simulation_of(controller)
     assert simulation.agents == ("idle_0",)
-    distances = goal_distances(simulation, 100)
+    distances = goal_distances(simulation, 160)
     assert (distances.min(axis=0) < distances[0] - 1.0).all()
     simulation.close()
 

@@ -30,7 +30,8 @@ class Unicycle:
 class DriverContext:
     """The driven group, called `group`: its vehicle model, its LiDAR if it has one, its readings.
 
-    `lidar` has the mount that the body gives it. `observe` returns the latest readings by name, each (N, ...).
+    `lidar` has the mount that the body gives it. `observe` returns the latest readings by name, each of
+    shape (N, ...).
     """
 
     group: str

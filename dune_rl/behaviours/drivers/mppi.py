@@ -33,9 +33,9 @@ class Mppi:
     """Drives N bodies by sampled controls, weighted by the cost of where a unicycle model takes them.
 
     It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
-    the vehicle's own size, limits and LiDAR mount; no map, no terrain, nothing of actors beyond their
-    returns, which it takes for obstacles at rest. It remembers nothing but its last plan, so that it can get stuck
-    behind walls, and it takes rising ground that the LiDAR meets for an obstacle.
+    the vehicle's own size, limits and LiDAR mount. It knows no map and no slopes, and of actors only their
+    returns, which it treats as obstacles at rest. It remembers nothing but its last plan: it gets stuck in
+    front of walls that it would have to leave behind, and treats rising ground in the scan as an obstacle.
 
     Williams et al., "Information theoretic MPC for model-based reinforcement learning" (2017). `samples` and
     `horizon_s` set its effort; `temperature` is the lambda of the weights; `margin_m` is the distance at
@@ -68,8 +68,8 @@ class Mppi:
         missing = [name for name in _READINGS if name not in readings]
         if missing or context.lidar is None:
             raise ConfigError(
-                f"mppi cannot act for the group {context.group}: it needs the sensors goal, lidar and velocity, "
-                f"and {' and '.join(missing) or 'lidar'} is not enabled; add to sensors.enabled"
+                f"mppi cannot act for the group {context.group}: it needs the sensors goal, lidar and "
+                f"velocity, and has no {' and no '.join(missing) or 'lidar'}; add to sensors.enabled"
             )
         self._context = context
         lidar = context.lidar

@@ -1,9 +1,9 @@
 """The loops of model-predictive path integral control over rows, samples, times and points, compiled.
 
-`vehicle` is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning radius [m], half the length
-[m], half the width). `weights` is (of the distance from the goal at the end [1/m], of that on the way [1/(m s)],
-of contact [1/s], of nearness [1/s], of driving backwards [1/m], of turning [s/rad²]). `margin_m` is the distance
-from the outline at which nearness begins to cost, `temperature` that of the weights of samples.
+`vehicle` is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning radius [m], half the
+length [m], half the width). `weights` is (of the distance from the goal at the end [1/m], of that on the way
+[1/(m s)], of contact [1/s], of nearness [1/s], of driving backwards [1/m], of turning [s/rad²]). `margin_m`
+is the distance from the outline at which nearness begins to cost, `temperature` that of the samples' weights.
 """
 
 from typing import Any
@@ -27,8 +27,10 @@ def _clip_control(control: Any, vehicle: Any) -> Any:
 
 
 @compile_function
-def _distance_to_points(x: float, y: float, yaw: float, points: Any, vehicle: Any, farthest_m: float) -> float:
-    """Distance [m] of the vehicle's rectangle at a pose from the nearest of `points` (P, 2), up to a limit."""
+def _distance_to_points(
+    x: float, y: float, yaw: float, points: Any, vehicle: Any, farthest_m: float
+) -> float:
+    """Distance [m] of the vehicle's rectangle from the nearest of `points` (P, 2), up to a limit."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     nearest = farthest_m * farthest_m
     for point in range(len(points)):
@@ -46,8 +48,8 @@ def rollout_cost(
 ) -> float:
     """Cost of `controls` (H, 2: speed, yaw rate) from the origin, by a unicycle model with lags.
 
-    `model` is (time of a step [s], time constant of both responses [s]); `twist` (2,) the present speed and yaw
-    rate; `goal` (2,) and `points` (P, 2) [m] are in the vehicle's frame.
+    `model` is (time of a step [s], time constant of both responses [s]); `twist` (2,) is the present speed
+    and yaw rate; `goal` (2,) and `points` (P, 2) [m] are in the vehicle's frame.
     """
     step_s, lag_s = model
     share = min(1.0, step_s / lag_s)
@@ -93,8 +95,8 @@ def update_controls(
     """One iteration of path integral control for each row, which changes `nominal` (N, H, 2).
 
     `noise` (N, S, H, 2) is added to the nominal controls: S samples for each row. `points` (N, P, 2) [m] are
-    obstacles in the vehicles' frames, of which row n has `counts[n]`. Costs are weighted as by Williams et al.
-    (2017), without the term of the control's own cost.
+    obstacles in the vehicles' frames, of which row n has `counts[n]`. Samples are weighted by their costs as
+    in Williams et al. (2017), without the term of the control's own cost.
     """
     samples, horizon = noise.shape[1], noise.shape[2]
     costs = np.empty(samples)

@@ -32,8 +32,9 @@ class Planner:
     and by the actors' predicted places: the dynamic window of Fox, Burgard and Thrun (1997), with a
     navigation function as in Brock and Khatib (1999).
 
-    `max_slope_deg` is the steepest ground on a route; `actor_radius_m` that of the circle about a moving body;
-    `margin_m` is added to the body's own footprint; `speed_mps` limits the speed below the body's own.
+    `max_slope_deg` is the steepest ground on a route; `actor_radius_m` the radius of the circle that stands
+    for a moving body; `margin_m` is added to the body's own footprint; `speed_mps` limits the speed below the
+    body's own limit.
     """
 
     def __init__(

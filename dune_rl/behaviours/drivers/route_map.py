@@ -15,10 +15,10 @@ Floats = NDArray[np.float32]
 _CELL_M = 0.2
 _MAX_CELLS = 160_000
 _EDGE_M = 0.5
-# Steps of 16 directions (rows, columns); their opposites follow. With them a route is at most 2.7 % longer than
-# the shortest, with 8 directions 8.2 %.
+# Steps (rows, columns) in half of 16 directions; the others are their opposites. With 16 directions a route
+# in the open is at most 2.7 % longer than the shortest, with 8 it is 8.2 %.
 _MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (2, -1), (1, -2))
-# Cost of a metre: 1, more on slopes (at the limit) and beside obstacles (at contact, fading over the distance).
+# A metre costs 1, and more: on slopes, this at the limit, and beside obstacles, this at contact.
 _SLOPE_COST = 2.0
 _NEAR_COST = 3.0
 _NEAR_M = 0.6
@@ -59,7 +59,10 @@ class RouteMap:
         for down, right in _MOVES:
             length = self.cell_m * float(np.hypot(down, right))
             # A long step also crosses the two cells between its ends.
-            halves = {(down // 2, right // 2), (down - down // 2, right - right // 2)} - {(0, 0), (down, right)}
+            halves = {(down // 2, right // 2), (down - down // 2, right - right // 2)} - {
+                (0, 0),
+                (down, right),
+            }
             at = _window(rows, columns, down, right, (0, 0))
             to = _window(rows, columns, down, right, (down, right))
             between = [_window(rows, columns, down, right, half) for half in sorted(halves)]
@@ -127,9 +130,7 @@ class RouteMap:
         return np.stack([self.x[column], self.y[row]], axis=-1)
 
 
-def _window(
-    rows: int, columns: int, down: int, right: int, offset: tuple[int, int]
-) -> tuple[slice, slice]:
+def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, int]) -> tuple[slice, slice]:
     """The cells at `offset` from those that a step (`down`, `right`) can begin in."""
     first = max(0, -right)
     last_row, last_column = rows - down, columns - max(0, right)

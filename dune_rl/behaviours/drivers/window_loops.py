@@ -1,9 +1,9 @@
 """The dynamic-window follower's loops over rows, arcs and times, compiled.
 
-`vehicle` is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning radius [m], spacing [m] of
-the front and the rear disc from the origin, their radius [m]). `window` is (largest acceleration [m/s²], largest
-yaw acceleration [rad/s²], time [s] in which they act). A grid is (x [m] and y of its first cell's centre, cells
-per metre, number of rows, number of columns), its values row after row.
+`vehicle` is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning radius [m], distance
+[m] of the front and the rear disc from the origin, their radius [m]). `window` is (largest acceleration
+[m/s²], largest yaw acceleration [rad/s²], time [s] in which they act). A grid is (x [m] and y of its first
+cell's centre, cells per metre, number of rows, number of columns), its values row after row.
 """
 
 from typing import Any

@@ -128,6 +128,16 @@ class HyperDog(RectangularHull):
         """Largest speed that can be commanded."""
         return self.conf.max_speed_mps
 
+    @property
+    def max_yaw_rate_radps(self) -> float:
+        """Largest yaw rate that can be commanded."""
+        return self.conf.max_yaw_rate_radps
+
+    @property
+    def heading_gain_per_s(self) -> float:
+        """Yaw rate over heading error, at rest."""
+        return self.conf.heading.kp
+
     def action_bounds(self) -> tuple[Array, Array]:
         """Bounds of speed and heading, each (2,), or of the joints, each (12,)."""
         if self.conf.action == "joints":

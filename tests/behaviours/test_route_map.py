@@ -1,0 +1,98 @@
+"""Routes on hand-made maps, with lengths and costs known by geometry."""
+
+import numpy as np
+import pytest
+from yards import yard
+
+from dune_rl.behaviours.drivers.route_map import RouteMap, shared_route_map
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.world import World
+
+RADIUS_M = 0.4
+# A wall across the yard from its lower edge to y = 6.
+WALL = (0.0, -2.0, 0.0, 0.4, 16.0)
+
+
+def length_of(route: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(route, axis=0).T).sum())
+
+
+@pytest.mark.parametrize("angle", np.deg2rad([0.0, 11.0, 26.6, 45.0, 70.0, 90.0, 160.0]))
+def test_in_the_open_a_route_costs_its_length(angle: float) -> None:
+    routes = RouteMap(yard(), RADIUS_M, 25.0)
+    # Centres of cells, so that no route begins or ends aside.
+    start = np.array([0.1, 0.1])
+    goal = start + 0.2 * np.round(6.0 * np.array([np.cos(angle), np.sin(angle)]) / 0.2)
+    straight = float(np.hypot(*(goal - start)))
+    cost = routes.cost_to_go(goal, start).ravel()[routes.cell_number(start)]
+    assert straight * 0.999 <= cost <= straight * 1.028
+    assert straight * 0.999 <= length_of(routes.route(start, goal)) <= straight * 1.028
+
+
+def test_a_route_goes_round_the_end_of_a_wall() -> None:
+    start, goal = np.array([-4.1, 0.1]), np.array([4.1, 0.1])
+    routes = RouteMap(yard(WALL), RADIUS_M, 25.0)
+    route = routes.route(start, goal)
+    # It passes the wall's end, clear of it, ...
+    crossing = route[np.abs(route[:, 0]) < 0.3]
+    assert crossing[:, 1].min() >= 6.0 + RADIUS_M
+    # ... is no shorter than a thread round the corner, and no longer than by points 1 m beyond the corners.
+    assert 2 * np.hypot(3.9, 5.9) + 0.4 < length_of(route) < 1.028 * (2 * np.hypot(2.9, 6.9) + 2.4)
+    without = RouteMap(yard(), RADIUS_M, 25.0).route(start, goal)
+    assert length_of(without) == pytest.approx(8.2)
+
+
+def test_a_route_leaves_room_beside_obstacles_where_there_is_room() -> None:
+    world = yard(WALL)
+    route = RouteMap(world, RADIUS_M, 25.0).route([-4.1, 0.1], [4.1, 0.1])
+    assert world.clearance(route).min() > RADIUS_M + 0.15
+
+
+def test_metres_on_a_slope_cost_what_the_formula_says() -> None:
+    # Half the limit: 1 + 2 * (1/2)^2 for each horizontal metre.
+    rise = np.tan(np.deg2rad(12.5)) * np.arange(-10.0, 10.01, 0.5)
+    ground = HeightField(np.tile(rise, (41, 1)), 0.5, (-10.0, -10.0))
+    routes = RouteMap(World("ramp", ground, region=(-9, 9, -9, 9)), RADIUS_M, 25.0)
+    start, goal = [0.1, -2.9], [0.1, 3.1]
+    assert routes.cost_to_go(goal, start).ravel()[routes.cell_number(start)] == pytest.approx(6.0 * 1.5)
+
+
+@pytest.mark.parametrize(("angle", "goes_round"), [(5.0, False), (20.0, True), (35.0, True)])
+def test_a_route_climbs_a_gentle_ridge_and_goes_round_a_steep_one(angle: float, goes_round: bool) -> None:
+    # A ridge of 4 m from the lower edge to y = 3: at 20 degrees, a metre on it costs 2.28, which is more than
+    # the detour; 35 degrees are beyond the limit.
+    places = np.arange(-10.0, 10.01, 0.5)
+    ridge = np.tan(np.deg2rad(angle)) * np.maximum(2.0 - np.abs(places), 0.0)
+    heights = np.where(places[:, None] < 3.0, ridge, 0.0)
+    world = World("ridge", HeightField(heights, 0.5, (-10.0, -10.0)), region=(-9, 9, -9, 9))
+    route = RouteMap(world, RADIUS_M, 25.0).route([-4.9, -0.9], [4.9, -0.9])
+    straight = 9.8
+    if not goes_round:
+        assert length_of(route) == pytest.approx(straight)
+        return
+    # Round its end, and no farther from it than 1 m.
+    assert 2 * np.hypot(4.9, 3.9) - 0.2 < length_of(route) < 1.028 * (2 * np.hypot(2.9, 4.9) + 4.0)
+    assert np.rad2deg(world.terrain.slope(route)).max() < 5.0
+
+
+def test_without_a_route_costs_fall_toward_the_goal_and_are_high() -> None:
+    routes = RouteMap(yard((0.0, 0.0, 0.0, 0.4, 22.0)), RADIUS_M, 25.0)
+    start, goal = np.array([-4.1, 0.1]), np.array([4.1, 0.1])
+    assert len(routes.route(start, goal)) == 0
+    cost = routes.cost_to_go(goal, start).ravel()
+    assert cost[routes.cell_number(start)] > 1_000.0
+    assert cost[routes.cell_number([-6.1, 0.1])] > cost[routes.cell_number([-2.1, 0.1])] > 1_000.0
+    assert cost[routes.cell_number([3.1, 0.1])] < 2.0
+
+
+def test_far_detours_are_found_though_the_first_search_is_short() -> None:
+    # Straight 2 m, round the wall some 14 m.
+    routes = RouteMap(yard((0.0, -1.5, 0.0, 0.4, 17.0)), RADIUS_M, 25.0)
+    start, goal = [-1.1, -4.1], [1.1, -4.1]
+    assert 20.0 < routes.cost_to_go(goal, start).ravel()[routes.cell_number(start)] < 60.0
+
+
+def test_a_world_keeps_one_map_for_all_scenes() -> None:
+    world = yard()
+    assert shared_route_map(world, 0.4, 25.0) is shared_route_map(world, 0.4, 25.0)
+    assert shared_route_map(world, 0.4, 25.0) is not shared_route_map(world, 0.3, 25.0)

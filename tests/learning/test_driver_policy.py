@@ -1,0 +1,52 @@
+"""The reference drivers as policies in true physics, and as controllers of groups."""
+
+import pytest
+
+from dune_rl.config.build import make_learning_env, make_simulation
+from dune_rl.config.compose import compose_environment
+from dune_rl.errors import ConfigError
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.policies import DRIVERS, built_in_policy
+
+SHORT = "task.terminations.time_limit.max_steps=60"
+
+
+def rows_of(name: str, scenes: int) -> list[dict[str, float]]:
+    env = make_learning_env(compose_environment("flat", [SHORT]), scenes, 0)
+    rows = evaluate(built_in_policy(name, env, 5), env, 4, 5)["rover"]
+    env.close()
+    return rows
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_the_number_of_scenes_changes_no_row(name: str) -> None:
+    alone, beside = rows_of(name, 1), rows_of(name, 3)
+    assert len(alone) == 4
+    assert alone == [pytest.approx(row, rel=0.0, abs=0.0, nan_ok=True) for row in beside]
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_joints_are_refused(name: str) -> None:
+    conf = compose_environment("flat", ["robot=hyperdog", "robot.action=joints"])
+    env = make_learning_env(conf, 1, 0)
+    with pytest.raises(ConfigError, match=f"{name} cannot act for the group hyperdog: .* 12 components"):
+        built_in_policy(name, env)
+    env.close()
+
+
+def test_mppi_without_a_lidar_is_refused_and_the_planner_needs_none() -> None:
+    env = make_learning_env(compose_environment("flat", ["sensors=[goal]"]), 1, 0)
+    with pytest.raises(ConfigError, match=r"has no lidar and no velocity; add to sensors\.enabled"):
+        built_in_policy("mppi", env)
+    built_in_policy("planner", env)
+    env.close()
+
+
+def test_a_controlled_group_with_mppi_observes_by_itself() -> None:
+    agents = {"idle": {"body": "leo_rover"}, "other": {"body": "rover_zero", "controller": "mppi"}}
+    simulation = make_simulation(compose_environment("flat", (), {"agents": agents}), 1, 0)
+    assert {"goal", "lidar", "velocity"} <= set(simulation.group("other").observation_bounds)
+    simulation.close()
+    agents["other"]["sensors"] = ["goal"]
+    with pytest.raises(ConfigError, match="mppi cannot act for the group other"):
+        make_simulation(compose_environment("flat", (), {"agents": agents}), 1, 0)
