@@ -11,7 +11,11 @@ from dune_rl.state import GroupState, State
 
 
 class Behaviour(Protocol):
-    """What decides for N agents of a group that no policy of the user drives."""
+    """What decides for N agents of a group that no policy of the user drives.
+
+    A behaviour that has `bind` is bound to its group first (`ContextBehaviour`). Where its class has the
+    attribute `reads_sensors`, and it is True, the group observes as an external one does.
+    """
 
     def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
         """Clear the history of the agents in `mask` (N,), whose episodes begin."""

@@ -172,3 +172,16 @@ def test_an_unbound_driver_says_so(driver) -> None:
     bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [6.0, 0.0], NOBODY)
     with pytest.raises(ConfigError, match="must be bound to the group"):
         driver(1).act(*bodies.state())
+
+
+def test_planner_turns_round_rather_than_drive_backwards() -> None:
+    bodies = DrivenBodies(yard(), [0.0, 0.0, np.pi], [6.0, 0.0], NOBODY)
+    planner = Planner(1)
+    planner.bind(bodies.context())
+    backwards = 0
+    for _ in range(200):
+        bodies.move(planner.act(*bodies.state()))
+        backwards += bodies.twists[0, 0] < -0.05
+        assert bodies.twists[0, 0] >= -0.4 - 1e-9
+    assert backwards < 40
+    assert np.hypot(*(bodies.poses[0, :2] - [6.0, 0.0])) < 0.5

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 _ACCELERATION_MPS2 = 2.0
 _YAW_ACCELERATION_RADPS2 = 4.0
 _WINDOW_S = 0.3
+# Largest speed backwards over that forward.
+_REVERSE_SHARE = 0.4
 
 
 class Planner:
@@ -77,7 +79,7 @@ class Planner:
         # Two discs, about the middles of the front and the rear half, cover the rectangle.
         reach = vehicle.length_m / 4
         limits = (
-            max(vehicle.min_speed_mps, -self._speed_mps),
+            _REVERSE_SHARE * max(vehicle.min_speed_mps, -self._speed_mps),
             min(vehicle.max_speed_mps, self._speed_mps),
             vehicle.max_yaw_rate_radps,
             vehicle.turning_radius_m,

@@ -72,8 +72,8 @@ def _arc_cost(
         near += _NEAR_COST_PER_S * _STEP_S * max(0.0, 1.0 - moving / _NEAR_ACTOR_M) ** 2
         if np.hypot(goal[0] - x, goal[1] - y) < _ARRIVED_M:
             return near + 0.1 * time
-    ahead = -_AHEAD_M if speed < 0.0 else _AHEAD_M
-    left = interpolate_grid(grid, field, x + ahead * np.cos(yaw), y + ahead * np.sin(yaw))
+    # Ahead of the nose, also in reverse: it turns round rather than drive backwards for long.
+    left = interpolate_grid(grid, field, x + _AHEAD_M * np.cos(yaw), y + _AHEAD_M * np.sin(yaw))
     left += 0.2 * interpolate_grid(grid, field, x, y)
     backwards = _REVERSE_COST_PER_M * max(0.0, -speed) * _STEPS * _STEP_S
     return left + near + backwards + _TURN_COST * abs(yaw_rate)
