@@ -49,11 +49,15 @@ class Mppi:
         self,
         num_rows: int,
         *,
-        samples: Annotated[int, Field(ge=8, le=100_000)] = 256,
-        horizon_s: Annotated[float, Field(ge=0.5, le=10.0)] = 2.5,
-        temperature: Annotated[float, Field(gt=0.0, le=100.0)] = 0.2,
-        margin_m: Annotated[float, Field(ge=0.01, le=5.0)] = 0.4,
-        seed: Annotated[int, Field(ge=0)] = 0,
+        samples: Annotated[int, Field(ge=8, le=100_000, description="sequences of commands")] = 256,
+        horizon_s: Annotated[
+            float, Field(ge=0.5, le=10.0, description="time that they cover, in steps of 0.1 s [s]")
+        ] = 2.5,
+        temperature: Annotated[float, Field(gt=0.0, le=100.0, description="of their weights")] = 0.2,
+        margin_m: Annotated[
+            float, Field(ge=0.01, le=5.0, description="distance at which returns begin to cost [m]")
+        ] = 0.4,
+        seed: Annotated[int, Field(ge=0, description="of the sequences")] = 0,
     ) -> None:
         self._num_rows, self._samples, self._seed = num_rows, samples, seed
         self._horizon = round(horizon_s / _STEP_S)

@@ -43,10 +43,18 @@ class Planner:
         self,
         num_rows: int,
         *,
-        speed_mps: Annotated[float, Field(gt=0.0, le=50.0)] = 50.0,
-        max_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 25.0,
-        actor_radius_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.35,
-        margin_m: Annotated[float, Field(ge=0.0, le=2.0)] = 0.03,
+        speed_mps: Annotated[
+            float, Field(gt=0.0, le=50.0, description="limit of the speed, beside the body's own [m/s]")
+        ] = 50.0,
+        max_slope_deg: Annotated[
+            float, Field(gt=0.0, lt=90.0, description="steepest ground on a route [deg]")
+        ] = 25.0,
+        actor_radius_m: Annotated[
+            float, Field(ge=0.0, le=5.0, description="radius of the circle that stands for a moving body [m]")
+        ] = 0.35,
+        margin_m: Annotated[
+            float, Field(ge=0.0, le=2.0, description="added to the robot's footprint in the follower [m]")
+        ] = 0.03,
     ) -> None:
         self._num_rows, self._speed_mps = num_rows, speed_mps
         self._max_slope_deg, self._actor_radius_m, self._margin_m = max_slope_deg, actor_radius_m, margin_m
