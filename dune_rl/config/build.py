@@ -18,6 +18,7 @@ from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.arguments import check_whole
 from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.episode_plan import EpisodePlan
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv
@@ -48,11 +49,12 @@ def make_simulation(
     *,
     make_world: Callable[[WorldSettings], World] | None = None,
     prepare: Callable[[Sequence[WorldSettings]], None] | None = None,
+    plan: EpisodePlan | None = None,
 ) -> VectorSimulation:
     """The simulation of `num_scenes` scenes; raises `WorldError` if no start or goal can be found.
 
     `make_world` replaces `build_world`. `prepare` replaces `prepare_worlds`: it gets the settings of the
-    worlds of the next episodes.
+    worlds of the next episodes. `plan` has worlds, starts and goals of episodes in place of sampled ones.
     """
     check_whole("num_scenes", num_scenes, at_least=1)
     check_whole("seed", seed, at_least=0)
@@ -68,9 +70,10 @@ def make_simulation(
         make_scene=scene_class(conf.physics.backend),
         physics=conf.physics,
         weather=conf.weather,
-        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, make_world, prepare),
+        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, make_world, prepare, plan),
         num_scenes=num_scenes,
         seed=seed,
+        plan=plan,
     )
 
 
@@ -140,22 +143,26 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = Fa
     shared_store().prepare(confs, with_appearance=with_appearance)
 
 
-def make_torchrl_env(conf: EnvConf, num_scenes: int, seed: int, flatten: bool = False) -> DuneEnv:
+def make_torchrl_env(
+    conf: EnvConf, num_scenes: int, seed: int, flatten: bool = False, plan: EpisodePlan | None = None
+) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
     from dune_rl.env.torchrl import DuneEnv
 
-    env = DuneEnv(make_simulation(conf, num_scenes, seed), flatten=flatten)
-    env.remake = partial(make_torchrl_env, conf, num_scenes, seed, flatten)
+    env = DuneEnv(make_simulation(conf, num_scenes, seed, plan=plan), flatten=flatten)
+    env.remake = partial(make_torchrl_env, conf, num_scenes, seed, flatten, plan)
     return env
 
 
-def make_learning_env(conf: EnvConf, num_scenes: int, seed: int) -> TransformedEnv:
+def make_learning_env(
+    conf: EnvConf, num_scenes: int, seed: int, plan: EpisodePlan | None = None
+) -> TransformedEnv:
     """A TorchRL environment with the metrics of its episodes, for training and evaluation."""
     from torchrl.envs import TransformedEnv
 
     from dune_rl.env.torchrl import EpisodeMetrics
 
-    return TransformedEnv(make_torchrl_env(conf, num_scenes, seed), EpisodeMetrics())
+    return TransformedEnv(make_torchrl_env(conf, num_scenes, seed, plan=plan), EpisodeMetrics())
 
 
 def make_parallel_env(

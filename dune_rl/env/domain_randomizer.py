@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from dune_rl.env.episode_plan import EpisodePlan
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
 from dune_rl.env.traction import Traction
 from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
@@ -12,6 +13,8 @@ from dune_rl.worlds.world import World
 
 Values = tuple[float, ...]
 
+_WORLD_SEED = "world_seed"
+
 
 class DomainRandomizer:
     """Samples the properties of `randomisation` for an episode, and applies them.
@@ -19,7 +22,8 @@ class DomainRandomizer:
     `make_world` builds a world from settings such as `world_conf`; equal settings
     should give the same object while it is in use. `prepare` gets the settings
     of the next worlds, and may build these in the background. `names` are the
-    sampled properties, in the order of `Values`.
+    sampled properties, in the order of `Values`. The world seeds of a `plan`
+    replace sampled ones.
     """
 
     def __init__(
@@ -29,11 +33,14 @@ class DomainRandomizer:
         randomisation: RandomisationConf,
         make_world: Callable[[Any], World],
         prepare: Callable[[Sequence[Any]], None] | None = None,
+        plan: EpisodePlan | None = None,
     ) -> None:
         self._world_conf, self._weather = world_conf, weather
         self._distributions = randomisation.distributions
         self._make_world, self._prepare = make_world, prepare
-        self.names = tuple(self._distributions)
+        self._plan = plan if plan is not None and plan.sets_worlds else None
+        planned = () if self._plan is None else (_WORLD_SEED,)
+        self.names = tuple(dict.fromkeys((*planned, *self._distributions)))
 
     @classmethod
     def none(cls, world: World, weather: WeatherConf) -> "DomainRandomizer":
@@ -47,12 +54,17 @@ class DomainRandomizer:
 
     def draw(self, seed: int, episode: int, attempt: int = 0) -> Values:
         """The values of an episode; a further `attempt` draws another world and leaves the rest alone."""
-        values = []
-        for name, distribution in self._distributions.items():
+        values: list[float] = []
+        for name in self.names:
+            if self._plan is not None and name == _WORLD_SEED:
+                seed_of_world = self._plan.of(episode).world_seed
+                assert seed_of_world is not None
+                values.append(seed_of_world)
+                continue
             drawn = PROPERTIES[name]
             again = (attempt,) if attempt and drawn.world is not None else ()
             rng = stream(seed, f"randomisation {drawn.stream or name}", episode, *again)
-            values.append(distribution.draw(rng))
+            values.append(self._distributions[name].draw(rng))
         return tuple(values)
 
     def world_conf(self, values: Values) -> Any:

@@ -13,6 +13,7 @@ from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import add_sensors, build_groups, scene_bodies
 from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.episode_plan import EpisodePlan
 from dune_rl.env.episode_request import EpisodeRequest, plain_request, request_from_plain
 from dune_rl.env.episode_start import EpisodeStart
 from dune_rl.env.restore import RestoreError, check_arrival, state_digest
@@ -54,7 +55,8 @@ class VectorSimulation:
     Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All random
     draws of an episode depend on (seed, episode id) alone, so simulations of the same seed start an episode
     in the same state. A scene's episode ends when all agents of the groups with terminations are done, or
-    when physics diverges. `world` is the world of all scenes, unless `randomizer` draws worlds.
+    when physics diverges. `world` is the world of all scenes, unless `randomizer` draws worlds. A `plan` has
+    the starts and goals of episodes in place of sampled ones; its world seeds are the randomizer's.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class VectorSimulation:
         first_episode: int = 0,
         weather: WeatherConf = _CLEAR,
         randomizer: DomainRandomizer | None = None,
+        plan: EpisodePlan | None = None,
     ) -> None:
         self.physics, self.weather, self.num_scenes = physics, weather, num_scenes
         self.randomizer = DomainRandomizer.none(world, weather) if randomizer is None else randomizer
@@ -92,6 +95,7 @@ class VectorSimulation:
         self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
         self.seed = seed
         self._requests: dict[int, EpisodeRequest] = {}
+        self._plan = plan
         self._refusal = _NOT_BEGUN
         self.reseed(seed, first_episode)
 
@@ -157,8 +161,8 @@ class VectorSimulation:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)
         for scene in np.flatnonzero(mask).tolist():
-            request = self._requests.get(scene, {})
-            self._starter.start(scene, self.seed, int(self.episodes[scene]), request)
+            episode = int(self.episodes[scene])
+            self._starter.start(scene, self.seed, episode, self._request(scene, episode))
         self._engines = self._starter.engines()
         self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
         for group in self.groups:
@@ -170,6 +174,11 @@ class VectorSimulation:
         for group in self.groups:
             group.begin(scene_rows(mask, group.count), state)
         self._refusal = ""
+
+    def _request(self, scene: int, episode: int) -> EpisodeRequest:
+        """The planned starts and goals of an episode, and those that the caller of `reset` asked for."""
+        planned = {} if self._plan is None else self._plan.of(episode).request
+        return {**planned, **self._requests.get(scene, {})}
 
     def check_begun(self) -> None:
         """Raise RuntimeError, with what to do, before the first `reset` and after `close`."""

@@ -123,6 +123,10 @@ class DuneEnv(CopiedByReplay, EnvBase):
         if seed is not None:
             self._simulation.reseed(seed)
 
+    def start_at(self, seed: int, first_episode: int) -> None:
+        """Let the next reset of all scenes start at episode `first_episode` of `seed`."""
+        self._simulation.reseed(seed, first_episode)
+
     # -- packing ----------------------------------------------------------------------------------
 
     def _pack(self, steps: dict[str, GroupStep] | None, terminated: Flags, truncated: Flags) -> TensorDict:

@@ -1,0 +1,16 @@
+"""Episode sets: numbered episodes with fixed worlds, starts and goals, the same for every policy."""
+
+from dune_rl.episode_sets.apply import check_set_overrides, plan_of_set, settings_on_set
+from dune_rl.episode_sets.episode_set import EpisodeSet, SetEpisode
+from dune_rl.episode_sets.files import read_episode_set, set_names, write_episode_set
+
+__all__ = [
+    "EpisodeSet",
+    "SetEpisode",
+    "check_set_overrides",
+    "plan_of_set",
+    "read_episode_set",
+    "set_names",
+    "settings_on_set",
+    "write_episode_set",
+]

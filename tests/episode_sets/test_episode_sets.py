@@ -1,0 +1,186 @@
+"""The episode sets of the package: unchanged, free, apart as stated, and the same in any simulation."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from dune_rl.config.build import make_simulation
+from dune_rl.config.compose import compose_environment
+from dune_rl.env.episode_plan import EpisodePlan, PlannedEpisode
+from dune_rl.episode_sets import plan_of_set, read_episode_set, set_names, settings_on_set, write_episode_set
+from dune_rl.episode_sets.apply import check_set_overrides
+from dune_rl.episode_sets.check import faulty_episodes
+from dune_rl.episode_sets.files import sets_folder
+from dune_rl.episode_sets.generate import EPISODES, FAMILIES, SITES, VARIANTS, all_recipes, generate_on_site
+from dune_rl.errors import ConfigError
+from dune_rl.paths import conf_folder
+
+RECIPES = all_recipes()
+# As one session of a machine differs from another: rows are rounded to a millimetre.
+ABOUT = 0.002
+
+
+def test_every_family_has_every_variant() -> None:
+    assert set_names() == sorted(RECIPES)
+    assert len(RECIPES) == len(FAMILIES) * len(VARIANTS) == 15
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_set_is_as_its_recipe_says(name: str) -> None:
+    episode_set, recipe = read_episode_set(name), RECIPES[name]
+    rows, seeds = episode_set.episodes, [one.world_seed for one in episode_set.episodes]
+    assert len(rows) == EPISODES
+    if recipe.family == "flat":
+        assert set(seeds) == {None}
+    else:
+        drawn = yaml.safe_load((conf_folder() / "randomisation" / "worlds.yaml").read_text())["world_seed"]
+        assert len(set(seeds)) == SITES
+        assert all(0 < seed < drawn["low"] for seed in seeds if seed is not None)
+    header = json.loads(json.dumps(recipe.header(len(set(seeds)))))
+    stated = episode_set.header.model_dump(mode="json")
+    assert {key: stated[key] for key in header} == header
+    starts, goals = (np.array([getattr(one, end)[:2] for one in rows]) for end in ("start", "goal"))
+    apart = np.hypot(*(goals - starts).T)
+    low, high = recipe.variant.goal_distance_m
+    assert apart.min() >= low and apart.max() <= (high or np.inf)
+    # No two rows are the same case.
+    assert len({row.line().partition(",")[2] for row in rows}) == EPISODES
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_rows_come_out_of_their_recipe_again_and_start(name: str) -> None:
+    episode_set = read_episode_set(name)
+    numbers = [0, 3]
+    again = generate_on_site(RECIPES[name], episode_set.episodes[0].world_seed, numbers)
+    for number, made in zip(numbers, again, strict=True):
+        row = episode_set.episodes[number]
+        assert made.world_seed == row.world_seed
+        assert (*made.start, *made.goal) == pytest.approx((*row.start, *row.goal), abs=ABOUT)
+    assert faulty_episodes(episode_set, numbers) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECIPES)
+def test_all_episodes_start(name: str) -> None:
+    assert faulty_episodes(read_episode_set(name)) == []
+
+
+def test_planned_episodes_are_the_same_in_any_number_of_scenes() -> None:
+    episode_set = read_episode_set("island-v1")
+    conf = settings_on_set(compose_environment("flat"), episode_set)
+    starts: dict[int, list[list[float]]] = {}
+    for scenes in (1, 3):
+        simulation = make_simulation(
+            conf, scenes, episode_set.header.seed, plan=plan_of_set(conf, episode_set)
+        )
+        simulation.reseed(episode_set.header.seed, 3)
+        for _ in range(6 // scenes):
+            simulation.reset()
+            state = simulation.state
+            walkers = state.groups["walker"].motion.position_w.reshape(scenes, -1)
+            rover = state.groups["rover"]
+            for scene, episode in enumerate(simulation.episodes.tolist()):
+                row = episode_set.episodes[episode]
+                assert rover.goal.position_w[scene].tolist() == list(row.goal)
+                assert rover.motion.position_w[scene, :2] == pytest.approx(row.start[:2], abs=0.1)
+                assert simulation.worlds.worlds[scene].name == "island"
+                assert simulation.randomized["world_seed"][scene] == row.world_seed
+                values = [*rover.motion.position_w[scene].tolist(), *walkers[scene].tolist()]
+                starts.setdefault(episode, []).append(values)
+        simulation.close()
+    assert sorted(starts) == [3, 4, 5, 6, 7, 8]
+    for alone, batched in starts.values():
+        assert alone == batched
+
+
+def test_a_saved_state_of_a_planned_episode_is_restored() -> None:
+    episode_set = read_episode_set("island-v1")
+    conf = settings_on_set(compose_environment("flat", ["actors=none"]), episode_set)
+    simulation = make_simulation(conf, 1, 3, plan=plan_of_set(conf, episode_set))
+    simulation.reset()
+    simulation.step({"rover": np.full((1, 1, 2), 0.3)})
+    saved, before = simulation.save_state(), simulation.state.groups["rover"].motion.position_w.copy()
+    simulation.reset()
+    simulation.restore(saved)
+    assert np.array_equal(simulation.state.groups["rover"].motion.position_w, before)
+    simulation.close()
+
+
+def _copy(name: str, folder: Path) -> Path:
+    for suffix in (".json", ".csv"):
+        shutil.copy(sets_folder() / f"{name}{suffix}", folder)
+    return folder / f"{name}.json"
+
+
+def test_a_changed_set_is_refused(tmp_path: Path) -> None:
+    file = _copy("flat-v1", tmp_path)
+    rows = file.with_suffix(".csv")
+    kept = rows.read_text()
+    assert read_episode_set(str(file)) == read_episode_set("flat-v1")
+    rows.write_bytes(kept.replace("\n", "\r\n").encode())
+    assert read_episode_set(str(file)) == read_episode_set("flat-v1")
+    rows.write_text(kept.replace("-1.427", "-1.428"))
+    with pytest.raises(ConfigError, match="flat-v1.csv was changed: its checksum is"):
+        read_episode_set(str(file))
+    rows.write_text(kept)
+    header = json.loads(file.read_text())
+    header["settings"]["actors"] = {}
+    file.write_text(json.dumps(header))
+    with pytest.raises(ConfigError, match="a changed set needs a name and a file of its own"):
+        read_episode_set(str(file))
+    del header["seed"]
+    file.write_text(json.dumps(header))
+    with pytest.raises(ConfigError, match=r"is no episode set \(seed: Field required\)"):
+        read_episode_set(str(file))
+    file.write_text("{")
+    with pytest.raises(ConfigError, match="is not JSON; copy the set again"):
+        read_episode_set(str(file))
+    rows.unlink()
+    _copy("flat-v1", tmp_path).with_suffix(".csv").unlink()
+    with pytest.raises(ConfigError, match="No such file or directory; a set has a .json and a .csv file"):
+        read_episode_set(str(file))
+    with pytest.raises(ConfigError, match="there is no episode set 'flat-v2'; did you mean flat-v1?"):
+        read_episode_set("flat-v2")
+
+
+def test_a_set_of_ones_own(tmp_path: Path) -> None:
+    rows = read_episode_set("flat-v1").episodes[:3]
+    header = {**RECIPES["flat-v1"].header(1), "name": "mine-v1", "episodes": 3}
+    written = write_episode_set(tmp_path, header, rows)
+    assert read_episode_set(str(tmp_path / "mine-v1.json")) == written
+    assert written.header.sha256 != read_episode_set("flat-v1").header.sha256
+
+
+def test_what_a_set_determines_is_not_set_beside_it() -> None:
+    check_set_overrides("flat-v1", ["task=paper", "sensors=all", "physics=dart", "episodes=3"])
+    for word, message in (
+        ("+world=flat", "set=flat-v1 determines world; leave \\+world=flat out"),
+        ("world.size_m=30", "determines world; leave world.size_m=30 out"),
+        ("task.terminations.time_limit.max_steps=3", "determines task.terminations"),
+        ("task.termination.max_steps=3", "determines task.termination"),
+        ("seed=4", "determines seed"),
+        ("robots=[rover_zero,rover_zero]", "is for one robot; take robot=NAME"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            check_set_overrides("flat-v1", [word])
+    two = compose_environment("flat", ["robots=[rover_zero,rover_zero]"])
+    with pytest.raises(ConfigError, match="set=flat-v1 is for one robot"):
+        settings_on_set(two, read_episode_set("flat-v1"))
+
+
+def test_a_larger_robot_has_no_room(tmp_path: Path) -> None:
+    header = {**RECIPES["flat-v1"].header(1), "footprint_radius_m": 0.2}
+    small = write_episode_set(tmp_path, header, read_episode_set("flat-v1").episodes)
+    with pytest.raises(ConfigError, match=r"room for footprints of 0.20 m \(rover_zero\), and the robot"):
+        settings_on_set(compose_environment("flat"), small)
+
+
+def test_plans_that_are_none() -> None:
+    with pytest.raises(ValueError, match="a plan needs episodes"):
+        EpisodePlan([])
+    with pytest.raises(ValueError, match="in all of them or in none"):
+        EpisodePlan([PlannedEpisode(), PlannedEpisode(world_seed=3)])
