@@ -6,22 +6,29 @@ from dune_rl import command
 from dune_rl.help_page import HelpPage
 
 USAGE = (
-    ("python -m dune_rl.evaluate checkpoint=runs/NAME", "a trained policy"),
-    ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in one"),
-    ("python -m dune_rl.evaluate checkpoint=RUN against=random", "two, in pairs"),
+    ("python -m dune_rl.evaluate checkpoint=runs/NAME set=inspection-v1", "on an episode set"),
+    ("python -m dune_rl.evaluate checkpoint=runs/NAME", "on the world of its run"),
+    ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in policy"),
+    ("python -m dune_rl.evaluate checkpoint=[A,B] against=go_to_goal", "several, in pairs"),
+    ("python -m dune_rl.evaluate resume=FOLDER", "go on where one was cut off"),
+    ("python -m dune_rl.evaluate verify=FOLDER", "repeat a sample of its rows"),
 )
 CLOSING = (
     "A checkpoint brings the settings of its run; what you write changes them. Equal\n"
     "seeds and settings give every policy the same episodes, so that results pair."
 )
 SETTINGS = (
-    ("checkpoint=PATH", "a run's folder, or a file of weights"),
-    ("policy=NAME", "go_to_goal, planner, mppi or random, instead of a checkpoint"),
-    ("against=NAME", "a built-in policy to compare with, in pairs"),
+    ("checkpoint=PATH", "a run's folder, or a file of weights; [A,B] are several"),
+    ("policy=NAME", "go_to_goal, planner, mppi, random, FILE.onnx or MODULE:FUNCTION"),
+    ("against=NAME", "likewise, to compare with in pairs"),
+    ("set=NAME", "an episode set: python -m dune_rl.episode_sets list"),
     ("episodes=N", "how many to run"),
     ("seed=N", "of the episodes"),
-    ("scenes=N", "episodes side by side; no result depends on it"),
-    ("out=FILE", "CSV with a row for each episode"),
+    ("scenes=N", "episodes side by side in each process"),
+    ("processes=N", "processes that share them; no result depends on it"),
+    ("steps=true", "a row for each step too"),
+    ("out=FOLDER", "of the results; overwrite=true replaces what is there"),
+    ("sample=N", "with verify: how many episodes to repeat"),
 )
 
 

@@ -1,109 +1,168 @@
-"""What `python -m dune_rl.evaluate` does: run the episodes, show the table and write the CSV."""
+"""What `python -m dune_rl.evaluate` does: run the episodes, show the tables and write the results folder."""
 
 import os
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
+import yaml
 
 from dune_rl import command
-from dune_rl.config.compose import compose_evaluation
+from dune_rl.config.compose import compose_evaluation, override_value
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
-from dune_rl.learning.run.progress import show_episodes
+from dune_rl.learning.checkpoint import (
+    BEST_POLICY_FILE,
+    CHECKPOINT_FILE,
+    find_checkpoint_file,
+    read_checkpoint_file,
+)
 
 if TYPE_CHECKING:
-    from dune_rl.env.torchrl import DuneEnv
-    from dune_rl.learning.group_policy import Policy
-    from dune_rl.learning.measures import MetricsRow
+    from dune_rl.evaluation.running import EvaluationPlan
+
+_DEFAULT_EPISODES = 100
+_DEFAULT_SAMPLE = 16
 
 
 def run(parsed: Namespace) -> None:
-    """Evaluate as the command line says."""
-    conf = command.compose_with_checkpoint(parsed, compose_evaluation)
-    if conf is not None:
-        _evaluate(conf)
+    """Evaluate, go on with an evaluation, or verify one, as the command line says."""
+    chosen = [key for key in ("verify", "resume") if override_value(parsed.overrides, key) is not None]
+    if chosen:
+        _run_on_folder(parsed, chosen[0])
+        return
+    conf = _compose(parsed)
+    if parsed.cfg:
+        print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+        return
+    _evaluate(conf)
+
+
+def _run_on_folder(parsed: Namespace, action: str) -> None:
+    allowed = {"verify": ("verify", "sample"), "resume": ("resume", "processes")}[action]
+    others = [word for word in parsed.overrides if word.partition("=")[0] not in allowed]
+    if others:
+        raise ConfigError(
+            f"{action}=FOLDER has the settings of its folder; leave {others[0]} out (it takes {allowed[1]}=N)"
+        )
+    folder = Path(str(override_value(parsed.overrides, action)))
+    number = override_value(parsed.overrides, allowed[1])
+    if number is not None and (not isinstance(number, int) or number < 1):
+        raise ConfigError(f"{allowed[1]} must be a whole number of at least 1 (got {number})")
+    if action == "verify":
+        _verify(folder, _DEFAULT_SAMPLE if number is None else number)
+    else:
+        _resume(folder, number)
+
+
+def _compose(parsed: Namespace) -> EvaluateConf:
+    """The settings, with those that an episode set determines, and the number of episodes."""
+    from dune_rl.config.checks import validate
+    from dune_rl.episode_sets import check_set_overrides, read_episode_set, settings_on_set
+
+    overrides = list(parsed.overrides)
+    name = override_value(overrides, "set")
+    episode_set = None if name is None else read_episode_set(str(name))
+    saved = _saved_settings(overrides)
+    if episode_set is not None:
+        check_set_overrides(str(name), overrides)
+        if saved is None:
+            overrides.append(f"+world={episode_set.world}")
+    conf = compose_evaluation(overrides, command.config_folders(parsed), saved)
+    episodes = conf.episodes
+    if episode_set is not None:
+        conf = settings_on_set(conf, episode_set)
+        number = episode_set.header.episodes
+        if episodes is not None and episodes > number:
+            raise ConfigError(f"set={name} has {number} episodes, fewer than episodes={episodes}")
+        episodes = number if episodes is None else episodes
+    data = {**conf.model_dump(mode="json"), "episodes": episodes or _DEFAULT_EPISODES}
+    return validate(EvaluateConf, data)
+
+
+def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
+    """The settings of the run of the first checkpoint; None without one."""
+    checkpoint = override_value(overrides, "checkpoint")
+    if isinstance(checkpoint, list):
+        checkpoint = checkpoint[0] if checkpoint else None
+    if checkpoint is None:
+        return None
+    file = find_checkpoint_file(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+    saved: Mapping[str, Any] = read_checkpoint_file(file, "policy", "checkpoint")["config"]
+    return saved
+
+
+def _plan(conf: EvaluateConf) -> "EvaluationPlan":
+    from dune_rl.episode_sets import read_episode_set
+    from dune_rl.evaluation.policies import policy_sources
+    from dune_rl.evaluation.running import EvaluationPlan
+
+    episode_set = None if conf.set is None else read_episode_set(conf.set)
+    return EvaluationPlan(conf, policy_sources(conf), episode_set)
 
 
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
-    from dune_rl.config.build import make_learning_env
-    from dune_rl.learning.evaluation import evaluate
-    from dune_rl.learning.measures import write_csv
+    from dune_rl.evaluation.folder import ResultsFolder
+    from dune_rl.evaluation.provenance import describe_provenance
+    from dune_rl.evaluation.run_plan import prepare_run, run_plan
 
-    out = Path(conf.out) if conf.out else _default_out(conf)
+    plan = _plan(conf)
+    out = Path(conf.out) if conf.out else default_folder(plan)
     _check_writable(out)
+    # Before the folder is made: a policy that does not fit leaves nothing behind.
+    prepared = prepare_run(plan)
     console = command.make_console()
-    env = make_learning_env(conf, min(conf.scenes, conf.episodes), conf.seed)
     command.print_world_notes(console, conf)
-    agents: dict[str, list[str]] = env.group_map
-    results: dict[str, dict[str, list[MetricsRow]]] = {}
-    for name, policy in _policies(conf, env).items():
-        with show_episodes(console, name, conf.episodes) as show:
-            results[name] = evaluate(policy, env, conf.episodes, conf.seed, progress=show)
-    env.close()
-    # Groups without metrics have no rows.
-    for group in next(iter(results.values())):
-        title = f"{conf.world.name}, {group}" if len(agents) > 1 else conf.world.name
-        _show(console, conf, title, {name: rows[group] for name, rows in results.items()}, len(agents[group]))
-    records = [
-        _record(name, conf, agents[group], row)
-        for name, by_group in results.items()
-        for group, rows in by_group.items()
-        for row in rows
-    ]
-    write_csv(out, [dict.fromkeys(key for each in records for key in each) | record for record in records])
-    console.print(f"Episodes: {out}", highlight=False, soft_wrap=True)
+    with ResultsFolder.create(out, conf, describe_provenance(plan), overwrite=conf.overwrite) as folder:
+        run_plan(plan, folder, prepared, console, conf.processes)
 
 
-def _show(
-    console: Console, conf: EvaluateConf, title: str, results: dict[str, list["MetricsRow"]], num_agents: int
-) -> None:
-    """Print the table of one group, and the paired test where two policies are compared."""
-    from dune_rl.learning.measures import estimate_metrics
-    from dune_rl.learning.table import paired_line, results_table
+def _resume(path: Path, processes: int | None) -> None:
+    from dune_rl.evaluation.folder import ResultsFolder, read_provenance, read_settings
+    from dune_rl.evaluation.provenance import check_same_sources
+    from dune_rl.evaluation.run_plan import prepare_run, run_plan
 
-    title = f"{title}: {conf.episodes} episodes of seed {conf.seed}"
-    estimates = {name: estimate_metrics(rows) for name, rows in results.items()}
-    console.print(results_table(estimates, title, num_agents=num_agents))
-    if len(results) == 2 and all("success" in rows[0] for rows in results.values()):
-        console.print(paired_line(*results.items()))
-
-
-def _policies(conf: EvaluateConf, env: "DuneEnv") -> dict[str, "Policy"]:
-    from dune_rl.learning.policies import built_in_policy
-    from dune_rl.learning.saved_policies import load_policy
-
-    policies: dict[str, Policy] = {}
-    if conf.checkpoint is not None:
-        path = Path(conf.checkpoint)
-        name = path.name if path.is_dir() else path.parent.name or path.stem
-        policies[name] = load_policy(path, env)[0]
-    for built_in in (conf.policy, conf.against):
-        if built_in is not None:
-            policies[built_in] = built_in_policy(built_in, env, conf.seed)
-    return policies
+    provenance, conf = read_provenance(path), read_settings(path)
+    if provenance.get("complete"):
+        raise ConfigError(f"{path} is complete; there is nothing to resume")
+    plan = _plan(conf)
+    check_same_sources(plan, provenance, path)
+    prepared = prepare_run(plan)
+    with ResultsFolder.reopen(path) as folder:
+        run_plan(plan, folder, prepared, command.make_console(), processes or conf.processes)
 
 
-def _record(policy: str, conf: EvaluateConf, agents: list[str], row: "MetricsRow") -> dict[str, object]:
-    metrics = {key: int(value) if float(value).is_integer() else value for key, value in row.items()}
-    agent = agents[int(metrics.pop("agent"))]
-    return {"policy": policy, "world": conf.world.name, "seed": conf.seed, "agent": agent, **metrics}
+def _verify(path: Path, sample: int) -> None:
+    from dune_rl.evaluation.folder import read_provenance, read_settings
+    from dune_rl.evaluation.provenance import check_same_sources
+    from dune_rl.evaluation.verify import verify_folder
+
+    provenance = read_provenance(path)
+    plan = _plan(read_settings(path))
+    check_same_sources(plan, provenance, path)
+    verify_folder(path, plan, sample, command.make_console())
 
 
-def _default_out(conf: EvaluateConf) -> Path:
-    # Beside the file of the other engine, not in its place.
-    engine = "" if conf.physics.backend == "bullet" else f"_{conf.physics.backend}"
-    stem = f"{conf.world.name}{engine}_seed{conf.seed}.csv"
-    if conf.checkpoint is None:
-        return Path(f"episodes_{conf.policy}_{stem}")
-    path = Path(conf.checkpoint)
-    return (path if path.is_dir() else path.parent) / f"episodes_{stem}"
+def default_folder(plan: "EvaluationPlan") -> Path:
+    """A folder that no other evaluation has: evaluations/<date>_<policy>_<set or world>."""
+    from datetime import datetime
+
+    cases = plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
+    policy = "".join(char if char.isalnum() or char in "-_." else "_" for char in plan.sources[0].name)
+    stem = f"{datetime.now():%Y-%m-%d_%H-%M-%S}_{policy}_{cases}"
+    folder, number = Path("evaluations") / stem, 1
+    while folder.exists():
+        number += 1
+        folder = Path("evaluations") / f"{stem}_{number}"
+    return folder
 
 
 def _check_writable(out: Path) -> None:
     # Before the episodes are run, not after.
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if out.is_dir() or not os.access(out.parent, os.W_OK):
-        raise ConfigError(f"out={out} cannot be written; choose another file")
+    parent = next((each for each in (out, *out.parents) if each.exists()), Path())
+    if not parent.is_dir():
+        raise ConfigError(f"cannot write {out}: {parent} is a file; choose another place")
+    if not os.access(parent, os.W_OK):
+        raise ConfigError(f"out={out} cannot be written; choose another folder")

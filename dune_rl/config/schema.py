@@ -1,6 +1,6 @@
 """Every setting there is: one class for training, one for evaluation, both around an environment's."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
@@ -27,6 +27,11 @@ from dune_rl.worlds.settings import WorldSettings
 WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(WORLDS.parse_settings)]
 RobotConf = Annotated[SerializeAsAny[RobotSettings], BeforeValidator(ROBOTS.parse_settings)]
 AlgorithmConf = Annotated[SerializeAsAny[LearningConf], BeforeValidator(ALGORITHMS.parse_settings)]
+
+
+def _one_or_several(names: object) -> object:
+    """A list of names, of one name or of none (null)."""
+    return () if names is None else (names,) if isinstance(names, str) else names
 
 
 def _groups(actors: object) -> object:
@@ -257,19 +262,42 @@ class ViewConf(EnvConf):
         return self
 
 
-class EvaluateConf(EnvConf):
-    """An evaluation of a checkpoint or of a built-in policy."""
+_BUILT_IN_POLICIES = get_args(BuiltInPolicy)
+Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], BeforeValidator(_one_or_several)]
 
-    checkpoint: str | None = None
-    policy: BuiltInPolicy | None = None
-    against: BuiltInPolicy | None = None
-    episodes: int = Field(100, ge=1)
+
+class EvaluateConf(EnvConf):
+    """An evaluation of checkpoints, built-in policies and users' own, on the same episodes.
+
+    `episodes` is None for all of the episode set, or 100 without one.
+    """
+
+    checkpoint: Names = ()
+    policy: Names = ()
+    against: Names = ()
+    set: str | None = None
+    episodes: int | None = Field(None, ge=1)
     scenes: int = Field(16, ge=1)
     seed: int = Field(0, ge=0)
-    out: str | None = None
+    processes: int = Field(1, ge=1, le=1_024)
+    steps: bool = False
+    out: str | None = Field(None, min_length=1)
+    overwrite: bool = False
 
     @model_validator(mode="after")
-    def _one_policy(self) -> Self:
-        if (self.checkpoint is None) == (self.policy is None):
+    def _known_policies(self) -> Self:
+        for key, names in (("policy", self.policy), ("against", self.against)):
+            for name in names:
+                if name in _BUILT_IN_POLICIES or ":" in name or name.endswith((".onnx", ".zip")):
+                    continue
+                near = closest(name, _BUILT_IN_POLICIES)
+                meant = f"did you mean {near}? There are" if near else "there are"
+                known = ", ".join(_BUILT_IN_POLICIES)
+                raise ValueError(f"{key}: {name} is no policy; {meant} {known}, FILE.onnx, MODULE:FUNCTION")
+        return self
+
+    @model_validator(mode="after")
+    def _some_policy(self) -> Self:
+        if not (self.checkpoint or self.policy):
             raise ValueError("choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random")
         return self

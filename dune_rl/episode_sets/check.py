@@ -17,7 +17,9 @@ _SETTLED_M = 0.2
 def faulty_episodes(episode_set: EpisodeSet, numbers: Sequence[int] | None = None) -> list[str]:
     """Start episodes (None: all) and return a line for each that fails or touches something at its start."""
     conf = settings_on_set(
-        compose_environment(episode_set.world, [f"robot={episode_set.header.robot}", "sensors.enabled=[goal]"]),
+        compose_environment(
+            episode_set.world, [f"robot={episode_set.header.robot}", "sensors.enabled=[goal]"]
+        ),
         episode_set,
     )
     simulation = make_simulation(conf, 1, episode_set.header.seed, plan=plan_of_set(conf, episode_set))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.config.build import build_world
+from dune_rl.config.build import build_world, make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
 from dune_rl.episode_sets.apply import footprint_radius_m
@@ -117,6 +117,7 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
     while len(found) < recipe.episodes:
         numbers = range(len(found), len(found) + each)
         try:
+            _check_paths(recipe, conf, seed)
             found += _episodes_on_site(recipe, conf, seed, numbers)
         except WorldError:
             # A site without room, such as one where no goal is far enough: the next one takes its place.
@@ -124,6 +125,12 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
                 raise
         seed += 1
     return tuple(found)
+
+
+def _check_paths(recipe: SetRecipe, conf: EnvConf, world_seed: int) -> None:
+    """Raise WorldError if the walkers have no path on a site."""
+    world = conf.world.model_copy(update={"seed": world_seed})
+    make_simulation(conf.model_copy(update={"world": world}), 1, recipe.seed).close()
 
 
 def generate_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:

@@ -1,14 +1,29 @@
 """Evaluation on numbered episodes, the same for every policy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import ConfigError
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.random_state import preserve_random_state
+
+
+class EpisodeObserver(Protocol):
+    """What is called back by `evaluate`, to record more than metrics."""
+
+    def begin(self) -> None:
+        """Scenes have been reset: all, or those that have made no step."""
+
+    def step(self, after: TensorDictBase) -> None:
+        """All scenes have made a step, and none of them has been reset since."""
+
+    def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
+        """An episode has ended: its rows by group, one for each agent, which may be added to."""
 
 
 @torch.no_grad()
@@ -18,10 +33,12 @@ def evaluate(
     episodes: int,
     seed: int,
     *,
+    first: int = 0,
+    observer: EpisodeObserver | None = None,
     stop: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, list[MetricsRow]]:
-    """By group, the metrics of each agent in episodes 0 to `episodes` - 1 of `seed`, in that order.
+    """By group, the metrics of each agent in `episodes` episodes of `seed`, from number `first` on, in order.
 
     A row has the metrics by name and "agent", the agent's number in its group.
     `env` is a batch of scenes with metrics (`EpisodeMetrics`), seeded anew here;
@@ -36,25 +53,48 @@ def evaluate(
     count = 0
     with preserve_random_state():
         env.set_seed(seed)
+        if first:
+            env.start_at(seed, first)
         observation = env.reset()
+        if observer is not None:
+            observer.begin()
         while count < episodes and not stop():
-            after, observation = env.step_and_maybe_reset(policy(observation))
+            after = env.step(policy(observation))
+            if observer is not None:
+                observer.step(after)
             done = after["next", "done"].squeeze(-1)
-            if not done.any():
+            found = _finished_rows(env, after, done, first, episodes) if done.any() else {}
+            for episode, rows in found.items():
+                if observer is not None:
+                    observer.finish(rows)
+                for group, agents in rows.items():
+                    finished[group][episode] = agents
+            observation = env.maybe_reset(env.step_mdp(after))
+            if observer is not None and done.any():
+                observer.begin()
+            if not found:
                 continue
-            for group, found in finished.items():
-                names = env.metric_names[group]
-                for agents in after["next", group, "metrics"][done].tolist():
-                    rows = [
-                        {"agent": float(number), **dict(zip(names, values, strict=True))}
-                        for number, values in enumerate(agents)
-                    ]
-                    # A scene goes on with later ids while others are still at theirs.
-                    if rows[0]["episode"] < episodes:
-                        found[int(rows[0]["episode"])] = rows
-                count = len(found)
+            count = len(next(iter(finished.values())))
             progress(count)
     return {
         group: [row for episode in sorted(found) for row in found[episode]]
         for group, found in finished.items()
     }
+
+
+def _finished_rows(
+    env: EnvBase, after: TensorDictBase, done: torch.Tensor, first: int, episodes: int
+) -> dict[int, dict[str, list[MetricsRow]]]:
+    """The rows by episode and group of the scenes that are `done` (M,), of `episodes` from `first` on."""
+    found: dict[int, dict[str, list[MetricsRow]]] = {}
+    for group, names in env.metric_names.items():
+        for agents in after["next", group, "metrics"][done].tolist():
+            rows = [
+                {"agent": float(number), **dict(zip(names, values, strict=True))}
+                for number, values in enumerate(agents)
+            ]
+            # A scene goes on with later ids while others are still at theirs.
+            episode = int(rows[0]["episode"])
+            if first <= episode < first + episodes:
+                found.setdefault(episode, {})[group] = rows
+    return found

@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dune_rl.learning.measures import MetricsRow, compare_success
+from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure
 
@@ -44,6 +45,33 @@ def paired_line(first: tuple[str, Sequence[MetricsRow]], second: tuple[str, Sequ
         f"Paired: {first[0]} alone succeeds in {test.only_a} episodes, {second[0]} alone in {test.only_b}; "
         f"exact McNemar test p = {test.p_value:.2g}"
     )
+
+
+def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> Table:
+    """One row for each pair of policies: by how much a measure differs, and how surely.
+
+    The last column is the share of discordant episodes that the first wins, or Cohen's d for means.
+    """
+    chosen = [one for one in comparisons if one.measure.name == measure]
+    caption = "brackets: 95 % intervals; p by Holm's method over all pairs"
+    table = Table(title=f"{measure}, in pairs", caption=caption, caption_justify="left", title_justify="left")
+    table.add_column("first - second")
+    for name in ("difference", "p", "effect"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for one in chosen:
+        unit = " %" if one.measure.unit == "%" else ""
+        scale, decimals = one.measure.scale, one.measure.decimals
+        difference = [
+            scale * each for each in (one.difference.value, one.difference.low, one.difference.high)
+        ]
+        value, low, high = (f"{each:+.{decimals}f}" for each in difference)
+        table.add_row(
+            Text(f"{one.first} - {one.second}"),
+            f"{value}{unit} ({low} to {high})",
+            f"{one.adjusted_p:.2g}",
+            "-" if math.isnan(one.effect) else f"{one.effect:.2f}",
+        )
+    return table
 
 
 def _cell(measure: Measure, estimate: Estimate) -> str:

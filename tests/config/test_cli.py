@@ -65,7 +65,8 @@ def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.Capt
 
     assert call(evaluate.main, "checkpoint=run", "episodes=3", "seed=7") == 0
     assert "flat: 3 episodes of seed 7" in capsys.readouterr().out
-    with (run / "episodes_flat_seed7.csv").open() as file:
+    (results,) = (folder / "evaluations").glob("*_run_flat")
+    with (results / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [(row["policy"], row["episode"]) for row in rows] == [("run", "0"), ("run", "1"), ("run", "2")]
 
@@ -118,27 +119,29 @@ def test_a_policy_of_one_engine_is_evaluated_on_the_other(
         assert call(train.main, "resume=run", "total_frames=128") == 0
         assert "after 128 frames" in capsys.readouterr().out
     for physics in (engine, other):
-        assert call(evaluate.main, "checkpoint=run", "episodes=2", f"physics={physics}") == 0
-    files = {path.name: path.read_text() for path in (folder / "run").glob("episodes_*.csv")}
-    assert len(files) == 2 and any("_dart_" in name for name in files)
+        assert (
+            call(evaluate.main, "checkpoint=run", "episodes=2", f"physics={physics}", f"out={physics}") == 0
+        )
+    files = [folder / physics / "episodes.csv" for physics in (engine, other)]
     # The same episodes, which differ in their physics.
-    one, two = (list(csv.DictReader(text.splitlines())) for text in files.values())
+    one, two = (list(csv.DictReader(file.read_text().splitlines())) for file in files)
     assert [row["episode"] for row in one] == [row["episode"] for row in two] == ["0", "1"]
-    assert one != two
+    assert {row["engine"] for row in one} == {engine} and {row["engine"] for row in two} == {other}
+    assert [row["return"] for row in one] != [row["return"] for row in two]
 
 
 def test_a_kept_policy_arrives_on_the_second_engine(call: Call, folder: Path) -> None:
     policy = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
-    assert call(evaluate.main, f"checkpoint={policy}", "episodes=2", "physics=dart", "out=rows.csv") == 0
-    rows = list(csv.DictReader((folder / "rows.csv").read_text().splitlines()))
+    assert call(evaluate.main, f"checkpoint={policy}", "episodes=2", "physics=dart", "out=rows") == 0
+    rows = list(csv.DictReader((folder / "rows" / "episodes.csv").read_text().splitlines()))
     assert [row["success"] for row in rows] == ["1", "1"]
 
 
 @pytest.mark.parametrize("policy", ["go_to_goal", "random"])
 def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
-    words = ["+world=flat", "episodes=2", "task.termination.max_steps=30", "out=new/rows.csv", "actors=none"]
+    words = ["+world=flat", "episodes=2", "task.termination.max_steps=30", "out=new/rows", "actors=none"]
     assert call(evaluate.main, f"policy={policy}", *words) == 0
-    assert len((folder / "new" / "rows.csv").read_text().splitlines()) == 3
+    assert len((folder / "new" / "rows" / "episodes.csv").read_text().splitlines()) == 3
 
 
 def test_a_team_is_trained_and_several_groups_are_evaluated(
@@ -147,17 +150,17 @@ def test_a_team_is_trained_and_several_groups_are_evaluated(
     team = "agents={rover: {body: rover_zero, count: 2}, scout: {body: leo_rover, controller: go_to_goal}}"
     words = [word for word in TINY if not word.startswith("actors")]
     assert call(train.main, "+world=flat", team, "run_dir=run", *words) == 0
-    assert call(evaluate.main, "checkpoint=run", "episodes=2") == 0
-    rows = list(csv.DictReader((folder / "run" / "episodes_flat_seed0.csv").read_text().splitlines()))
+    assert call(evaluate.main, "checkpoint=run", "episodes=2", "out=team") == 0
+    rows = list(csv.DictReader((folder / "team" / "episodes.csv").read_text().splitlines()))
     assert [(row["agent"], row["episode"]) for row in rows] == [
         *(("rover_0", "0"), ("rover_1", "0"), ("rover_0", "1"), ("rover_1", "1")),
     ]
-    robots = ["robots=[rover_zero,leo_rover]", "actors=external_walkers", "out=both.csv"]
+    robots = ["robots=[rover_zero,leo_rover]", "actors=external_walkers", "out=both"]
     limit = "task.terminations.time_limit.max_steps=20"
     assert call(evaluate.main, "+world=flat", "policy=go_to_goal", "episodes=1", *robots, limit) == 0
     told = capsys.readouterr().out
     assert "flat, rover: 1 episodes" in told and "flat, leo_rover: 1 episodes" in told
-    rows = list(csv.DictReader((folder / "both.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((folder / "both" / "episodes.csv").read_text().splitlines()))
     assert [row["agent"] for row in rows] == ["rover_0", "leo_rover_0", "walker_0", "walker_1"]
 
 
@@ -190,8 +193,26 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "cannot write file/run: a part of the path is a file; choose another place\n"),
         (train, ["-m", "resume=run"], "resume goes on with one run; leave -m out\n"),
         (train, ["--wrold"], "there is no flag --wrold; settings are written key=value (see --help)\n"),
-        (evaluate, ["policy=random", "+world=flat", "out=file/rows.csv"],
-         "cannot write file: a file of that name is in the way; choose another place\n"),
+        (evaluate, ["policy=random", "+world=flat", "out=file/rows"],
+         "cannot write file/rows: file is a file; choose another place\n"),
+        (evaluate, ["policy=random", "+world=flat", "out=rows.csv"],
+         "out=rows.csv: results are a folder of several files; write out=rows\n"),
+        (evaluate, ["policy=randm", "+world=flat"],
+         "policy: randm is no policy; did you mean random? There are go_to_goal, random, FILE.onnx, "
+         "MODULE:FUNCTION\n"),
+        (evaluate, ["policy=random", "set=flat-v1", "world.size_m=30"],
+         "set=flat-v1 determines world; leave world.size_m=30 out\n"),
+        (evaluate, ["policy=random", "set=flat-v1", "episodes=201"],
+         "set=flat-v1 has 200 episodes, fewer than episodes=201\n"),
+        (evaluate, ["policy=model.zip", "+world=flat"],
+         "model.zip: files of Stable-Baselines3 hold pickles, and loading one runs what is in it.\n"
+         "If you trust it, load it in a function of your own and give policy=MODULE:FUNCTION "
+         "(docs/how_to/evaluate.md).\n"),
+        (evaluate, ["verify=file"],
+         "file holds no results of an evaluation (provenance.json is missing or damaged); give a folder "
+         "that python -m dune_rl.evaluate wrote\n"),
+        (evaluate, ["resume=file", "seed=3"],
+         "resume=FOLDER has the settings of its folder; leave seed=3 out (it takes processes=N)\n"),
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
          "choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random\n"),
@@ -273,7 +294,7 @@ def test_shown_settings_are_the_used_ones(
     shown = yaml.safe_load(capsys.readouterr().out)
     assert (shown["seed"], shown["world"]["name"]) == (4, "flat")
     assert call(evaluate.main, "+world=flat", "policy=random", "--cfg", "job") == 0
-    assert yaml.safe_load(capsys.readouterr().out)["policy"] == "random"
+    assert yaml.safe_load(capsys.readouterr().out)["policy"] == ["random"]
     assert not list(folder.iterdir())
 
 
@@ -336,11 +357,11 @@ def test_two_policies_are_compared_on_the_same_episodes(
         "+world=flat",
         "actors=none",
         "episodes=3",
-        "out=both.csv",
+        "out=both",
     ]
     assert call(evaluate.main, *words, "task.termination.max_steps=250") == 0
     assert "Paired: go_to_goal alone succeeds in " in capsys.readouterr().out
-    rows = (folder / "both.csv").read_text().splitlines()[1:]
+    rows = (folder / "both" / "episodes.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["go_to_goal"] * 3 + ["random"] * 3
     assert [row.split(",")[3:5] for row in rows] == [["rover_0", number] for number in "012"] * 2
 

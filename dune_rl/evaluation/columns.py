@@ -1,0 +1,58 @@
+"""Columns of result files: their units and meaning."""
+
+from collections.abc import Sequence
+
+from dune_rl.metrics.catalogue import CATALOGUE
+
+_FIXED: dict[str, tuple[str, str]] = {
+    "policy": ("", "name of the policy, as in provenance.json"),
+    "set": ("", "name of the episode set; empty without one"),
+    "world": ("", "name of the world"),
+    "engine": ("", "physics engine"),
+    "seed": ("", "seed of the episodes"),
+    "agent": ("", "name of the agent"),
+    "episode": ("", "number of the episode: all its random draws depend on it and on the seed"),
+    "world_seed": ("", "seed of the episode's world"),
+    "steps": ("", "control steps"),
+    "step": ("", "control step, from 1 on"),
+    "return": ("", "sum of rewards"),
+    "reward": ("", "reward of the step"),
+    "start_x_m": ("m", "position at the start, world frame"),
+    "start_y_m": ("m", "position at the start, world frame"),
+    "start_yaw_rad": ("rad", "heading at the start"),
+    "goal_x_m": ("m", "first goal, world frame"),
+    "goal_y_m": ("m", "first goal, world frame"),
+    "time_s": ("s", "time since the start"),
+    "x_m": ("m", "position, world frame"),
+    "y_m": ("m", "position, world frame"),
+    "z_m": ("m", "position, world frame"),
+    "roll_rad": ("rad", "roll"),
+    "pitch_rad": ("rad", "pitch"),
+    "yaw_rad": ("rad", "heading"),
+    "speed_mps": ("m/s", "forward speed"),
+    "yaw_rate_radps": ("rad/s", "yaw rate"),
+    "goal_distance_m": ("m", "horizontal distance to the goal"),
+    "clearance_m": ("m", "distance of the outline to the nearest obstacle or agent"),
+    "collisions_so_far": ("", "collisions since the start"),
+}
+_UNITLESS = ("", "%")
+
+
+def describe_columns(names: Sequence[str]) -> list[dict[str, str]]:
+    """For each column its name, unit (empty: none) and meaning."""
+    measures = {measure.metric: measure for measure in CATALOGUE}
+    found = []
+    for name in names:
+        unit, meaning = _FIXED.get(name, ("", ""))
+        if name in measures and name not in _FIXED:
+            measure = measures[name]
+            # Shares are stored as 0 and 1.
+            unit, meaning = "" if measure.unit in _UNITLESS else measure.unit, measure.meaning
+        elif name.startswith("reward/"):
+            meaning = f"sum of the reward term {name.partition('/')[2]}"
+        elif name.startswith("randomisation/"):
+            meaning = f"sampled value of {name.partition('/')[2]}"
+        elif name.startswith("action_"):
+            meaning = "action component, in its own unit"
+        found.append({"column": name, "unit": unit, "meaning": meaning})
+    return found

@@ -1,0 +1,155 @@
+"""The folder of an evaluation: its settings, where it comes from, and rows that outlive an interruption."""
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+
+from dune_rl.config.checks import validate
+from dune_rl.config.schema import EvaluateConf
+from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.evaluation.running import FinishedEpisode
+from dune_rl.evaluation.tables import write_columns, write_tables
+from dune_rl.files import write_atomically
+from dune_rl.learning.run.lock import RunLock
+
+CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
+EPISODES, STEPS, COMPARISON, SUMMARY = "episodes", "steps", "comparison", "summary"
+_PART = "episodes.part.jsonl"
+_TABLES = tuple(f"{stem}{suffix}" for stem in (EPISODES, STEPS) for suffix in (".csv", ".parquet"))
+_FILES = (CONFIG, PROVENANCE, COLUMNS, _PART, *_TABLES, f"{COMPARISON}.csv", f"{SUMMARY}.csv")
+
+
+class ResultsFolder:
+    """A folder that one evaluation writes to; other processes are kept out while it is open.
+
+    `finished` has the episodes by (number of the policy, episode). Every finished episode is appended to a
+    file at once, from which the tables are written at the end, or when the evaluation is interrupted.
+    """
+
+    def __init__(self, path: Path, provenance: dict[str, Any]) -> None:
+        self.path, self.provenance = path, provenance
+        self.finished: dict[tuple[int, int], FinishedEpisode] = {}
+        try:
+            self._lock = RunLock(path)
+        except CheckpointError:
+            raise ConfigError(f"another evaluation is writing to {path}; choose another out=FOLDER") from None
+
+    @classmethod
+    def create(
+        cls, path: Path, conf: EvaluateConf, provenance: dict[str, Any], *, overwrite: bool
+    ) -> "ResultsFolder":
+        """A new folder; raises ConfigError if something is there that must not be overwritten."""
+        if path.suffix in (".csv", ".parquet"):
+            raise ConfigError(f"out={path}: results are a folder of several files; write out={path.stem}")
+        path.mkdir(parents=True, exist_ok=True)
+        others = sorted(each.name for each in path.iterdir() if each.name not in (*_FILES, ".lock"))
+        if others:
+            raise ConfigError(f"out={path} holds other files ({others[0]}); choose another folder")
+        if any((path / name).exists() for name in _FILES) and not overwrite:
+            raise ConfigError(
+                f"out={path} holds results already; choose another folder, go on with resume={path}, or "
+                "replace them with overwrite=true"
+            )
+        folder = cls(path, provenance)
+        for name in _FILES:
+            (path / name).unlink(missing_ok=True)
+        with write_atomically(path / CONFIG) as temporary:
+            text = yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False)
+            temporary.write_text(text, encoding="utf-8")
+        folder.write_provenance(complete=False)
+        return folder
+
+    @classmethod
+    def reopen(cls, path: Path) -> "ResultsFolder":
+        """The folder of an evaluation that was cut off, with the episodes that it finished."""
+        folder = cls(path, read_provenance(path))
+        try:
+            lines = (path / _PART).read_text(encoding="utf-8").splitlines(keepends=True)
+        except FileNotFoundError:
+            lines = []
+        for line in lines:
+            # The last line may have been cut off with the process.
+            if line.endswith("\n"):
+                episode = FinishedEpisode(**json.loads(line))
+                folder.finished[episode.policy, episode.episode] = episode
+        return folder
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lock.release()
+
+    def add(self, episode: FinishedEpisode) -> None:
+        """Keep a finished episode."""
+        with (self.path / _PART).open("a", encoding="utf-8", newline="\n") as file:
+            file.write(json.dumps(vars(episode)) + "\n")
+        self.finished[episode.policy, episode.episode] = episode
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of all finished episodes: by policy, then by group, then by episode."""
+        ordered = [self.finished[key] for key in sorted(self.finished)]
+        found = []
+        for policy in sorted({one.policy for one in ordered}):
+            mine = [one for one in ordered if one.policy == policy]
+            for group in mine[0].rows:
+                found += [row for one in mine for row in one.rows[group]]
+        return found
+
+    def write(self, *, complete: bool) -> None:
+        """Write the tables of what is finished; if it is `complete`, there is no more to resume."""
+        rows = self.rows()
+        told = {"provenance": json.dumps(self.provenance)}
+        if rows:
+            write_tables(self.path / EPISODES, rows, told)
+            steps = [step for key in sorted(self.finished) for step in self.finished[key].steps]
+            if steps:
+                write_tables(self.path / STEPS, steps, told)
+            names = dict.fromkeys(name for row in rows for name in row)
+            write_columns(self.path / COLUMNS, list(names | dict.fromkeys(steps[0] if steps else ())))
+        self.write_provenance(complete=complete)
+        if complete:
+            (self.path / _PART).unlink(missing_ok=True)
+
+    def write_provenance(self, *, complete: bool) -> None:
+        """Write provenance.json, which says whether the evaluation is `complete`."""
+        content = {**self.provenance, "complete": complete, "finished": len(self.finished)}
+        with write_atomically(self.path / PROVENANCE) as temporary:
+            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """provenance.json of a results folder; raises ConfigError if there is none."""
+    try:
+        content = json.loads((path / PROVENANCE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        content = None
+    if not isinstance(content, dict) or "policies" not in content:
+        raise ConfigError(
+            f"{path} holds no results of an evaluation ({PROVENANCE} is missing or damaged); give a folder "
+            "that python -m dune_rl.evaluate wrote"
+        )
+    return content
+
+
+def read_settings(path: Path) -> EvaluateConf:
+    """The settings of a results folder; raises ConfigError if they cannot be read."""
+    try:
+        content = yaml.safe_load((path / CONFIG).read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        content = None
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"{path / CONFIG} is missing or damaged; evaluate again")
+    return validate(EvaluateConf, content)
+
+
+def rows_of_group(rows: Iterable[Mapping[str, Any]], agents: Iterable[str]) -> list[Mapping[str, Any]]:
+    """The rows of these agents."""
+    names = set(agents)
+    return [row for row in rows if row["agent"] in names]

@@ -1,0 +1,219 @@
+"""The policies of an evaluation: checkpoints, built-in ones, ONNX files, and a user's own functions."""
+
+import hashlib
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+
+from dune_rl.config.schema import EvaluateConf
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.errors import ConfigError
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find_checkpoint_file
+from dune_rl.learning.group_policy import Policy
+from dune_rl.learning.policies import built_in_policy
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.saved_policies import load_policy
+from dune_rl.sensors.draws import uniform
+
+Act = Callable[[dict[str, NDArray[Any]]], NDArray[np.floating]]
+Kind = Literal["checkpoint", "built-in", "onnx", "callable"]
+
+
+@dataclass(frozen=True)
+class PolicySource:
+    """A policy's name in tables, its kind, and where it comes from: a path, or MODULE:FUNCTION."""
+
+    name: str
+    kind: Kind
+    location: str
+
+    @property
+    def file(self) -> Path | None:
+        """The file of its weights; None where there is none."""
+        if self.kind == "checkpoint":
+            return find_checkpoint_file(Path(self.location), BEST_POLICY_FILE, CHECKPOINT_FILE)
+        return Path(self.location) if self.kind == "onnx" else None
+
+    def plain(self) -> dict[str, str | None]:
+        """Plain data, with the SHA-256 of the file; raises ConfigError if that cannot be read."""
+        try:
+            with open(self.file, "rb") if self.file is not None else _Nothing() as file:
+                sha256 = None if file is None else hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise ConfigError(f"{self.location} cannot be read: {error.strerror or error}") from None
+        return {**asdict(self), "sha256": sha256}
+
+    def load(self, env: EnvBase) -> Policy:
+        """The policy for all groups of `env`; raises DuneError where it does not fit."""
+        match self.kind:
+            case "checkpoint":
+                return load_policy(Path(self.location), env)[0]
+            case "built-in" if self.location == "random":
+                return RandomByEpisode(env)
+            case "built-in":
+                return built_in_policy(self.location, env)
+            case "onnx":
+                return UserPolicy(self.name, _onnx_function(Path(self.location)), env)
+            case "callable":
+                return UserPolicy(self.name, _import_function(self.location), env)
+
+
+class _Nothing:
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
+    """The policies of an evaluation, with different names; raises ConfigError for one that is no policy."""
+    found: list[PolicySource] = [
+        PolicySource(_checkpoint_name(Path(location)), "checkpoint", location) for location in conf.checkpoint
+    ]
+    for location in (*conf.policy, *conf.against):
+        if location.endswith(".zip"):
+            raise ConfigError(
+                f"{location}: files of Stable-Baselines3 hold pickles, and loading one runs what is in it.\n"
+                "If you trust it, load it in a function of your own and give policy=MODULE:FUNCTION "
+                "(docs/how_to/evaluate.md)."
+            )
+        if location.endswith(".onnx"):
+            found.append(PolicySource(Path(location).stem, "onnx", location))
+        elif ":" in location:
+            found.append(PolicySource(location.partition(":")[2], "callable", location))
+        else:
+            found.append(PolicySource(location, "built-in", location))
+    found = list(dict.fromkeys(found))
+    names = [source.name for source in found]
+    return tuple(
+        source
+        if names.count(source.name) == 1
+        else PolicySource(_longer(source), source.kind, source.location)
+        for source in found
+    )
+
+
+def _checkpoint_name(path: Path) -> str:
+    return path.name if path.is_dir() else path.parent.name or path.stem
+
+
+def _longer(source: PolicySource) -> str:
+    """A name that tells policies of equal names apart."""
+    return source.location if source.kind != "built-in" else f"{source.location} (built in)"
+
+
+class RandomByEpisode:
+    """Uniformly random actions that depend on (seed, episode, step) alone, not on scenes side by side."""
+
+    def __init__(self, env: EnvBase) -> None:
+        self._simulation: VectorSimulation = env.base_env.simulation
+        self._specs = {group: PolicySpec.of(env, group) for group in env.group_map}
+
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
+        """Writes the actions of all groups."""
+        for name, spec in self._specs.items():
+            group = self._simulation.state.groups[name]
+            # Of the episodes that the observation is of: those of done scenes have been reset already.
+            episode = group.episode
+            draws = uniform(
+                episode.seed, f"policy random {name}", episode.streams, episode.steps, spec.action_size
+            )
+            low, high = np.float32(spec.low), np.float32(spec.high)
+            actions = (low + draws * (high - low)).reshape(-1, group.count, spec.action_size)
+            observation.set((name, "action"), torch.from_numpy(actions))
+        return observation
+
+
+class UserPolicy:
+    """A function from observations by sensor name, arrays (N, ...), to actions (N, A) in physical units.
+
+    It is called for each group of agents; N are the agents of all scenes. Actions are clipped to their
+    bounds. Raises ConfigError for actions of another shape, or that are not finite.
+    """
+
+    def __init__(self, name: str, act: Act, env: EnvBase) -> None:
+        self._name, self._act = name, act
+        self._specs = {group: PolicySpec.of(env, group) for group in env.group_map}
+
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
+        """Writes the actions of all groups."""
+        for group, spec in self._specs.items():
+            parts = observation.get((group, "observation"))
+            shape = parts.batch_size
+            rows = {key: value.flatten(0, 1).numpy().copy() for key, value in parts.items()}
+            actions = np.asarray(self._act(rows))
+            if actions.shape != (shape.numel(), spec.action_size) or not np.isfinite(actions).all():
+                raise ConfigError(
+                    f"policy {self._name}: actions must be finite numbers of shape "
+                    f"{(shape.numel(), spec.action_size)} (got {actions.shape})"
+                )
+            clipped = np.clip(actions.astype(np.float32), np.float32(spec.low), np.float32(spec.high))
+            action = torch.from_numpy(clipped.reshape(*shape, spec.action_size))
+            observation.set((group, "action"), action)
+        return observation
+
+
+def _import_function(location: str) -> Act:
+    module, _, name = location.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except ImportError as error:
+        raise ConfigError(
+            f"policy={location}: the module {module} cannot be imported ({error}); run the command in its "
+            "folder, or set PYTHONPATH"
+        ) from None
+    except AttributeError:
+        raise ConfigError(f"policy={location}: the module {module} has no {name}") from None
+    # A class is made once for each process.
+    act = found() if isinstance(found, type) else found
+    if not callable(act):
+        raise ConfigError(f"policy={location} is no function, but {type(act).__name__}")
+    function: Act = act
+    return function
+
+
+def _onnx_function(path: Path) -> Act:
+    try:
+        import onnxruntime
+    except ImportError:
+        raise ConfigError(f"policy={path} needs onnxruntime: pip install 'dune_rl[onnx]'") from None
+    options = onnxruntime.SessionOptions()
+    # As everywhere in evaluations: equal results on any number of cores.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"policy={path} cannot be read as an ONNX file: {reason}") from None
+    inputs = [each.name for each in session.get_inputs()]
+    output = session.get_outputs()[0].name
+
+    def act(observation: Mapping[str, NDArray[Any]]) -> NDArray[np.floating]:
+        if set(inputs) <= observation.keys():
+            given = {name: observation[name] for name in inputs}
+        elif len(inputs) == 1:
+            # As flat observations of the Gymnasium environment: readings in the order of their names.
+            rows = [observation[key].reshape(len(observation[key]), -1) for key in sorted(observation)]
+            given = {inputs[0]: np.concatenate(rows, axis=1).astype(np.float32)}
+        else:
+            missing = sorted(set(inputs) - observation.keys())
+            raise ConfigError(
+                f"policy={path}: there is no sensor {', '.join(missing)}; there are {', '.join(observation)}"
+            )
+        try:
+            actions: NDArray[np.floating] = session.run([output], given)[0]
+        except Exception as error:
+            reason = str(error).splitlines()[0]
+            raise ConfigError(f"policy={path} does not fit the observations: {reason}") from None
+        return actions
+
+    return act

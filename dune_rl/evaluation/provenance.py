@@ -1,0 +1,116 @@
+"""Where results come from: software, hardware, the command, and the episodes and weights used."""
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from dune_rl.errors import ConfigError
+from dune_rl.evaluation.running import EvaluationPlan
+from dune_rl.paths import package_folder
+
+_PACKAGES = (
+    *("dune_rl", "numpy", "scipy", "numba", "torch", "torchrl", "tensordict", "gymnasium", "pettingzoo"),
+    *("pybullet", "dartpy", "embreex", "trimesh", "hydra-core", "pydantic", "pyarrow", "onnxruntime"),
+)
+_GIT_S = 10.0
+
+
+def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
+    """Plain data on everything that determines the results of `plan`, or may change them."""
+    used = plan.episode_set
+    return {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+        "set": None if used is None else {"name": used.name, "sha256": used.header.sha256},
+        "world": plan.conf.world.name,
+        "engine": plan.conf.physics.backend,
+        "seed": plan.conf.seed,
+        "episodes": plan.episodes,
+        "scenes": plan.scenes,
+        "processes": plan.conf.processes,
+        "policies": [source.plain() for source in plan.sources],
+        "git": git_commit(),
+        "packages": package_versions(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "hardware": {"processor": processor_name(), "cores": os.cpu_count(), "memory_gib": memory_gib()},
+    }
+
+
+def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: Path) -> None:
+    """Raise ConfigError unless the set and the weights of `plan` are those of the results in `path`."""
+    used = plan.episode_set
+    before, now = provenance.get("set"), None if used is None else used.header.sha256
+    if (before or {}).get("sha256") != now:
+        raise ConfigError(
+            f"{path} was made with another set {plan.conf.set}: its checksum was "
+            f"{(before or {}).get('sha256', 'none')[:12]}, and is {(now or 'none')[:12]} now; evaluate again"
+        )
+    sums = {one["location"]: one["sha256"] for one in provenance["policies"]}
+    for source in plan.sources:
+        found = source.plain()["sha256"]
+        if sums.get(source.location) != found:
+            raise ConfigError(
+                f"{path} was made with other weights than those now in {source.location}; evaluate again"
+            )
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of the installed packages that results depend on."""
+    found = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def git_commit() -> dict[str, Any] | None:
+    """Commit of the checkout that this package is part of, and whether files differ from it; None without."""
+    git, folder = shutil.which("git"), package_folder()
+    if git is None:
+        return None
+
+    def ask(*words: str) -> str | None:
+        try:
+            answer = subprocess.run(
+                [git, "-C", str(folder), *words], capture_output=True, text=True, timeout=_GIT_S, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        return answer.stdout.strip() if answer.returncode == 0 else None
+
+    # An installed package may lie in a checkout of something else.
+    if ask("ls-files", "--error-unmatch", "__init__.py") is None:
+        return None
+    commit = ask("rev-parse", "HEAD")
+    if commit is None:
+        return None
+    return {"commit": commit, "changed": bool(ask("status", "--porcelain", "--untracked-files=no"))}
+
+
+def processor_name() -> str:
+    """Name of the processor."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def memory_gib() -> float | None:
+    """Memory of the machine [GiB]; None where it is not known."""
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
+    except (AttributeError, OSError, ValueError):
+        return None

@@ -1,0 +1,135 @@
+"""Runs blocks of episodes in one environment."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+
+from dune_rl.config.build import make_learning_env
+from dune_rl.config.schema import EvaluateConf
+from dune_rl.episode_sets import EpisodeSet, plan_of_set
+from dune_rl.errors import ConfigError
+from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.policies import PolicySource
+from dune_rl.evaluation.recorder import EpisodeRecorder, StepRow
+from dune_rl.evaluation.tables import plain_number
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.group_policy import Policy
+from dune_rl.learning.measures import MetricsRow
+
+_SEED_COLUMN = "randomisation/world_seed"
+
+
+@dataclass(frozen=True)
+class EvaluationPlan:
+    """What is evaluated: the settings, the policies, and the set (None: sampled episodes)."""
+
+    conf: EvaluateConf
+    sources: tuple[PolicySource, ...]
+    episode_set: EpisodeSet | None
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of each policy."""
+        assert self.conf.episodes is not None, "the number of episodes is resolved before a plan is made"
+        return self.conf.episodes
+
+    @property
+    def scenes(self) -> int:
+        """Number of scenes of each environment."""
+        return min(self.conf.scenes, self.episodes)
+
+
+@dataclass(frozen=True)
+class FinishedEpisode:
+    """An episode of a policy (by number): rows by group, one for each agent with metrics, and its steps."""
+
+    policy: int
+    episode: int
+    rows: dict[str, list[dict[str, Any]]]
+    steps: list[StepRow]
+
+
+class BlockRunner:
+    """Runs blocks of a plan, all in one environment.
+
+    Raises DuneError if the environment cannot be made, or a policy does not fit it.
+    """
+
+    def __init__(self, plan: EvaluationPlan) -> None:
+        # Sums over several threads would depend on their number.
+        torch.set_num_threads(1)
+        self.plan = plan
+        planned = None if plan.episode_set is None else plan_of_set(plan.conf, plan.episode_set)
+        self.env = make_learning_env(plan.conf, plan.scenes, plan.conf.seed, planned)
+        self.agents: dict[str, list[str]] = self.env.group_map
+        self._policies: list[Policy] = [source.load(self.env) for source in plan.sources]
+
+    def run(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
+        """Run a block and `emit` its episodes, in the order in which they end."""
+        observer = _Emitter(self, block.policy, emit)
+        try:
+            evaluate(
+                self._policies[block.policy],
+                self.env,
+                block.count,
+                self.plan.conf.seed,
+                first=block.first,
+                observer=observer,
+            )
+        except ValueError as error:
+            if self.plan.episode_set is None:
+                raise
+            raise ConfigError(f"set={self.plan.episode_set.name}: {error}") from error
+
+    def record(self, policy: int, group: str, row: MetricsRow) -> dict[str, Any]:
+        """A row of the tables."""
+        plan = self.plan
+        values = {key: plain_number(value) for key, value in row.items()}
+        agent = self.agents[group][int(values.pop("agent"))]
+        world_seed = values.pop(_SEED_COLUMN, getattr(plan.conf.world, "seed", None))
+        return {
+            "policy": plan.sources[policy].name,
+            "world": plan.conf.world.name,
+            "seed": plan.conf.seed,
+            "agent": agent,
+            **values,
+            "set": "" if plan.episode_set is None else plan.episode_set.name,
+            "engine": plan.conf.physics.backend,
+            "world_seed": world_seed,
+        }
+
+    def close(self) -> None:
+        """Release the physics engine."""
+        self.env.close()
+
+
+class _Emitter:
+    """Emits the episodes of a block as they end; an `EpisodeObserver`."""
+
+    def __init__(self, runner: BlockRunner, policy: int, emit: Callable[[FinishedEpisode], None]) -> None:
+        self._runner, self._policy, self._emit = runner, policy, emit
+        simulation = runner.env.base_env.simulation
+        self._recorder = EpisodeRecorder(simulation, steps=runner.plan.conf.steps)
+
+    def begin(self) -> None:
+        """Note starts and goals."""
+        self._recorder.begin()
+
+    def step(self, after: TensorDictBase) -> None:
+        """Note the step."""
+        self._recorder.step(after)
+
+    def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
+        """Emit an episode."""
+        self._recorder.finish(rows)
+        episode = int(next(iter(rows.values()))[0]["episode"])
+        by_group = {
+            group: [self._runner.record(self._policy, group, row) for row in agents]
+            for group, agents in rows.items()
+        }
+        name = self._runner.plan.sources[self._policy].name
+        steps = [{"policy": name, **step} for step in self._recorder.take_steps()]
+        self._emit(FinishedEpisode(self._policy, episode, by_group, steps))

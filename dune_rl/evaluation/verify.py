@@ -1,0 +1,126 @@
+"""Repeats a sample of an evaluation's episodes and compares their rows with those that were stored."""
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from dune_rl.errors import ConfigError
+from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.folder import EPISODES
+from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
+from dune_rl.learning.run.progress import show_episodes
+from dune_rl.seeding import stream
+
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class RowDifference:
+    """A cell of a repeated episode that differs from what was stored."""
+
+    policy: str
+    episode: int
+    agent: str
+    column: str
+    stored: str
+    repeated: str
+
+
+def sample_blocks(plan: EvaluationPlan, sample: int) -> list[EpisodeBlock]:
+    """Blocks of about `sample` episodes over all policies, the same for the same plan.
+
+    They are whole batches of scenes, so that each episode is repeated in the row that it had.
+    """
+    batches = [
+        EpisodeBlock(policy, first, min(plan.scenes, plan.episodes - first))
+        for policy in range(len(plan.sources))
+        for first in range(0, plan.episodes, plan.scenes)
+    ]
+    order = stream(plan.conf.seed, "verify", len(batches)).permutation(len(batches)).tolist()
+    found: list[EpisodeBlock] = []
+    for index in order:
+        if sum(block.count for block in found) >= sample:
+            break
+        found.append(batches[index])
+    return sorted(found, key=lambda block: (block.policy, block.first))
+
+
+def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Console) -> None:
+    """Repeat about `sample` episodes of the results in `path`; raises ConfigError if any row differs."""
+    stored = _read_rows(path / f"{EPISODES}.csv")
+    runner = BlockRunner(plan)
+    repeated: list[Mapping[str, Any]] = []
+    differences: list[RowDifference] = []
+    missing = 0
+    blocks = sample_blocks(plan, sample)
+    with show_episodes(console, "verifying", sum(block.count for block in blocks)) as show:
+        count = 0
+
+        def compare(episode: FinishedEpisode) -> None:
+            nonlocal count, missing
+            count += 1
+            for row in (row for rows in episode.rows.values() for row in rows):
+                key = (row["policy"], str(row["episode"]), row["agent"])
+                if key not in stored:
+                    missing += 1
+                    continue
+                repeated.append(row)
+                differences.extend(_differences(stored[key], row))
+            show(count)
+
+        for block in blocks:
+            runner.run(block, compare)
+    runner.close()
+    if not repeated:
+        raise ConfigError(f"{path} has none of the sampled episodes; go on with resume={path} first")
+    if missing:
+        console.print(f"{missing} sampled rows are not in the files yet.", highlight=False)
+    if differences:
+        raise ConfigError(_describe(path, differences, len(repeated)))
+    console.print(
+        f"{len(repeated)} of {len(stored)} rows were repeated and came out the same.", highlight=False
+    )
+
+
+def _read_rows(file: Path) -> dict[tuple[str, str, str], dict[str, str]]:
+    try:
+        with file.open(newline="", encoding="utf-8") as opened:
+            rows = list(csv.DictReader(opened))
+        return {(row["policy"], row["episode"], row["agent"]): row for row in rows}
+    except (OSError, KeyError, csv.Error, UnicodeDecodeError):
+        raise ConfigError(f"{file} is missing or has no rows of episodes; evaluate again") from None
+
+
+def _differences(stored: Mapping[str, str], row: Mapping[str, Any]) -> list[RowDifference]:
+    found = []
+    for column, value in row.items():
+        text = "" if value is None else str(value)
+        if stored.get(column) != text:
+            there = str(stored.get(column))
+            found.append(RowDifference(row["policy"], row["episode"], row["agent"], column, there, text))
+    return found
+
+
+def _describe(path: Path, differences: Sequence[RowDifference], rows: int) -> str:
+    wrong = {(one.policy, one.episode, one.agent) for one in differences}
+    lines = [f"{path}: {len(wrong)} of {rows} repeated rows differ. The largest differences:"]
+    for one in sorted(differences, key=_size, reverse=True)[:_SHOWN]:
+        where = f"{one.policy}, episode {one.episode}, {one.column}"
+        lines.append(f"  {where}: {one.stored} stored, {one.repeated} repeated")
+    lines.append("Compare the versions and the hardware in provenance.json with those here.")
+    return "\n".join(lines)
+
+
+def _size(one: RowDifference) -> float:
+    """How much a cell differs, relative to it; text counts as all of it."""
+    try:
+        stored, repeated = float(one.stored), float(one.repeated)
+    except ValueError:
+        return math.inf
+    scale = max(abs(stored), abs(repeated))
+    return abs(stored - repeated) / scale if scale else 0.0

@@ -1,0 +1,185 @@
+"""An evaluation's folder: complete, never overwritten, resumed, verified, the same over processes."""
+
+import csv
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+import yaml
+
+from dune_rl import evaluate
+from dune_rl.episode_sets import read_episode_set, write_episode_set
+from dune_rl.episode_sets.generate import all_recipes
+from dune_rl.evaluation import run_plan
+from dune_rl.evaluation.blocks import EpisodeBlock, missing_blocks
+from dune_rl.evaluation.running import BlockRunner
+
+Call = Callable[..., int]
+POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
+EPISODES = 5
+
+
+@pytest.fixture
+def short_set(folder: Path) -> str:
+    """A set of five short episodes without walkers."""
+    header = {**all_recipes()["flat-v1"].header(1), "name": "short-v1", "episodes": EPISODES}
+    settings = {**header["settings"], "actors": {}}
+    terminations = settings["task"]["terminations"]
+    limit = {**terminations["time_limit"], "max_steps": 12}
+    settings["task"] = {**settings["task"], "terminations": {**terminations, "time_limit": limit}}
+    rows = read_episode_set("flat-v1").episodes[:EPISODES]
+    write_episode_set(folder, {**header, "settings": settings}, rows)
+    return "set=short-v1.json"
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader((path / "episodes.csv").read_text().splitlines()))
+
+
+def test_a_folder_holds_all_about_its_results(
+    call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [f"checkpoint={POLICY}", "against=random", short_set, "scenes=2", "steps=true", "out=results"]
+    assert call(evaluate.main, *words) == 0
+    told = capsys.readouterr().out
+    assert "short-v1: 5 episodes of seed 140000" in told and "Results: results" in told
+    out = folder / "results"
+    assert sorted(path.name for path in out.iterdir()) == [
+        *("columns.csv", "comparison.csv", "config.yaml", "episodes.csv", "episodes.parquet"),
+        *("provenance.json", "steps.csv", "steps.parquet", "summary.csv"),
+    ]
+    rows = read_rows(out)
+    assert [(row["policy"], row["episode"]) for row in rows] == [
+        (policy, str(number)) for policy in ("seed1", "random") for number in range(EPISODES)
+    ]
+    planned = read_episode_set("short-v1.json").episodes
+    for row in rows:
+        one = planned[int(row["episode"])]
+        assert float(row["start_x_m"]) == pytest.approx(one.start[0], abs=0.1)
+        assert (float(row["goal_x_m"]), float(row["goal_y_m"])) == one.goal
+        assert (row["set"], row["engine"], row["world_seed"]) == ("short-v1", "bullet", "")
+
+    table = pyarrow.parquet.read_table(out / "episodes.parquet")
+    assert table.column_names == list(rows[0])
+    assert table["return"].to_pylist() == [float(row["return"]) for row in rows]
+    assert table.schema.field("time_to_goal").metadata[b"unit"] == b"s"
+    assert table.schema.field("start_x_m").metadata[b"unit"] == b"m"
+    units = {row["column"]: row["unit"] for row in csv.DictReader((out / "columns.csv").open())}
+    assert units["speed_mps"] == "m/s" and set(rows[0]) <= units.keys()
+
+    steps = list(csv.DictReader((out / "steps.csv").open()))
+    for row in rows:
+        mine = [s for s in steps if (s["policy"], s["episode"]) == (row["policy"], row["episode"])]
+        assert [int(step["step"]) for step in mine] == list(range(1, int(row["steps"]) + 1))
+        assert sum(float(step["reward"]) for step in mine) == pytest.approx(float(row["return"]), abs=1e-4)
+
+    provenance = json.loads((out / "provenance.json").read_text())
+    assert provenance["set"]["sha256"] == read_episode_set("short-v1.json").header.sha256
+    assert provenance["policies"][0]["sha256"] == hashlib.sha256(POLICY.read_bytes()).hexdigest()
+    assert provenance["complete"] and provenance["finished"] == 2 * EPISODES
+    assert {"numpy", "torch", "pybullet"} <= provenance["packages"].keys()
+    config = yaml.safe_load((out / "config.yaml").read_text())
+    assert (config["episodes"], config["seed"], config["world"]["name"]) == (EPISODES, 140000, "flat")
+
+
+def test_results_are_never_replaced_unasked(
+    call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["policy=go_to_goal", short_set, "scenes=2", "out=results"]
+    assert call(evaluate.main, *words, "episodes=2") == 0
+    kept = (folder / "results" / "episodes.csv").read_bytes()
+    assert call(evaluate.main, *words) == 2
+    assert "out=results holds results already; choose another folder" in capsys.readouterr().err
+    assert (folder / "results" / "episodes.csv").read_bytes() == kept
+    assert call(evaluate.main, *words, "overwrite=true") == 0
+    assert len(read_rows(folder / "results")) == EPISODES
+    (folder / "mine").mkdir()
+    (folder / "mine" / "thesis.tex").write_text("x")
+    assert call(evaluate.main, *words[:-1], "out=mine", "overwrite=true") == 2
+    assert "out=mine holds other files (thesis.tex); choose another folder" in capsys.readouterr().err
+    assert call(evaluate.main, "resume=results") == 2
+    assert "results is complete; there is nothing to resume" in capsys.readouterr().err
+
+
+def test_an_evaluation_that_was_cut_off_goes_on(
+    call: Call,
+    folder: Path,
+    short_set: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    words = ["policy=random", "against=go_to_goal", short_set, "scenes=2"]
+    assert call(evaluate.main, *words, "out=whole") == 0
+    run, count = BlockRunner.run, 0
+
+    def interrupted(self: BlockRunner, block: EpisodeBlock, emit: Callable[..., None]) -> None:
+        def cut(episode: object) -> None:
+            nonlocal count
+            emit(episode)
+            count += 1
+            if count == 3:
+                raise KeyboardInterrupt
+
+        run(self, block, cut)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run_plan.BlockRunner, "run", interrupted)
+        assert call(evaluate.main, *words, "out=cut") == 130
+    assert "Cut off after 3 of 10 episodes; go on with python -m dune_rl.evaluate resume=cut" in (
+        capsys.readouterr().out.replace("\n", " ")
+    )
+    assert len(read_rows(folder / "cut")) == 3
+    # As a process that is killed leaves it.
+    part = folder / "cut" / "episodes.part.jsonl"
+    part.write_text(part.read_text()[:-30])
+    assert call(evaluate.main, "resume=cut") == 0
+    assert read_rows(folder / "cut") == read_rows(folder / "whole")
+    assert not part.exists()
+
+
+def test_rows_do_not_depend_on_processes(call: Call, folder: Path, short_set: str) -> None:
+    words = [f"checkpoint={POLICY}", "against=random", short_set, "scenes=2"]
+    assert call(evaluate.main, *words, "out=one") == 0
+    assert call(evaluate.main, *words, "processes=2", "out=two") == 0
+    assert (folder / "one" / "episodes.csv").read_bytes() == (folder / "two" / "episodes.csv").read_bytes()
+
+
+def test_a_sample_is_repeated(
+    call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = folder / "policy.pt"
+    shutil.copy(POLICY, policy)
+    words = [f"checkpoint={policy}", "against=random", short_set, "scenes=2", "out=results"]
+    assert call(evaluate.main, *words) == 0
+    capsys.readouterr()
+    assert call(evaluate.main, "verify=results", "sample=10") == 0
+    assert "10 of 10 rows were repeated and came out the same." in capsys.readouterr().out
+    assert call(evaluate.main, "verify=results", "sample=3") == 0
+    assert "of 10 rows were repeated and came out the same." in capsys.readouterr().out
+    file = folder / "results" / "episodes.csv"
+    rows = read_rows(folder / "results")
+    rows[0]["return"] = "99.5"
+    with file.open("w", newline="") as opened:
+        writer = csv.DictWriter(opened, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    assert call(evaluate.main, "verify=results", "sample=10") == 2
+    error = capsys.readouterr().err
+    assert "results: 1 of 10 repeated rows differ." in error and "return: 99.5 stored" in error
+    shutil.copy(POLICY.parents[1] / "seed2" / "policy.pt", policy)
+    assert call(evaluate.main, "verify=results") == 2
+    assert "was made with other weights than those now in" in capsys.readouterr().err
+
+
+def test_blocks_keep_every_episode_in_its_row() -> None:
+    assert missing_blocks(1, 10, (), 4, 1) == [EpisodeBlock(0, 0, 10)]
+    shared = missing_blocks(2, 10, (), 4, 2)
+    assert all(block.first % 4 == 0 for block in shared)
+    covered = [(one.policy, number) for one in shared for number in range(one.first, one.first + one.count)]
+    assert sorted(covered) == [(policy, number) for policy in range(2) for number in range(10)]
+    done = {(0, number) for number in (0, 1, 2, 3, 4, 8, 9)}
+    assert missing_blocks(1, 10, done, 4, 1) == [EpisodeBlock(0, 4, 4)]

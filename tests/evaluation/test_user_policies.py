@@ -1,0 +1,107 @@
+"""Policies of users: functions by import path, and ONNX files."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dune_rl import evaluate
+
+Call = Callable[..., int]
+WORDS = ("+world=flat", "actors=none", "episodes=2", "task.terminations.time_limit.max_steps=15")
+CODE = """
+import numpy as np
+
+def straight(observation):
+    goal = observation["goal"]
+    assert goal.dtype == np.float32 and goal.ndim == 2
+    speed = 0.8 * np.maximum(np.cos(goal[:, 1]), 0.0)
+    return np.stack([speed, goal[:, 1]], axis=1)
+
+class Straight:
+    def __call__(self, observation):
+        return straight(observation)
+
+def short(observation):
+    return np.zeros((len(observation["goal"]), 1))
+
+def undefined(observation):
+    return np.full((len(observation["goal"]), 2), np.nan)
+
+number = 3
+"""
+
+
+@pytest.fixture
+def module(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (folder / "my_drivers.py").write_text(CODE)
+    monkeypatch.syspath_prepend(folder)
+    return "my_drivers"
+
+
+def _returns(path: Path) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = {}
+    for row in csv.DictReader((path / "episodes.csv").open()):
+        found.setdefault(row["policy"], []).append(float(row["return"]))
+    return found
+
+
+def test_a_function_and_a_class_drive(call: Call, folder: Path, module: str) -> None:
+    names = f"policy=[{module}:straight,{module}:Straight,go_to_goal]"
+    assert call(evaluate.main, names, *WORDS, "out=results") == 0
+    returns = _returns(folder / "results")
+    assert list(returns) == ["straight", "Straight", "go_to_goal"]
+    assert returns["straight"] == returns["Straight"] == pytest.approx(returns["go_to_goal"], abs=1e-3)
+    pairs = list(csv.DictReader((folder / "results" / "comparison.csv").open()))
+    assert [(row["first"], row["second"]) for row in pairs if row["measure"] == "SR"] == [
+        *(("straight", "Straight"), ("straight", "go_to_goal"), ("Straight", "go_to_goal")),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        ("my_drivers:short", r"actions must be finite numbers of shape (2, 2) (got (2, 1))"),
+        ("my_drivers:undefined", "actions must be finite numbers of shape (2, 2)"),
+        ("my_drivers:missing", "the module my_drivers has no missing"),
+        ("my_drivers:number", "policy=my_drivers:number is no function, but int"),
+        ("no_such_module:f", "the module no_such_module cannot be imported"),
+        ("absent.onnx", "absent.onnx cannot be read"),
+    ],
+)
+def test_what_is_no_policy_is_named(
+    policy: str, message: str, call: Call, folder: Path, module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(evaluate.main, f"policy={policy}", *WORDS, "out=results") == 2
+    error = capsys.readouterr().err
+    assert message in error and "Traceback" not in error and error.count("\n") <= 2
+
+
+def test_an_onnx_file_drives(call: Call, folder: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    onnx = pytest.importorskip("onnx")
+    helper, float32 = onnx.helper, onnx.TensorProto.FLOAT
+    # Full speed towards the goal: (N, 2) of distance and bearing -> (N, 2) of speed and heading.
+    nodes = [
+        helper.make_node("MatMul", ["goal", "weights"], ["turned"]),
+        helper.make_node("Add", ["turned", "bias"], ["action"]),
+    ]
+    constants = [
+        helper.make_tensor("weights", float32, [2, 2], [0.0, 0.0, 0.0, 1.0]),
+        helper.make_tensor("bias", float32, [2], [9.0, 0.0]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "driver",
+        [helper.make_tensor_value_info("goal", float32, ["n", 2])],
+        [helper.make_tensor_value_info("action", float32, ["n", 2])],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.save(model, folder / "driver.onnx")
+    assert call(evaluate.main, "policy=driver.onnx", *WORDS, "out=results") == 0
+    assert list(_returns(folder / "results")) == ["driver"]
+    (folder / "broken.onnx").write_bytes(b"no graph")
+    assert call(evaluate.main, "policy=broken.onnx", *WORDS, "out=broken") == 2
+    assert not (folder / "broken").exists()

@@ -1,0 +1,68 @@
+"""Paired comparisons: Holm's method by a published example, and figures known by arithmetic."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dune_rl.learning.paired_comparison import compare_policies, holm_adjusted
+
+
+def _rows(success: list[int], clearance: list[float]) -> list[dict[str, float]]:
+    return [
+        {"agent": 0.0, "episode": float(index), "success": float(a), "clearance": b}
+        for index, (a, b) in enumerate(zip(success, clearance, strict=True))
+    ]
+
+
+def test_holm_by_hand() -> None:
+    # Sorted 0.005, 0.01, 0.03, 0.04 times 4, 3, 2, 1, never falling: 0.02, 0.03, 0.06, 0.06.
+    assert holm_adjusted([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm_adjusted([0.9, 0.8]) == pytest.approx([1.0, 1.0])
+    adjusted = holm_adjusted([0.02, math.nan])
+    assert adjusted[0] == pytest.approx(0.02) and math.isnan(adjusted[1])
+
+
+def test_pairs_of_three_policies() -> None:
+    spread = np.linspace(0.0, 1.0, 20)
+    good = _rows([1] * 18 + [0] * 2, list(2.0 + spread))
+    poor = _rows([0] * 10 + [1] * 8 + [1] * 2, list(1.0 + spread**2))
+    found = compare_policies({"good": good, "poor": poor, "again": good})
+    success = {(one.first, one.second): one for one in found if one.measure.name == "SR"}
+    pair = success["good", "poor"]
+    # 18 of 20 against 10 of 20; ten episodes only one solves, two only the other.
+    assert pair.difference.value == pytest.approx(0.4)
+    assert pair.difference.low < 0.4 < pair.difference.high
+    assert pair.effect == pytest.approx(10 / 12)
+    # Two-sided: 2 (C(12,0) + C(12,1) + C(12,2)) / 2^12.
+    assert pair.p_value == pytest.approx(2 * 79 / 4096)
+    assert pair.adjusted_p == pytest.approx(3 * pair.p_value)
+    same = success["good", "again"]
+    assert same.difference.value == 0 and same.p_value == 1 and math.isnan(same.effect)
+    clearance = next(one for one in found if one.measure.name == "OC" and one.second == "poor")
+    differences = 1.0 + spread - spread**2
+    assert clearance.difference.value == pytest.approx(differences.mean())
+    assert clearance.effect == pytest.approx(differences.mean() / differences.std(ddof=1))
+    assert clearance.p_value < 0.01
+
+
+def test_episodes_that_differ_do_not_pair() -> None:
+    rows = _rows([1, 0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="do not pair"):
+        compare_policies({"a": rows, "b": rows[:1]})
+    assert compare_policies({"a": rows}) == []
+
+
+def test_the_permutation_test_holds_its_level() -> None:
+    draws = np.random.default_rng(3)
+    rejected = 0
+    for _ in range(200):
+        a, b = draws.exponential(size=(2, 15)).tolist()
+        (one,) = [
+            x
+            for x in compare_policies({"a": _rows([1] * 15, a), "b": _rows([1] * 15, b)})
+            if x.measure.name == "OC"
+        ]
+        rejected += one.p_value <= 0.05
+    # 200 draws of 0.05: 3 to 19 with a probability of 0.999.
+    assert 2 <= rejected <= 20
