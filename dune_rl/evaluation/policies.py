@@ -127,7 +127,7 @@ class RandomByEpisode:
             draws = uniform(
                 episode.seed, f"policy random {name}", episode.streams, episode.steps, spec.action_size
             )
-            low, high = np.float32(spec.low), np.float32(spec.high)
+            low, high = np.asarray(spec.low, np.float32), np.asarray(spec.high, np.float32)
             actions = (low + draws * (high - low)).reshape(-1, group.count, spec.action_size)
             observation.set((name, "action"), torch.from_numpy(actions))
         return observation
@@ -156,7 +156,11 @@ class UserPolicy:
                     f"policy {self._name}: actions must be finite numbers of shape "
                     f"{(shape.numel(), spec.action_size)} (got {actions.shape})"
                 )
-            clipped = np.clip(actions.astype(np.float32), np.float32(spec.low), np.float32(spec.high))
+            clipped = np.clip(
+                actions.astype(np.float32),
+                np.asarray(spec.low, np.float32),
+                np.asarray(spec.high, np.float32),
+            )
             action = torch.from_numpy(clipped.reshape(*shape, spec.action_size))
             observation.set((group, "action"), action)
         return observation

@@ -11,6 +11,8 @@ from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure
 
+# With more policies, meanings are left out and intervals have lines of their own, for 80 columns.
+_WIDE_COLUMNS = 2
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
@@ -24,17 +26,19 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, 
         title += f", {num_agents} agents each"
         caption += ", over whole episodes"
     table = Table(title=title, caption=caption, caption_justify="left", title_justify="left")
+    many = len(results) > _WIDE_COLUMNS
     table.add_column("measure", no_wrap=True)
     for policy in results:
-        table.add_column(Text(policy), justify="right")
+        table.add_column(Text(policy, overflow="fold"), justify="right", overflow="fold")
     for name in dict.fromkeys(name for estimates in results.values() for name in estimates):
         if not all(name in estimates for estimates in results.values()):
             continue
         measure = _BY_NAME.get(name, Measure(name, name))
         unit = f" [{measure.unit}]" if measure.unit not in ("", "%") else ""
         # As Text: in a string, rich takes brackets for markup.
-        label = Text("  ".join(filter(None, (name, measure.meaning))) + unit)
-        table.add_row(label, *(_cell(measure, estimates[name]) for estimates in results.values()))
+        label = Text("  ".join(filter(None, (name, "" if many else measure.meaning))) + unit)
+        cells = (_cell(measure, estimates[name]) for estimates in results.values())
+        table.add_row(label, *(cell.replace(" (", "\n(") if many else cell for cell in cells))
     return table
 
 

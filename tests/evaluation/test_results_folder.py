@@ -68,10 +68,12 @@ def test_a_folder_holds_all_about_its_results(
     assert table["return"].to_pylist() == [float(row["return"]) for row in rows]
     assert table.schema.field("time_to_goal").metadata[b"unit"] == b"s"
     assert table.schema.field("start_x_m").metadata[b"unit"] == b"m"
-    units = {row["column"]: row["unit"] for row in csv.DictReader((out / "columns.csv").open())}
+    units = {
+        row["column"]: row["unit"] for row in csv.DictReader((out / "columns.csv").read_text().splitlines())
+    }
     assert units["speed_mps"] == "m/s" and set(rows[0]) <= units.keys()
 
-    steps = list(csv.DictReader((out / "steps.csv").open()))
+    steps = list(csv.DictReader((out / "steps.csv").read_text().splitlines()))
     for row in rows:
         mine = [s for s in steps if (s["policy"], s["episode"]) == (row["policy"], row["episode"])]
         assert [int(step["step"]) for step in mine] == list(range(1, int(row["steps"]) + 1))
