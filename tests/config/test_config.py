@@ -397,10 +397,11 @@ def test_saved_settings_share_the_messages() -> None:
     ]
 
 
-@pytest.mark.parametrize("words", [["+world=flat"], ["+world=flat", "policy=random", "checkpoint=x"]])
-def test_an_evaluation_has_one_policy(words: list[str]) -> None:
+def test_an_evaluation_has_one_policy_or_several() -> None:
     with pytest.raises(ConfigError, match="choose one policy: checkpoint=PATH, policy=go_to_goal or"):
-        compose_evaluation(words)
+        compose_evaluation(["+world=flat"])
+    conf = compose_evaluation(["+world=flat", "policy=[random,a:b]", "checkpoint=x", "against=go_to_goal"])
+    assert (conf.checkpoint, conf.policy, conf.against) == (("x",), ("random", "a:b"), ("go_to_goal",))
 
 
 def test_own_folders_add_options(tmp_path: Path) -> None:
