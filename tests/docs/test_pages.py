@@ -37,6 +37,7 @@ from dune_rl.config.compose import (
     override_value,
 )
 from dune_rl.engine_comparison.job import parse_settings as engines_settings
+from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError
 from dune_rl.robots import __main__ as robots
 from dune_rl.sensors.conf import ROBOT_SENSORS
@@ -79,7 +80,12 @@ def compose_command(words: list[str]) -> None:
         compose_resumed(overrides, folders, saved)
     elif program == "dune_rl.train":
         check_sweep(overrides, folders) if parsed.multirun else compose(overrides, folders)
+    elif program == "dune_rl.evaluate" and {"resume", "verify"} & {word.partition("=")[0] for word in rest}:
+        assert {word.partition("=")[0] for word in rest} <= {"resume", "processes", "verify", "sample"}
     elif program == "dune_rl.evaluate":
+        name = override_value(overrides, "set")
+        if name is not None and not override_value(overrides, "checkpoint"):
+            overrides.append(f"+world={read_episode_set(str(name)).world}")
         compose_evaluation(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)

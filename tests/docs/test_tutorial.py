@@ -65,6 +65,6 @@ def test_every_command_of_the_tutorial_runs_in_its_order(
     assert {path.name for path in (tmp_path / "runs").iterdir()} >= {"first", "site", "careful", "crater"}
     written = {path.suffix for path in (tmp_path / "views").iterdir()}
     assert written == {".mp4", ".png"}
-    tables = list(tmp_path.glob("episodes_*inspection*.csv"))
+    tables = list(tmp_path.glob("evaluations/*inspection*/episodes.csv"))
     rows = [row for table in tables for row in csv.DictReader(table.read_text().splitlines())]
     assert all(float(row["reward/hurry"]) <= 0.0 for row in rows) and rows
