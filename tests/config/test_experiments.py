@@ -70,6 +70,18 @@ def test_the_table_of_memory_of_imported_worlds_is_that_of_its_files() -> None:
         assert f"| {part} | {' | '.join(table[part] for table in tables)} |" in text
 
 
+def test_the_table_of_new_worlds_is_that_of_its_runs() -> None:
+    folder = EXPERIMENTS / "memory"
+    runs = [json.loads(line) for line in (folder / "new_worlds.jsonl").read_text().splitlines()]
+    text = (folder / "README.md").read_text()
+    for run in runs:
+        assert run["worlds"] == 500 and run["new_worlds_memory_ratio"] <= 1.02
+        figures = (run[f"memory_mib_{part}"] for part in ("after_50_worlds", "first_half", "second_half"))
+        cells = " | ".join(f"{figure:.0f}" for figure in figures)
+        assert f"| {run['engine']} | {cells} | {run['new_worlds_memory_ratio']:.2f} |" in text
+    assert {run["engine"] for run in runs} == {"bullet", "dart"}
+
+
 def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
     folder = EXPERIMENTS / "inspection"
     with open(folder / "episodes.csv") as file:

@@ -67,4 +67,5 @@ def test_every_command_of_the_tutorial_runs_in_its_order(
     assert written == {".mp4", ".png"}
     tables = list(tmp_path.glob("evaluations/*inspection*/episodes.csv"))
     rows = [row for table in tables for row in csv.DictReader(table.read_text().splitlines())]
-    assert all(float(row["reward/hurry"]) <= 0.0 for row in rows) and rows
+    hurried = [float(row["reward/hurry"]) for row in rows if "reward/hurry" in row]
+    assert hurried and max(hurried) <= 0.0
