@@ -26,8 +26,8 @@ def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> 
         with write_atomically(path) as temporary:
             torch.save({"format": FORMAT, "version": VERSION, "kind": kind, **content}, temporary)
     except (OSError, RuntimeError) as error:
-        # PyTorch's writer raises a RuntimeError where the disk is full.
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        # PyTorch's writer raises a RuntimeError, about offsets in the file, where the disk is full.
+        reason = getattr(error, "strerror", None) or "the disk seems to be full"
         raise CheckpointError(
             f"{path} cannot be written: {reason}.\n"
             "Free some space or allow writing there; what was saved before is intact."

@@ -51,7 +51,7 @@ def write_video(view: EpisodeView, path: Path, console: Console) -> Path:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.fields[state]}"),
+        TextColumn("{task.fields[state]}  at most"),
         TimeRemainingColumn(),
     )
     bar = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)

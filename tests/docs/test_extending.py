@@ -57,7 +57,7 @@ def test_examples_run_from_the_command_line(
         assert {"policy.pt", "metrics.csv"} <= {path.name for path in (package / "run").iterdir()}
         assert call(evaluate.main, "checkpoint=run", "episodes=1") == 0
         return
-    (file,) = package.glob("episodes_*.csv")
+    (file,) = package.glob("evaluations/*/episodes.csv")
     (row,) = csv.DictReader(file.read_text().splitlines())
     assert row["policy"] == "go_to_goal"
     columns = {"upright": "reward/upright", "metrics.terms.speed": "speed"}
@@ -67,6 +67,6 @@ def test_examples_run_from_the_command_line(
 
 def test_a_term_that_ends_episodes_does(package: Path, call: Callable[..., int]) -> None:
     words = ["+world=flat", "policy=random", "episodes=2", "actors=none", "task.terminations.idle.steps=1"]
-    assert call(evaluate.main, *words, "robot.drive.max_speed_mps=0.01", "out=rows.csv") == 0
-    rows = list(csv.DictReader((package / "rows.csv").read_text().splitlines()))
+    assert call(evaluate.main, *words, "robot.drive.max_speed_mps=0.01", "out=rows") == 0
+    rows = list(csv.DictReader((package / "rows" / "episodes.csv").read_text().splitlines()))
     assert [int(row["steps"]) <= 3 for row in rows] == [True, True]

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -67,7 +68,10 @@ def test_a_function_and_a_class_drive(call: Call, folder: Path, module: str) -> 
         ("my_drivers:missing", "the module my_drivers has no missing"),
         ("my_drivers:number", "policy=my_drivers:number is no function, but int"),
         ("no_such_module:f", "the module no_such_module cannot be imported"),
-        ("absent.onnx", "absent.onnx cannot be read"),
+        pytest.param(
+            *("absent.onnx", "absent.onnx cannot be read"),
+            marks=pytest.mark.skipif(find_spec("onnxruntime") is None, reason="no onnxruntime"),
+        ),
     ],
 )
 def test_what_is_no_policy_is_named(

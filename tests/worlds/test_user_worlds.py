@@ -68,7 +68,8 @@ def test_the_tutorial_s_world_as_a_new_user_tries_it(user: Path) -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "crater: 2 episodes of seed 0" in done.stdout
-    assert len((user / "episodes_go_to_goal_crater_seed0.csv").read_text().splitlines()) == 3
+    (table,) = user.glob("evaluations/*_go_to_goal_crater/episodes.csv")
+    assert len(table.read_text().splitlines()) == 3
 
 
 def test_a_function_is_a_world_like_any_other(user: Path) -> None:
