@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from generated_pages import generated_part
+from generated_pages import generated_part, load_parts
 from page_sources import DOCS, expand_page, shown_pages
 from sphinx.application import Sphinx
 
@@ -10,6 +10,7 @@ from sphinx.application import Sphinx
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the expansion to Sphinx."""
     shown = shown_pages()
+    load_parts()
 
     def expand(app: Sphinx, name: str, source: list[str]) -> None:
         page = DOCS / f"{name}.md"

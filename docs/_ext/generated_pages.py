@@ -179,6 +179,13 @@ KINDS: Mapping[str, tuple[Registry[Any], str, Callable[[str], dict[str, str]]]] 
 }
 
 
+def load_parts() -> None:
+    """Read the settings of all parts, before autodoc puts texts in the place of their defaults."""
+    for registry, _, _ in KINDS.values():
+        for name in registry.own:
+            registry.settings_class(name)
+
+
 def _only_section(section: Section, path: str) -> Section:
     (found,) = (each for each in section.sections if each.path == path)
     return found

@@ -107,7 +107,7 @@ class Jerk:
 
 
 def slip(state: State, group: GroupState, *, least_mps: Annotated[float, Field(gt=0.0)] = 0.1) -> Array:
-    """Longitudinal slip ratio: |r w - v| / max(|r w|, |v|), in 0 to 2.
+    """Longitudinal slip ratio ``|r w - v| / max(|r w|, |v|)``, in 0 to 2.
 
     v [m/s] is the forward speed and r w that of the wheels' rims, the mean over the motors (Wong, Theory of
     Ground Vehicles, section 1.3, without the sign). NaN where both are below `least_mps`.
