@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.person import PersonConf
-from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.body import Body
 from dune_rl.env.collision_counter import CollisionCounter
 from dune_rl.env.controllers import Controller
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.proximity import Outline
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
@@ -99,7 +98,7 @@ class AgentGroup:
     def __init__(
         self,
         setup: GroupSetup,
-        body: ArticulatedBody | KinematicBody,
+        body: Body,
         goals: GoalTracker,
         spawners: Spawners,
         num_rows: int,
@@ -117,41 +116,22 @@ class AgentGroup:
         self.done = np.zeros(num_rows, bool)
         self.terminated = np.zeros(num_rows, bool)
         self.truncated = np.zeros(num_rows, bool)
-        low, high = self._bounds()
+        low, high = body.action_bounds()
         self.action_bounds = low.astype(np.float32), high.astype(np.float32)
         self.action_size = len(low)
-        self._rest = self._rest_action()
-        self.outline, self.radius_m = self._shape()
-        wheels = body.robot.wheels if isinstance(body, ArticulatedBody) else None
-        self.wheel_radius_m = None if wheels is None else wheels.radius_m
+        self._rest = body.rest_action()
+        self.outline, self.radius_m = body.outline, body.radius_m
+        self.wheel_radius_m = body.wheel_radius_m
         self.num_rows = num_rows
         self._controller: Controller | None = None
 
     def equip(self, suite: SensorSuite | None) -> None:
         """Set the sensors and create the controller; called once, after all groups have been built."""
         self.suite = suite
-        if isinstance(self.body, ArticulatedBody):
-            by_sensors = suite is not None and suite.needs_joints
-            self.body.reads_joints = by_sensors or (self._metrics is not None and self._metrics.needs_joints)
+        by_sensors = suite is not None and suite.needs_joints
+        self.body.reads_joints = by_sensors or (self._metrics is not None and self._metrics.needs_joints)
         if self.setup.controller is not None:
             self._controller = self.setup.controller(self)
-
-    def _shape(self) -> tuple[Outline, float]:
-        """The outline in plan view, and half its width [m]."""
-        body = self.body
-        if isinstance(body, KinematicBody):
-            return Outline.disc(body.conf.radius_m), body.conf.radius_m
-        robot = body.robot
-        half = np.array([robot.length_m, robot.width_m]) / 2
-        return Outline(robot.outline(), half), robot.width_m / 2
-
-    def _bounds(self) -> tuple[Array, Array]:
-        body = self.body
-        return body.robot.action_bounds() if isinstance(body, ArticulatedBody) else body.action_bounds()
-
-    def _rest_action(self) -> Array:
-        body = self.body
-        return body.robot.rest_action() if isinstance(body, ArticulatedBody) else body.rest_action()
 
     @property
     def is_external(self) -> bool:
@@ -176,8 +156,7 @@ class AgentGroup:
 
     def reset(self, mask: Flags) -> None:
         """Clear the history of the agents in `mask` (N,)."""
-        if isinstance(self.body, ArticulatedBody):
-            self.body.reset(mask)
+        self.body.reset(mask)
         self.collisions.reset(mask)
         for flags in (self.done, self.terminated, self.truncated):
             flags[mask] = False
@@ -185,10 +164,7 @@ class AgentGroup:
     def read_start(self, mask: Flags, engines: Sequence[PhysicsRobot], bodies: int) -> None:
         """Read the start states in `mask` (N,) from physics; a scene has at most `bodies` bodies."""
         self.collisions.make_room(bodies)
-        if isinstance(self.body, ArticulatedBody):
-            self.body.read_start(mask, engines)
-        else:
-            self.body.read_start(mask)
+        self.body.read_start(mask, engines)
 
     def begin(self, mask: Flags, state: State) -> None:
         """Start task, metrics, sensors and controller of the agents in `mask` (N,) at `state`."""
@@ -220,9 +196,6 @@ class AgentGroup:
         assert actions is not None
         if self.done.any():
             actions = np.where(self.done[:, None], self._rest, actions)
-        if isinstance(self.body, KinematicBody):
-            self.body.apply_actions(actions)
-            return
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
@@ -236,18 +209,12 @@ class AgentGroup:
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
         """Read the bodies' states after a physics step; returns contacts as pairs of row and body number."""
-        if isinstance(self.body, ArticulatedBody):
-            return self.body.read(engines)
-        self.body.read()
-        return []
+        return self.body.read(engines)
 
     @property
     def energy(self) -> EnergyState | None:
         """Motor work in the last control step, and the battery; None unless it is measured."""
-        body = self.body
-        if not isinstance(body, ArticulatedBody) or body.work_j is None:
-            return None
-        return EnergyState(body.work_j, body.robot.battery)
+        return self.body.energy
 
     def measure_goals(self) -> GoalState:
         """Distances and bearings of the goals after a step; not updated if nothing reads them."""

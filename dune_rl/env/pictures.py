@@ -120,9 +120,7 @@ class Pictures:
         yaw = float(motion.yaw[row])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         # Somebody as tall as the eye would fill the picture, from so near.
-        body = group.body
-        excess = body.conf.height_m - _USUAL_HEIGHT_M if isinstance(body, KinematicBody) else 0.0
-        more = max(excess, 0.0)
+        more = max(group.body.height_m - _USUAL_HEIGHT_M, 0.0)
         others = self._others(scene, group, row) if turns_for_agents else np.zeros((0, 4))
         views = []
         for turn in np.deg2rad(_TURNS_DEG):
@@ -143,11 +141,10 @@ class Pictures:
         found = []
         for other in self._simulation.groups:
             body = other.body
-            height = body.conf.height_m if isinstance(body, KinematicBody) else _USUAL_HEIGHT_M
             for each in self._rows(scene, other):
                 if other is not group or each != row:
                     x, y = body.motion.position_w[each, :2].tolist()
-                    found.append([x, y, other.radius_m, height])
+                    found.append([x, y, other.radius_m, body.height_m])
         return np.array(found).reshape(-1, 4)
 
     def _group_of(self, agent: str) -> AgentGroup:
