@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _DEFAULT_EPISODES = 100
 _DEFAULT_SAMPLE = 16
+_OTHER_LIBRARIES = (".onnx", ".zip")
 
 
 def run(parsed: Namespace) -> None:
@@ -83,11 +84,14 @@ def _compose(parsed: Namespace) -> EvaluateConf:
 
 def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
     """The settings of the run of the first checkpoint; None without one."""
-    checkpoint = override_value(overrides, "checkpoint")
-    if isinstance(checkpoint, list):
-        checkpoint = checkpoint[0] if checkpoint else None
-    if checkpoint is None:
+    given = override_value(overrides, "checkpoint")
+    checkpoints = given if isinstance(given, list) else [] if given is None else [given]
+    for each in checkpoints:
+        if str(each).endswith(_OTHER_LIBRARIES):
+            raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
+    if not checkpoints:
         return None
+    checkpoint = checkpoints[0]
     file = find_checkpoint_file(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
     saved: Mapping[str, Any] = read_checkpoint_file(file, "policy", "checkpoint")["config"]
     return saved
