@@ -108,13 +108,14 @@ def _plan(conf: EvaluateConf) -> "EvaluationPlan":
 
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
-    from dune_rl.evaluation.folder import ResultsFolder
+    from dune_rl.evaluation.folder import ResultsFolder, check_free
     from dune_rl.evaluation.provenance import describe_provenance
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
 
     plan = _plan(conf)
     out = Path(conf.out) if conf.out else default_folder(plan)
     _check_writable(out)
+    check_free(out, overwrite=conf.overwrite)
     # Before the folder is made: a policy that does not fit leaves nothing behind.
     prepared = prepare_run(plan)
     console = command.make_console()
@@ -139,14 +140,14 @@ def _resume(path: Path, processes: int | None) -> None:
 
 
 def _verify(path: Path, sample: int) -> None:
-    from dune_rl.evaluation.folder import read_provenance, read_settings
+    from dune_rl.evaluation.folder import changed_tables, read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.verify import verify_folder
 
     provenance = read_provenance(path)
     plan = _plan(read_settings(path))
     check_same_sources(plan, provenance, path)
-    verify_folder(path, plan, sample, command.make_console())
+    verify_folder(path, plan, sample, command.make_console(), changed_tables(path, provenance))
 
 
 def default_folder(plan: "EvaluationPlan") -> Path:

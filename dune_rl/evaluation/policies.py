@@ -156,14 +156,19 @@ class UserPolicy:
             rows = {key: value.flatten(0, 1).numpy().copy() for key, value in parts.items()}
             try:
                 actions = np.asarray(self._act(rows))
-                finite = bool(np.isfinite(actions).all())
             except DuneError:
                 raise
             except Exception as error:
                 raise ConfigError(f"policy {self._name} failed: {_describe(error)}") from error
             expected = (shape.numel(), spec.action_size)
-            if actions.shape != expected or not finite:
-                fault = "some are not finite" if actions.shape == expected else f"got {actions.shape}"
+            fault = ""
+            if actions.dtype.kind not in "fiu":
+                fault = f"got {actions.dtype}"
+            elif actions.shape != expected:
+                fault = f"got {actions.shape}"
+            elif not np.isfinite(actions).all():
+                fault = "some are not finite"
+            if fault:
                 raise ConfigError(
                     f"policy {self._name}: actions must be finite numbers of shape {expected} ({fault})"
                 )
