@@ -19,7 +19,9 @@ _TWO = 2
 
 def prepare_run(plan: EvaluationPlan) -> BlockRunner:
     """The environment and policies of a plan; raises DuneError where they do not fit."""
-    return BlockRunner(plan)
+    runner = BlockRunner(plan)
+    runner.try_policies()
+    return runner
 
 
 def run_plan(
@@ -49,8 +51,11 @@ def run_plan(
                 runner.close()
                 run_in_processes(plan, blocks, processes, keep)
     except BaseException:
-        folder.write(complete=False)
         done = len(folder.finished)
+        if not done and folder.is_new:
+            folder.discard()
+            raise
+        folder.write(complete=False)
         console.print(
             f"Cut off after {done} of {total} episodes; go on with python -m dune_rl.evaluate "
             f"resume={folder.path}",

@@ -50,8 +50,13 @@ def sample_blocks(plan: EvaluationPlan, sample: int) -> list[EpisodeBlock]:
     return sorted(found, key=lambda block: (block.policy, block.first))
 
 
-def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Console) -> None:
-    """Repeat about `sample` episodes of the results in `path`; raises ConfigError if any row differs."""
+def verify_folder(
+    path: Path, plan: EvaluationPlan, sample: int, console: Console, changed: Sequence[str] = ()
+) -> None:
+    """Repeat about `sample` episodes of the results in `path`.
+
+    Raises ConfigError if a row differs, or if there are tables that were `changed` after the evaluation.
+    """
     stored = _read_rows(path / f"{EPISODES}.csv")
     runner = BlockRunner(plan)
     repeated: list[Mapping[str, Any]] = []
@@ -80,8 +85,14 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
         raise ConfigError(f"{path} has none of the sampled episodes; go on with resume={path} first")
     if missing:
         console.print(f"{missing} sampled rows are not in the files yet.", highlight=False)
+    edited = f"{' and '.join(changed)} changed since the evaluation wrote them." if changed else ""
     if differences:
-        raise ConfigError(_describe(path, differences, len(repeated)))
+        raise ConfigError("\n".join(filter(None, (_describe(path, differences, len(repeated)), edited))))
+    if changed:
+        raise ConfigError(
+            f"{path}: {edited}\nThe {len(repeated)} rows that were repeated came out the same; others may "
+            "not be those of the evaluation. Evaluate again."
+        )
     console.print(
         f"{len(repeated)} of {len(stored)} rows were repeated and came out the same.", highlight=False
     )

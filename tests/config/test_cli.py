@@ -205,9 +205,9 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (evaluate, ["policy=random", "set=flat-v1", "episodes=201"],
          "set=flat-v1 has 200 episodes, fewer than episodes=201\n"),
         (evaluate, ["policy=model.zip", "+world=flat"],
-         "model.zip: files of Stable-Baselines3 hold pickles, and loading one runs what is in it.\n"
-         "If you trust it, load it in a function of your own and give policy=MODULE:FUNCTION "
-         "(docs/how_to/evaluate.md).\n"),
+         "model.zip cannot be read: No such file or directory\n"),
+        (evaluate, ["policy=runs/mine", "+world=flat"],
+         "policy: runs/mine is no policy; did you mean checkpoint=runs/mine?\n"),
         (evaluate, ["verify=file"],
          "file holds no results of an evaluation (provenance.json is missing or damaged); give a folder "
          "that python -m dune_rl.evaluate wrote\n"),
@@ -215,7 +215,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "resume=FOLDER has the settings of its folder; leave seed=3 out (it takes processes=N)\n"),
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
-         "choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random\n"),
+         "choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal, mppi, planner, random, "
+         "FILE.onnx, FILE.zip or MODULE:FUNCTION\n"),
     ],
 )  # fmt: skip
 def test_bad_input(
