@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find_checkpoint_file
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
@@ -39,7 +39,7 @@ class PolicySource:
     def file(self) -> Path | None:
         """The file of its weights; None where there is none."""
         if self.kind == "checkpoint":
-            return find_checkpoint_file(Path(self.location), BEST_POLICY_FILE, CHECKPOINT_FILE)
+            return find_checkpoint_file(Path(self.location), *POLICY_SOURCES)
         return Path(self.location) if self.kind == "onnx" else None
 
     def plain(self) -> dict[str, str | None]:

@@ -307,7 +307,7 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert [line["benchmark"] for line in lines] == [
         *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
     ]
-    ratios = ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "gymnasium_vector_ratio")
+    ratios = ("overhead_ratio", "torchrl_ratio", "metrics_ratio", "pettingzoo_ratio", "gymnasium_vector_ratio")
     for name in (*ratios, "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
     # Two steps say nothing of how long a step takes.
