@@ -13,8 +13,7 @@ from dune_rl.config.compose import compose_evaluation, override_value
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
 from dune_rl.learning.checkpoint import (
-    BEST_POLICY_FILE,
-    CHECKPOINT_FILE,
+    POLICY_SOURCES,
     find_checkpoint_file,
     read_checkpoint_file,
 )
@@ -91,8 +90,7 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
             raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
     if not checkpoints:
         return None
-    checkpoint = checkpoints[0]
-    file = find_checkpoint_file(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+    file = find_checkpoint_file(Path(str(checkpoints[0])), *POLICY_SOURCES)
     saved: Mapping[str, Any] = read_checkpoint_file(file, "policy", "checkpoint")["config"]
     return saved
 

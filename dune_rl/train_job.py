@@ -125,7 +125,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
         reporter=reporter,
         title=f"{conf.world.name}, seed {conf.seed}",
     )
-    (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     command.print_world_notes(console, conf)
     result = trainer.train()

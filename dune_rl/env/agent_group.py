@@ -15,8 +15,9 @@ from dune_rl.env.body import Body
 from dune_rl.env.collision_counter import CollisionCounter
 from dune_rl.env.controllers import Controller
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
+from dune_rl.env.group_metrics import GroupMetrics
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.metrics.episode import MetricsConf, MetricSet
+from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
@@ -110,9 +111,7 @@ class AgentGroup:
         self.names = tuple(f"{setup.name}_{agent}" for agent in range(setup.count))
         self.collisions = CollisionCounter(num_rows, collision_gap_steps)
         self.task = None if setup.task is None else Task(setup.task, num_rows)
-        self._metrics = None
-        if setup.metrics is not None and self.task is not None:
-            self._metrics = MetricSet(setup.metrics, num_rows)
+        self.measured = GroupMetrics(None if self.task is None else setup.metrics, num_rows)
         self.done = np.zeros(num_rows, bool)
         self.terminated = np.zeros(num_rows, bool)
         self.truncated = np.zeros(num_rows, bool)
@@ -129,7 +128,7 @@ class AgentGroup:
         """Set the sensors and create the controller; called once, after all groups have been built."""
         self.suite = suite
         by_sensors = suite is not None and suite.needs_joints
-        self.body.reads_joints = by_sensors or (self._metrics is not None and self._metrics.needs_joints)
+        self.body.reads_joints = by_sensors or self.measured.needs_joints
         if self.setup.controller is not None:
             self._controller = self.setup.controller(self)
 
@@ -171,8 +170,7 @@ class AgentGroup:
         now = state.groups[self.name]
         if self.task is not None:
             self.task.reset(mask, now)
-        if self._metrics is not None:
-            self._metrics.reset(mask, now)
+        self.measured.reset(mask, now)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
         if self._controller is not None:
@@ -227,8 +225,7 @@ class AgentGroup:
             return Evaluation(np.zeros(len(self.done), np.float32), now)
         ends = self.task.end(state, now)
         reward = self.task.reward(state, now)
-        if self._metrics is not None:
-            self._metrics.update(state, now, reward)
+        self.measured.update(state, now, reward)
         renews = ends.renews & ~self.done
         if renews.any():
             now = replace(now, goal=self.goals.renew(renews, now.motion, now.goal))
@@ -258,14 +255,14 @@ class AgentGroup:
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Names of the columns of `metrics`."""
-        if self._metrics is None or self.task is None:
+        if self.measured.own is None or self.task is None:
             return ()
-        return (*self._metrics.names, *self.task.reward_names)
+        return (*self.measured.own.names, *self.task.reward_names)
 
     def metrics(self) -> list[Array]:
         """Metrics of the present episodes so far: arrays (N, ...) whose concatenation has the columns
         `metric_names`; final for agents that are done.
         """
-        if self._metrics is None or self.task is None:
+        if self.measured.own is None or self.task is None:
             return []
-        return [self._metrics.values, self.task.reward_sums]
+        return [self.measured.own.values, self.task.reward_sums]

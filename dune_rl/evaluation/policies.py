@@ -18,11 +18,11 @@ from dune_rl.config.schema import EvaluateConf
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.stable_baselines import read_stable_baselines
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find_checkpoint_file
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.saved_policies import load_policy
+from dune_rl.learning.saved_policies import describe_selection, load_policy
 from dune_rl.sensors.draws import uniform
 from dune_rl.suggestions import closest
 
@@ -43,17 +43,20 @@ class PolicySource:
     def file(self) -> Path | None:
         """The file of its weights; None where there is none."""
         if self.kind == "checkpoint":
-            return find_checkpoint_file(Path(self.location), BEST_POLICY_FILE, CHECKPOINT_FILE)
+            return find_checkpoint_file(Path(self.location), *POLICY_SOURCES)
         return Path(self.location) if self.kind in _SUFFIXES.values() else None
 
     def plain(self) -> dict[str, str | None]:
-        """Plain data, with the SHA-256 of the file; raises ConfigError if that cannot be read."""
+        """Plain data, with the SHA-256 of the file, and which policy of its run a checkpoint is; raises ConfigError if that cannot be read."""
         try:
             with open(self.file, "rb") if self.file is not None else _Nothing() as file:
                 sha256 = None if file is None else hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise ConfigError(f"{self.location} cannot be read: {error.strerror or error}") from None
-        return {**asdict(self), "sha256": sha256}
+        trained = None
+        if self.kind == "checkpoint" and self.file is not None:
+            trained = describe_selection(read_checkpoint_file(self.file, "policy", "checkpoint"))
+        return {**asdict(self), "sha256": sha256, "trained": trained}
 
     def load(self, env: EnvBase) -> Policy:
         """The policy for all groups of `env`; raises DuneError where it does not fit."""

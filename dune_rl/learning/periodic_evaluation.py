@@ -86,6 +86,17 @@ class PeriodicEvaluation:
             self._best_score = mean
         return is_best
 
+    def score(self) -> dict[str, Any]:
+        """How the last evaluation went, for the file of a policy that was chosen by it."""
+        statistics = [average_metrics(episodes) for episodes in self.rows.values()]
+        measures = ["SR" if "SR" in each else "return" for each in statistics]
+        return {
+            "measure": ", ".join(dict.fromkeys(measures)),
+            "score": sum(selection_score(each) for each in statistics) / len(statistics),
+            "episodes": self._conf.episodes,
+            "seed": self._seed,
+        }
+
     def state(self) -> dict[str, Any]:
         """Plain data for `restore`."""
         return {

@@ -1,6 +1,7 @@
 """Settings of a training run that every algorithm has. Importing them loads neither PyTorch nor TorchRL."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
@@ -54,3 +55,14 @@ class LearningConf(Settings):
     collector: CollectorConf = CollectorConf()
     evaluation: EvaluationConf = EvaluationConf()
     checkpoint: CheckpointConf = CheckpointConf()
+
+    def resolved(self, device: str) -> Self:
+        """These settings with what depends on the machine decided for this one, and for a learner on `device`.
+
+        A run uses and stores what comes out, so that it says what it did.
+        """
+        return self
+
+    def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
+        """What to tell a user whose run was `saved` with other resolved settings, or does not suit `device`."""
+        return []

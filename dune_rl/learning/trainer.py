@@ -1,5 +1,6 @@
 """The training loop: collect, learn, evaluate and save, for every agent group that trains."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +13,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import TrainingError
+from dune_rl.errors import DuneWarning, TrainingError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
@@ -80,7 +81,12 @@ class Trainer:
     ) -> None:
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
         self._saved = read_checkpoint_file(source, "checkpoint") if source else None
-        self._folder = RunFolder(run_dir, config or {}, fresh=source is None)
+        learning = learning.resolved(device)
+        if self._saved is not None:
+            for note in learning.notes_on_resuming(self._saved["config"].get("learning") or {}, device):
+                warnings.warn(note, DuneWarning, stacklevel=2)
+        config = {**(config or {}), "learning": learning.model_dump(mode="json")}
+        self._folder = RunFolder(run_dir, config, fresh=source is None)
         self._make_env, self._conf = make_env, learning
         self._seed, self._total_frames = seed, total_frames
         self._reporter = reporter or SilentReporter()
@@ -123,6 +129,11 @@ class Trainer:
             )
             for group, agents in env.group_map.items()
         }
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration as it is stored with the weights, with what the machine decided."""
+        return self._folder.config
 
     @property
     def updates(self) -> int:
@@ -276,7 +287,7 @@ class Trainer:
             return
         self._log.log_evaluation(self._evaluation.rows, self.frames, self._updates)
         if is_best:
-            self._folder.save_policies(self._learners, self.frames, best=True)
+            self._folder.save_policies(self._learners, self.frames, self._evaluation.score())
 
     def _save(self, collector: TransitionCollector, *, with_experience: bool) -> None:
         conf = self._conf.collector

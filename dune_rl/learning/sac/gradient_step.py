@@ -18,13 +18,6 @@ from dune_rl.learning.sac.settings import SacConf
 MakeBatch = Callable[[Callable[[PackedObservation], Tensor]], TensorDict]
 
 
-def has_bfloat16(device: torch.device) -> bool:
-    """Whether `device` multiplies bfloat16 matrices itself, which halves the time of an update."""
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
-
-
 class GradientStep:
     """Twin action values, their targets, the entropy coefficient, and the optimiser of these and of a policy.
 
@@ -36,7 +29,7 @@ class GradientStep:
     ) -> None:
         self._conf = conf
         self._device = device
-        self._reduced = conf.precision == "bfloat16" or (conf.precision == "auto" and has_bfloat16(device))
+        self._reduced = conf.resolved(str(device)).precision == "bfloat16"
         self._features: Features = network[0].module
         # The loss wants the entropy of actions in physical units, which the scaling shifts.
         entropy = -float(spec.action_size) if conf.target_entropy is None else conf.target_entropy
