@@ -51,8 +51,8 @@ class ResultsFolder:
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, provenance)
         folder.is_new = True
-        temporary = [each for each in path.iterdir() if _is_temporary(each.name)]
-        for old in (*(path / name for name in _FILES), *temporary):
+        left_over = [each for each in path.iterdir() if _is_temporary(each.name)]
+        for old in (*(path / name for name in _FILES), *left_over):
             old.unlink(missing_ok=True)
         with write_atomically(path / CONFIG) as temporary:
             text = yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False)
