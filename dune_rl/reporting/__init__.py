@@ -1,0 +1,1 @@
+"""Reports: from the folders of trainings, evaluations and sweeps to tables, figures and a page."""

@@ -1,0 +1,109 @@
+"""What a report is made of: training runs, evaluations and sweeps, as they were read from their folders."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """A finished or unfinished run of `dune_rl.train`.
+
+    `history` has the rows of metrics.csv with numbers as floats: the kind ("train", "eval", "warm-up"),
+    frames, measures by name, and the group where there are several. `name` is unique in a report.
+    """
+
+    path: Path
+    name: str
+    config: Mapping[str, Any]
+    history: list[Row]
+
+
+@dataclass(frozen=True)
+class EvaluationRun:
+    """The folder of an evaluation, or of a published study, which has no provenance.
+
+    `episodes` and `steps` have the rows of the tables, with numbers as floats and NaN for empty cells;
+    "policy", "set", "world", "engine" and "agent" stay text. `steps` is empty unless steps were recorded.
+    `name` is unique in a report.
+    """
+
+    path: Path
+    name: str
+    config: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    episodes: list[Row]
+    steps: list[Row]
+
+
+@dataclass(frozen=True)
+class SweepJob:
+    """A job of a sweep: what it changed, and its objective, NaN where it did not get so far."""
+
+    path: Path
+    name: str
+    parameters: Mapping[str, str]
+    objective: float
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep of `dune_rl.train -m`; `best` is the name of its best job, None where no job has an objective.
+
+    `metric` is what its objective measures, and `maximise` says which way is better.
+    """
+
+    path: Path
+    name: str
+    metric: str
+    maximise: bool
+    jobs: list[SweepJob]
+    best: str | None = None
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something about an input that a reader must know: why it was left out, or what is odd about it."""
+
+    path: Path
+    text: str
+
+
+@dataclass(frozen=True)
+class ReportInputs:
+    """All that a report is made from; `skipped` are the inputs that could not be used."""
+
+    training: list[TrainingRun] = field(default_factory=list)
+    evaluations: list[EvaluationRun] = field(default_factory=list)
+    sweeps: list[Sweep] = field(default_factory=list)
+    skipped: list[Note] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is anything to report."""
+        return bool(self.training or self.evaluations or self.sweeps)
+
+
+Named = TypeVar("Named", TrainingRun, EvaluationRun, Sweep)
+
+
+def with_unique_names(runs: Sequence[Named]) -> list[Named]:
+    """The runs with the shortest ends of their paths that tell them apart; equal paths get numbers."""
+    names: list[str] = []
+    for run in runs:
+        parts = run.path.resolve().parts
+        others = [other.path.resolve().parts for other in runs if other.path.resolve() != run.path.resolve()]
+        length = 1
+        while length < len(parts) and any(other[-length:] == parts[-length:] for other in others):
+            length += 1
+        name, number = "/".join(parts[-length:]), 1
+        unique = name
+        while unique in names:
+            number += 1
+            unique = f"{name} ({number})"
+        names.append(unique)
+    return [replace(run, name=name) for run, name in zip(runs, names, strict=True)]
