@@ -1,18 +1,20 @@
 """What a report is made of: training runs, evaluations and sweeps, as they were read from their folders."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 Row = dict[str, Any]
+_SEED = re.compile(r"(seed_?)?\d+")
 
 
 @dataclass(frozen=True)
 class TrainingRun:
     """A finished or unfinished run of `dune_rl.train`.
 
-    `history` has the rows of metrics.csv with numbers as floats: the kind ("train", "eval", "warm-up"),
+    `history` has the rows of metrics.csv with numbers as floats: the kind ("train", "eval", "warmup"),
     frames, measures by name, and the group where there are several. `name` is unique in a report.
     """
 
@@ -97,7 +99,8 @@ def with_unique_names(runs: Sequence[Named]) -> list[Named]:
     for run in runs:
         parts = run.path.resolve().parts
         others = [other.path.resolve().parts for other in runs if other.path.resolve() != run.path.resolve()]
-        length = 1
+        # "seed1" alone tells nothing.
+        length = 2 if _SEED.fullmatch(parts[-1]) else 1
         while length < len(parts) and any(other[-length:] == parts[-length:] for other in others):
             length += 1
         name, number = "/".join(parts[-length:]), 1
