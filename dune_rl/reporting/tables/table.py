@@ -71,16 +71,17 @@ class Table:
     heads: int = 1
 
 
-def to_markdown(table: Table, *, details: bool = True) -> str:
-    """A Markdown table; text of users' is escaped."""
+def to_markdown(table: Table, *, escape: bool = True) -> str:
+    """A Markdown table, with its text as it reads; without `escape`, its text is Markdown already."""
+    shown = escape_markdown if escape else str
     lines = [
-        "| " + " | ".join(escape_markdown(one) for one in table.header) + " |",
+        "| " + " | ".join(shown(one) for one in table.header) + " |",
         "|" + "|".join(["---"] * table.heads + ["---:"] * (len(table.header) - table.heads)) + "|",
     ]
     for row in table.rows:
         cells = []
         for cell in row:
-            text = escape_markdown(cell.plain if details else cell.text)
+            text = shown(cell.plain)
             cells.append(f"**{text}**" if cell.best else text)
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
