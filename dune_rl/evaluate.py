@@ -26,7 +26,8 @@ SETTINGS = (
     ("seed=N", "of the episodes"),
     ("scenes=N", "episodes side by side in each process"),
     ("processes=N", "processes that share them; no result depends on it"),
-    ("steps=true", "a row for each step too"),
+    ("steps=true", "a row for each step too; steps=N for each N-th"),
+    ("actor_steps=true", "with steps: rows of walkers too"),
     ("out=FOLDER", "of the results; overwrite=true replaces what is there"),
     ("sample=N", "with verify: how many episodes to repeat"),
 )

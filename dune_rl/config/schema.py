@@ -263,6 +263,16 @@ class ViewConf(EnvConf):
 
 
 _BUILT_IN_POLICIES = get_args(BuiltInPolicy)
+
+
+def _steps_kept(value: object) -> object:
+    if isinstance(value, bool) or (isinstance(value, int) and value >= 1):
+        return value
+    raise ValueError(
+        f"true writes a row for each step, a whole number N of at least 1 each N-th, false none (got {value})"
+    )
+
+
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], BeforeValidator(_one_or_several)]
 
 
@@ -280,7 +290,8 @@ class EvaluateConf(EnvConf):
     scenes: int = Field(16, ge=1)
     seed: int = Field(0, ge=0)
     processes: int = Field(1, ge=1, le=1_024)
-    steps: bool = False
+    steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False
+    actor_steps: bool = False
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
 
@@ -294,6 +305,12 @@ class EvaluateConf(EnvConf):
                 meant = f"did you mean {near}? There are" if near else "there are"
                 known = ", ".join(_BUILT_IN_POLICIES)
                 raise ValueError(f"{key}: {name} is no policy; {meant} {known}, FILE.onnx, MODULE:FUNCTION")
+        return self
+
+    @model_validator(mode="after")
+    def _actors_among_steps(self) -> Self:
+        if self.actor_steps and not self.steps:
+            raise ValueError("actor_steps=true adds rows to the steps; give steps=true or steps=N as well")
         return self
 
     @model_validator(mode="after")

@@ -31,7 +31,11 @@ _FIXED: dict[str, tuple[str, str]] = {
     "yaw_rad": ("rad", "heading"),
     "speed_mps": ("m/s", "forward speed"),
     "yaw_rate_radps": ("rad/s", "yaw rate"),
-    "goal_distance_m": ("m", "horizontal distance to the goal"),
+    "goal_distance_m": (
+        "m",
+        "horizontal distance to the goal; of an episode: from its start to the first goal",
+    ),
+    "slope_deg": ("°", "steepest ground on the straight line from the start to the first goal"),
     "clearance_m": ("m", "distance of the outline to the nearest obstacle or agent"),
     "collisions_so_far": ("", "collisions since the start"),
 }

@@ -1,4 +1,4 @@
-"""Records of episodes beside their metrics: start, goal, and by option every step."""
+"""Records of episodes beside their metrics: start, goal, the way between them, and by option their steps."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,22 +8,46 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.heightfield import HeightField
 from dune_rl.learning.measures import MetricsRow
+from dune_rl.state import GroupState
 
 StepRow = dict[str, Any]
-START_COLUMNS = ("start_x_m", "start_y_m", "start_yaw_rad", "goal_x_m", "goal_y_m")
+Array = NDArray[np.float64]
+START_COLUMNS = (
+    *("start_x_m", "start_y_m", "start_yaw_rad", "goal_x_m", "goal_y_m"),
+    *("goal_distance_m", "slope_deg"),
+)
+# Distance of the points at which the slope is looked up on the line from start to goal, at most.
+_SLOPE_STEP_M = 0.1
+
+
+def steepest_slope_deg(terrain: HeightField, start: Array, goal: Array) -> Array:
+    """Largest slope [degrees], (A,), on the straight lines from `start` (A, 2) to `goal` (A, 2) [m].
+
+    The slope of the ground, in whichever direction it is steepest, is looked up at both ends and at points
+    between them that are equally far apart, at most 0.1 m. The parts of a line outside the terrain count as
+    its edge.
+    """
+    longest = float(np.max(np.linalg.norm(goal - start, axis=-1), initial=0.0))
+    share = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(longest / _SLOPE_STEP_M))))[:, None]
+    points = start[:, None] + share * (goal - start)[:, None]
+    return np.rad2deg(terrain.slope(points).max(axis=1))
 
 
 class EpisodeRecorder:
-    """Adds start and goal to the rows of episodes, and collects their steps, if `steps`.
+    """Adds start and goal to the rows of episodes, and collects their steps.
 
+    `steps` says which: none (False), all (True), or each N-th and the last (N). With `actors` there is a row
+    for each agent that a controller of its own drives, such as walkers, too; it has a pose and a speed alone.
     `take_steps` returns and forgets the steps of finished episodes.
     """
 
-    def __init__(self, simulation: VectorSimulation, *, steps: bool) -> None:
-        self._simulation, self._keeps_steps = simulation, steps
+    def __init__(self, simulation: VectorSimulation, *, steps: bool | int, actors: bool = False) -> None:
+        self._simulation, self._every = simulation, int(steps)
         self._groups = simulation.external
-        self._starts: dict[str, NDArray[np.float64]] = {}
+        self._actors = tuple(group for group in simulation.groups if not group.is_external) if actors else ()
+        self._starts: dict[str, Array] = {}
         self._steps: list[list[StepRow]] = [[] for _ in range(simulation.num_scenes)]
         self._finished: list[StepRow] = []
 
@@ -42,47 +66,43 @@ class EpisodeRecorder:
 
     def step(self, after: TensorDictBase) -> None:
         """Note the step, before scenes that are done are reset."""
-        if self._keeps_steps:
-            for group in self._groups:
-                self._record(group.name, group.names, after)
+        if not self._every:
+            return
+        over = after["next", "done"].reshape(-1).numpy()
+        due = (self._simulation.steps % self._every == 0) | over
+        for group in self._groups:
+            state = self._simulation.state.groups[group.name]
+            # An agent's own last step is kept as well, while its scene goes on.
+            chosen = np.repeat(due, group.count) | group.done
+            self._record(group.names, chosen & ~state.done, _columns(state) | _task_columns(state, after))
+        for group in self._actors:
+            state = self._simulation.state.groups[group.name]
+            self._record(group.names, np.repeat(due, group.count) & ~state.done, _columns(state))
 
-    def _record(self, name: str, agents: tuple[str, ...], after: TensorDictBase) -> None:
-        state = self._simulation.state.groups[name]
-        motion = state.motion
-        columns = {
-            "episode": state.episode.ids,
-            "step": state.episode.steps,
-            "time_s": state.episode.steps * state.episode.step_s,
-            "x_m": motion.position_w[:, 0],
-            "y_m": motion.position_w[:, 1],
-            "z_m": motion.position_w[:, 2],
-            "roll_rad": motion.roll_pitch_yaw[:, 0],
-            "pitch_rad": motion.roll_pitch_yaw[:, 1],
-            "yaw_rad": motion.yaw,
-            "speed_mps": motion.velocity_b[:, 0],
-            "yaw_rate_radps": motion.angular_b[:, 2],
-            "goal_x_m": state.goal.position_w[:, 0],
-            "goal_y_m": state.goal.position_w[:, 1],
-            "goal_distance_m": state.goal.distance,
-            "clearance_m": state.clearance,
-            "collisions_so_far": state.contacts.total,
-            "reward": after["next", name, "reward"].flatten().numpy(),
-        }
-        actions = after[name, "action"].flatten(0, 1).numpy()
-        columns |= {f"action_{index}": actions[:, index] for index in range(actions.shape[1])}
-        lists = {key: values.tolist() for key, values in columns.items()}
-        for row in np.flatnonzero(~state.done).tolist():
+    def _record(
+        self, agents: tuple[str, ...], chosen: NDArray[np.bool_], columns: Mapping[str, NDArray[Any]]
+    ) -> None:
+        rows = np.flatnonzero(chosen)
+        if not len(rows):
+            return
+        lists = {key: values[rows].tolist() for key, values in columns.items()}
+        for index, row in enumerate(rows.tolist()):
             scene, agent = divmod(row, len(agents))
-            values = {key: each[row] for key, each in lists.items()}
+            values = {key: each[index] for key, each in lists.items()}
             self._steps[scene].append({"agent": agents[agent], **values})
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
-        """Add start and goal to the rows of an episode that has ended."""
+        """Add start, goal and what is between them to the rows of an episode that has ended."""
         episode = int(next(iter(rows.values()))[0]["episode"])
         (scene,) = np.flatnonzero(self._simulation.episodes == episode).tolist()
+        terrain = self._simulation.worlds.worlds[scene].terrain
         for group, agents in rows.items():
-            for row, start in zip(agents, self._starts[group][scene].tolist(), strict=True):
-                row.update(dict(zip(START_COLUMNS, start, strict=True)))
+            starts = self._starts[group][scene]
+            ways = starts[:, 3:] - starts[:, :2]
+            slopes = steepest_slope_deg(terrain, starts[:, :2], starts[:, 3:])
+            found = np.column_stack([starts, np.linalg.norm(ways, axis=1), slopes])
+            for row, values in zip(agents, found.tolist(), strict=True):
+                row.update(dict(zip(START_COLUMNS, values, strict=True)))
         self._finished += self._steps[scene]
         self._steps[scene] = []
 
@@ -90,3 +110,34 @@ class EpisodeRecorder:
         """The steps of the episodes that have ended since the last call."""
         found, self._finished = self._finished, []
         return found
+
+
+def _columns(state: GroupState) -> dict[str, NDArray[Any]]:
+    """What is known of every agent, (N,) each."""
+    motion = state.motion
+    return {
+        "episode": state.episode.ids,
+        "step": state.episode.steps,
+        "time_s": state.episode.steps * state.episode.step_s,
+        "x_m": motion.position_w[:, 0],
+        "y_m": motion.position_w[:, 1],
+        "z_m": motion.position_w[:, 2],
+        "roll_rad": motion.roll_pitch_yaw[:, 0],
+        "pitch_rad": motion.roll_pitch_yaw[:, 1],
+        "yaw_rad": motion.yaw,
+        "speed_mps": motion.velocity_b[:, 0],
+        "yaw_rate_radps": motion.angular_b[:, 2],
+    }
+
+
+def _task_columns(state: GroupState, after: TensorDictBase) -> dict[str, NDArray[Any]]:
+    """What agents with a task and actions have besides, (N,) each."""
+    actions = after[state.name, "action"].flatten(0, 1).numpy()
+    return {
+        "goal_x_m": state.goal.position_w[:, 0],
+        "goal_y_m": state.goal.position_w[:, 1],
+        "goal_distance_m": state.goal.distance,
+        "clearance_m": state.clearance,
+        "collisions_so_far": state.contacts.total,
+        "reward": after["next", state.name, "reward"].flatten().numpy(),
+    } | {f"action_{index}": actions[:, index] for index in range(actions.shape[1])}

@@ -112,7 +112,9 @@ class _Emitter:
     def __init__(self, runner: BlockRunner, policy: int, emit: Callable[[FinishedEpisode], None]) -> None:
         self._runner, self._policy, self._emit = runner, policy, emit
         simulation = runner.env.base_env.simulation
-        self._recorder = EpisodeRecorder(simulation, steps=runner.plan.conf.steps)
+        self._recorder = EpisodeRecorder(
+            simulation, steps=runner.plan.conf.steps, actors=runner.plan.conf.actor_steps
+        )
 
     def begin(self) -> None:
         """Note starts and goals."""

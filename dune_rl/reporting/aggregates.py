@@ -1,0 +1,175 @@
+"""Aggregates over several cases and runs, after Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge
+of the Statistical Precipice": interquartile mean, median, mean, optimality gap, performance profiles, and the
+probability of improvement.
+
+A method has a score for each of its units in each cases (the paper's task). Units are its runs (seeds of its
+training) or, where methods have one run each, the sites of the cases: these are what is independent.
+Intervals are those of 95 % of the percentile bootstrap, stratified: units are drawn anew within each cases.
+All cases weigh the same, however many units they have. The values are those of the authors' library rliable,
+which is not used as it needs pandas, seaborn and arch besides.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.learning.statistics import CONFIDENCE, Estimate
+from dune_rl.reporting.runs import Row
+from dune_rl.seeding import stream
+
+Array = NDArray[np.float64]
+# The scores of a method: for each cases those of its units, (U,) each.
+Scores = Mapping[str, Array]
+RESAMPLES = 2_000
+_TAIL = (1 - CONFIDENCE) / 2
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The share of units with a score above each of `thresholds` (T,), and the ends of its interval."""
+
+    thresholds: Array
+    share: Array
+    low: Array
+    high: Array
+
+
+def site_scores(rows: Sequence[Row], metric: str) -> Array:
+    """The mean of `metric` on each site of the rows, (U,), by the world's seed: without one, of each episode.
+
+    Episodes in which the metric has no value are left out.
+    """
+    sums: dict[tuple[str, float], list[float]] = {}
+    for row in rows:
+        value, seed = row.get(metric, np.nan), row.get("world_seed", np.nan)
+        if isinstance(value, int | float) and np.isfinite(value):
+            known = isinstance(seed, int | float) and np.isfinite(seed)
+            key = ("site", float(seed)) if known else ("episode", float(row["episode"]))
+            sums.setdefault(key, []).append(float(value))
+    return np.array([np.mean(values) for values in sums.values()])
+
+
+def run_scores(runs: Sequence[Sequence[Row]], metric: str) -> Array:
+    """The mean of `metric` of each run, (U,), from its rows; runs without a value are left out."""
+    means = []
+    for rows in runs:
+        values = np.array([row.get(metric, np.nan) for row in rows], float)
+        if np.isfinite(values).any():
+            means.append(float(np.nanmean(values)))
+    return np.array(means)
+
+
+def interquartile_mean(scores: Array, weights: Array) -> Array:
+    """The mean of the middle half of `scores` (..., N), where each weighs as in `weights`, of the same shape.
+
+    A score that a quartile cuts counts in part, so that the weight that counts is exactly a half.
+    """
+    order = np.argsort(scores, axis=-1, kind="stable")
+    ordered = np.take_along_axis(scores, order, -1)
+    share = np.take_along_axis(weights, order, -1)
+    upto = np.cumsum(share, axis=-1) / share.sum(axis=-1, keepdims=True)
+    below = np.concatenate([np.zeros_like(upto[..., :1]), upto[..., :-1]], axis=-1)
+    inside = np.clip(upto, 0.25, 0.75) - np.clip(below, 0.25, 0.75)
+    found: Array = (ordered * inside).sum(axis=-1) / inside.sum(axis=-1)
+    return found
+
+
+def aggregate_scores(scores: Scores, gap_below: float = 1.0) -> dict[str, Estimate]:
+    """IQM, median, mean and optimality gap of a method, each with its interval.
+
+    The median is that of the means of the cases, the mean their mean, and the gap is how far scores stay
+    below `gap_below` on average. The count is that of all units. Cases without scores are left out.
+    """
+    kept = {cases: values for cases, values in scores.items() if len(values)}
+    if not kept:
+        nothing = Estimate(np.nan, np.nan, np.nan, 0)
+        return {name: nothing for name in ("IQM", "median", "mean", "optimality gap")}
+    own = {cases: values[None] for cases, values in kept.items()}
+    resampled = {
+        cases: values[drawn] for (cases, values), drawn in zip(kept.items(), _draws(kept), strict=True)
+    }
+    count = sum(len(values) for values in kept.values())
+    measures: dict[str, Callable[[dict[str, Array]], Array]] = {
+        "IQM": _pooled_iqm,
+        "median": lambda found: np.median(_means(found), axis=1),
+        "mean": lambda found: _means(found).mean(axis=1),
+        "optimality gap": lambda found: (
+            gap_below
+            - _means({cases: np.minimum(values, gap_below) for cases, values in found.items()}).mean(axis=1)
+        ),
+    }
+    return {
+        name: Estimate(float(measure(own)[0]), *_ends(measure(resampled)), count)
+        for name, measure in measures.items()
+    }
+
+
+def performance_profile(scores: Scores, thresholds: Array) -> Profile:
+    """The share of a method's units with scores above `thresholds` (T,), averaged over the cases."""
+    kept = {cases: values for cases, values in scores.items() if len(values)}
+    if not kept:
+        nothing = np.full(len(thresholds), np.nan)
+        return Profile(thresholds, nothing, nothing, nothing)
+    shares, resampled = [], []
+    for values, drawn in zip(kept.values(), _draws(kept), strict=True):
+        above = (values[:, None] > thresholds).astype(float)
+        # How often each unit is drawn, (R, U).
+        times = _times_drawn(drawn, len(values))
+        shares.append(above.mean(axis=0))
+        resampled.append(times @ above / len(values))
+    low, high = np.quantile(np.mean(resampled, axis=0), [_TAIL, 1 - _TAIL], axis=0)
+    return Profile(thresholds, np.mean(shares, axis=0), low, high)
+
+
+def probability_of_improvement(first: Scores, second: Scores) -> Estimate:
+    """How probably a unit of `first` has a higher score than one of `second`, averaged over their cases.
+
+    Ties count half. All pairs of units of the same cases are compared (Mann-Whitney), whether or not they are
+    of the same site. The count is that of the cases which both have.
+    """
+    shared = [cases for cases in first if len(first[cases]) and len(second.get(cases, ()))]
+    if not shared:
+        return Estimate(np.nan, np.nan, np.nan, 0)
+    values, resampled = [], []
+    for number, cases in enumerate(shared):
+        a, b = first[cases], second[cases]
+        wins = (a[:, None] > b) + 0.5 * (a[:, None] == b)
+        times_a = _times_drawn(_drawn_units(len(a), number, 0), len(a))
+        times_b = _times_drawn(_drawn_units(len(b), number, 1), len(b))
+        values.append(wins.mean())
+        resampled.append(np.einsum("ra,ab,rb->r", times_a, wins, times_b, optimize=True) / wins.size)
+    return Estimate(float(np.mean(values)), *_ends(np.mean(resampled, axis=0)), len(shared))
+
+
+def _pooled_iqm(found: dict[str, Array]) -> Array:
+    scores = np.concatenate(list(found.values()), axis=1)
+    weights = np.concatenate(
+        [np.full(values.shape, 1.0 / values.shape[1]) for values in found.values()], axis=1
+    )
+    return interquartile_mean(scores, weights)
+
+
+def _means(found: dict[str, Array]) -> Array:
+    """Means of the cases, (R, C), of scores (R, U) for each."""
+    return np.stack([values.mean(axis=1) for values in found.values()], axis=1)
+
+
+def _draws(scores: Scores) -> list[NDArray[np.int64]]:
+    return [_drawn_units(len(values), number, 0) for number, values in enumerate(scores.values())]
+
+
+def _drawn_units(count: int, cases: int, method: int) -> NDArray[np.int64]:
+    """The numbers of the units of each resample, (R, count): the same at every call."""
+    return stream(0, "bootstrap of units", count, cases, method).integers(0, count, (RESAMPLES, count))
+
+
+def _times_drawn(drawn: NDArray[np.int64], count: int) -> Array:
+    rows = np.arange(len(drawn))[:, None] * count
+    return np.bincount((drawn + rows).ravel(), minlength=len(drawn) * count).reshape(-1, count).astype(float)
+
+
+def _ends(resampled: Array) -> tuple[float, float]:
+    low, high = np.quantile(resampled, [_TAIL, 1 - _TAIL])
+    return float(low), float(high)

@@ -1,0 +1,229 @@
+"""Figures of aggregates over several cases: values with intervals, performance profiles, improvements."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from dune_rl.learning.statistics import Estimate
+from dune_rl.reporting.aggregates import (
+    Scores,
+    aggregate_scores,
+    performance_profile,
+    probability_of_improvement,
+    run_scores,
+    site_scores,
+)
+from dune_rl.reporting.figures.results import Results, measure_of
+from dune_rl.reporting.figures.style import (
+    COLUMN_IN,
+    FAINT,
+    PAGE_IN,
+    RC,
+    SMALL,
+    draw_legend,
+    method_styles,
+    new_figure,
+    note_figure,
+    short_names,
+    tidy,
+)
+
+# More pairs than these are drawn as a matrix.
+_MOST_PAIRS = 10
+_THRESHOLDS = 101
+_MIDDLE = 0.5
+
+
+@dataclass(frozen=True)
+class MethodScores:
+    """The scores of methods by name, and in words what their units are."""
+
+    scores: Mapping[str, Scores]
+    units: str
+    metric: str
+
+    @property
+    def label(self) -> str:
+        """What the scores are."""
+        return "success rate" if self.metric == "success" else measure_of(self.metric).name
+
+
+def collect_scores(
+    results: Results, metric: str = "success", runs: Mapping[str, str] | None = None
+) -> MethodScores:
+    """The scores of methods: a higher `metric` must be better.
+
+    `runs` names the method that each trained policy is a run of, such as {"seed1": "SAC", "seed2": "SAC"}. If
+    every method has at least two runs on each of its cases, the runs are the units; otherwise the sites are,
+    over all runs of a method.
+    """
+    names = runs or {}
+    grouped: dict[str, dict[str, list[str]]] = {}
+    for cases, methods in results.items():
+        for name in methods:
+            grouped.setdefault(names.get(name, name), {}).setdefault(cases, []).append(name)
+    by_run = all(len(each) > 1 for cases in grouped.values() for each in cases.values())
+    scores = {
+        method: {
+            cases: run_scores([results[cases][name] for name in members], metric)
+            if by_run
+            else site_scores([row for name in members for row in results[cases][name]], metric)
+            for cases, members in by_cases.items()
+        }
+        for method, by_cases in grouped.items()
+    }
+    numbers = sorted({len(values) for each in scores.values() for values in each.values()})
+    count = f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}" if numbers else "no"
+    sites = all(
+        isinstance(row.get("world_seed"), float | int) and np.isfinite(row["world_seed"])
+        for methods in results.values() for rows in methods.values() for row in rows
+    )  # fmt: skip
+    kind = "runs" if by_run else "sites" if sites else "sites or episodes"
+    return MethodScores(
+        scores, f"{count} {kind} on {len(results)} set{'s' if len(results) > 1 else ''}", metric
+    )
+
+
+def draw_aggregates(found: MethodScores) -> Figure:
+    """Interquartile mean, median, mean and optimality gap of each method, with 95 % bootstrap intervals."""
+    values = {name: aggregate_scores(scores) for name, scores in found.scores.items()}
+    if not any(one.count for each in values.values() for one in each.values()):
+        return note_figure(f"no episode has a value of {found.metric}")
+    styles = method_styles(list(values))
+    with rc_context(RC):
+        figure = new_figure(PAGE_IN, 0.6 + 0.24 * len(values))
+        measures = list(next(iter(values.values())))
+        grid = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+        for axes, measure in zip(grid, measures, strict=True):
+            for place, (name, estimates) in enumerate(values.items()):
+                _interval(axes, estimates[measure], place, styles[name].colour, styles[name].mark, name)
+            better = "lower" if measure == "optimality gap" else "higher"
+            axes.set_title(f"{measure} ({better} is better)", loc="left", fontsize=SMALL)
+            axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+            tidy(axes, "x")
+            axes.tick_params(axis="y", length=0)
+        grid[0].set_yticks(range(len(values)), short_names(values))
+        grid[0].set_ylim(len(values) - 0.5, -0.5)
+        figure.supxlabel(f"{found.label};  {found.units}", fontsize=RC["axes.labelsize"])
+    return figure
+
+
+def draw_profiles(found: MethodScores) -> Figure:
+    """Performance profiles: the share of units with a score above each threshold, with its intervals."""
+    pooled = [values for scores in found.scores.values() for values in scores.values() if len(values)]
+    if not pooled:
+        return note_figure(f"no episode has a value of {found.metric}")
+    every = np.concatenate(pooled)
+    low, high = min(0.0, float(every.min())), max(1.0, float(every.max()))
+    styles = method_styles(list(found.scores))
+    with rc_context(RC):
+        figure = new_figure(COLUMN_IN, 2.1 + 0.17 * -(-len(styles) // 2))
+        axes = figure.subplots()
+        for name, scores in found.scores.items():
+            profile = performance_profile(scores, np.linspace(low, high, _THRESHOLDS))
+            style = styles[name]
+            axes.fill_between(
+                profile.thresholds, profile.low, profile.high, color=style.colour, alpha=0.15, linewidth=0,
+                step="post",
+            )  # fmt: skip
+            axes.step(
+                profile.thresholds, profile.share, where="post", color=style.colour, linewidth=1.2,
+                linestyle=style.line, marker=style.mark, markersize=3, markevery=_THRESHOLDS // 8, label=name,
+            )  # fmt: skip
+        tidy(axes, "both")
+        axes.set_xlim(low, high)
+        axes.set_ylim(-0.02, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+        axes.set_xlabel(f"threshold of the {found.label}")
+        axes.set_ylabel("units above the threshold")
+        draw_legend(figure, styles)
+        figure.supxlabel(f"units: {found.units}", fontsize=SMALL, x=0.995, ha="right")
+    return figure
+
+
+def draw_improvements(found: MethodScores) -> Figure:
+    """How probably a unit of one method scores higher than one of another, for all pairs of methods.
+
+    Up to ten pairs have 95 % bootstrap intervals; more are a matrix (row above column), in which bold numbers
+    have an interval without 50 %.
+    """
+    names = list(found.scores)
+    if len(names) < 2:
+        return note_figure("one method alone: there is nothing to compare")
+    pairs = {
+        (a, b): probability_of_improvement(found.scores[a], found.scores[b])
+        for a, b in combinations(names, 2)
+    }
+    if not any(one.count for one in pairs.values()):
+        return note_figure("no two methods have cases in common")
+    with rc_context(RC):
+        figure = _pairs(pairs) if len(pairs) <= _MOST_PAIRS else _matrix(names, pairs)
+        figure.supxlabel(f"{found.label};  {found.units}", fontsize=SMALL)
+    return figure
+
+
+def _pairs(pairs: Mapping[tuple[str, str], Estimate]) -> Figure:
+    figure = new_figure(COLUMN_IN + 1.2, 0.75 + 0.24 * len(pairs))
+    axes = figure.subplots()
+    right = axes.twinx()
+    names = list(dict.fromkeys(name for pair in pairs for name in pair))
+    labels = dict(zip(names, short_names(names), strict=True))
+    for place, ((a, b), estimate) in enumerate(pairs.items()):
+        _interval(axes, estimate, place, "#0072b2", "o", f"{a} above {b}")
+    axes.axvline(_MIDDLE, color=FAINT, linewidth=0.7, linestyle=(0, (3, 2)))
+    for each, side in ((axes, 0), (right, 1)):
+        each.set_yticks(range(len(pairs)), [labels[pair[side]] for pair in pairs])
+        each.set_ylim(len(pairs) - 0.5, -0.5)
+        tidy(each, "x" if side == 0 else "")
+        each.tick_params(axis="y", length=0)
+    axes.set_xlim(-0.02, 1.02)
+    axes.xaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+    axes.set_xlabel("probability that the left one scores higher")
+    return figure
+
+
+def _matrix(names: list[str], pairs: Mapping[tuple[str, str], Estimate]) -> Figure:
+    count = len(names)
+    table = np.full((count, count), np.nan)
+    figure = new_figure(PAGE_IN, 1.2 + 0.36 * count)
+    axes = figure.subplots()
+    for (a, b), one in pairs.items():
+        row, across = names.index(a), names.index(b)
+        table[row, across], table[across, row] = one.value, 1.0 - one.value
+        sure = one.low > _MIDDLE or one.high < _MIDDLE
+        for y, x in ((row, across), (across, row)):
+            if one.count:
+                far = abs(table[y, x] - _MIDDLE) > 0.35
+                axes.text(
+                    x, y, f"{100 * table[y, x]:.0f}", ha="center", va="center", fontsize=SMALL,
+                    fontweight="bold" if sure else "normal", color="white" if far else "black",
+                )  # fmt: skip
+    # Light in the middle and as dark at both ends: red and blue differ for the colour-blind.
+    image = axes.imshow(table, cmap="RdBu", vmin=0.0, vmax=1.0, aspect="auto")
+    labels = short_names(names)
+    axes.set_yticks(range(count), labels)
+    axes.set_xticks(range(count), labels, rotation=40, ha="right", rotation_mode="anchor")
+    axes.tick_params(length=0)
+    bar = figure.colorbar(image, ax=axes, format=PercentFormatter(1, decimals=0), pad=0.01)
+    bar.set_label("probability that the row scores above the column\n(bold: 95 % interval without 50 %)")
+    return figure
+
+
+def _interval(axes: Axes, estimate: Estimate, place: int, colour: str, mark: str, label: str) -> None:
+    if not estimate.count:
+        axes.text(
+            0.02, place, "no value", transform=axes.get_yaxis_transform(), va="center", color=FAINT,
+            fontsize=SMALL,
+        )  # fmt: skip
+        return
+    axes.plot(
+        [estimate.low, estimate.high], [place, place], color=colour, linewidth=4, alpha=0.35,
+        solid_capstyle="butt",
+    )  # fmt: skip
+    axes.plot([estimate.value], [place], mark, color=colour, markersize=4.5, label=label)

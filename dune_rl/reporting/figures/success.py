@@ -1,0 +1,166 @@
+"""Success against properties of the episodes, such as the distance to the goal, with intervals."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from dune_rl.learning.statistics import Estimate, estimate_proportion
+from dune_rl.reporting.figures.results import Results, column, count_text, method_names
+from dune_rl.reporting.figures.style import (
+    COLUMN_IN,
+    FAINT,
+    PAGE_IN,
+    RC,
+    SMALL,
+    MethodStyle,
+    draw_legend,
+    method_styles,
+    new_figure,
+    note_figure,
+    panel_grid,
+    panels,
+    tidy,
+)
+from dune_rl.reporting.runs import Row
+
+Array = NDArray[np.float64]
+PROPERTIES = {
+    "goal_distance_m": "straight distance from start to goal [m]",
+    "slope_deg": "steepest ground on the straight line to the goal [°]",
+}
+_MOST_BINS, _MOST_ACROSS = 6, 3
+# A bin has at least this share of the values.
+_LEAST_SHARE = 0.05
+# More methods than these have thinner intervals.
+_FEW = 5
+
+
+@dataclass(frozen=True)
+class SuccessBin:
+    """The share of successes among episodes whose property is in [`low`, `high`), with Wilson's interval."""
+
+    low: float
+    high: float
+    share: Estimate
+
+
+def round_edges(values: Array, most_bins: int = _MOST_BINS) -> Array:
+    """Round edges of at most `most_bins` bins that hold all values which are not NaN.
+
+    They are of equal width, apart from those that are joined because few values are in them.
+    """
+    seen = values[np.isfinite(values)]
+    if not len(seen):
+        return np.zeros(0)
+    edges = MaxNLocator(most_bins, steps=[1, 2, 2.5, 5, 10]).tick_values(seen.min(), seen.max())
+    # The last bin has no right edge of its own, so a value on it needs another.
+    first = int(np.searchsorted(edges, seen.min(), side="right")) - 1
+    last = int(np.searchsorted(edges, seen.max(), side="right"))
+    step = edges[1] - edges[0]
+    return _join_sparse(seen, np.append(edges, edges[-1] + step)[max(first, 0) : last + 1])
+
+
+def _join_sparse(values: Array, edges: Array) -> Array:
+    """Edges without some, so that no bin has few values: such a bin is joined to its smaller neighbour."""
+    while len(edges) > 2:
+        counts = np.histogram(values, edges)[0]
+        sparsest = int(counts.argmin())
+        if counts[sparsest] >= _LEAST_SHARE * len(values):
+            break
+        padded = np.concatenate([[np.inf], counts, [np.inf]])
+        to_left = padded[sparsest] <= padded[sparsest + 2]
+        edges = np.delete(edges, sparsest if to_left else sparsest + 1)
+    return edges
+
+
+def success_by_bin(rows: Sequence[Row], name: str, edges: Array) -> list[SuccessBin]:
+    """Success in the bins of the property `name`; rows without it or without success are left out."""
+    values, success = column(rows, name), column(rows, "success")
+    known = np.isfinite(values) & np.isfinite(success)
+    values, hits = values[known], success[known] > 0
+    number = np.searchsorted(edges, values, side="right") - 1
+    return [
+        SuccessBin(float(edges[bin]), float(edges[bin + 1]), estimate_proportion(hits[number == bin]))
+        for bin in range(len(edges) - 1)
+    ]
+
+
+def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
+    """Success rate against the property `name` of episodes: panels are cases, and lines are methods.
+
+    Bars are Wilson's 95 % intervals; the numbers at the bottom are the episodes in each bin (of one method,
+    or of the smallest and the largest where methods differ). Bins are those of all panels.
+    """
+    label = PROPERTIES.get(name, name.replace("_", " "))
+    shown = {
+        cases: methods
+        for cases, methods in results.items()
+        if any(np.isfinite(column(rows, name)).any() for rows in methods.values())
+    }
+    all_rows = [row for methods in shown.values() for rows in methods.values() for row in rows]
+    if not shown or not np.isfinite(column(all_rows, "success")).any():
+        missing = "success" if shown else name
+        return note_figure(f"no episode has {missing}: evaluate again with this version")
+    edges = round_edges(column(all_rows, name))
+    styles = method_styles(method_names(shown))
+    with rc_context(RC):
+        down, across = panel_grid(len(shown), _MOST_ACROSS)
+        legend = 0.17 * -(-len(styles) // (4 if across > 1 else 2)) if len(styles) > 1 else 0.0
+        figure = new_figure(COLUMN_IN if across == 1 else PAGE_IN, 0.5 + legend + 1.75 * down)
+        grid = panels(figure, len(shown), _MOST_ACROSS, sharex=True, sharey=True)
+        for axes, (cases, methods) in zip(grid, shown.items(), strict=True):
+            _panel(axes, methods, name, edges, styles)
+            axes.set_title(cases, loc="left")
+        grid[0].set_ylim(-0.13, 1.04)
+        grid[0].set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
+        grid[0].yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+        for axes in grid[::across]:
+            axes.set_ylabel("success rate")
+        if len(styles) > 1:
+            draw_legend(figure, styles)
+        figure.supxlabel(f"{label};  {count_text(shown)}", fontsize=RC["axes.labelsize"])
+    return figure
+
+
+def _panel(
+    axes: Axes, methods: Mapping[str, Sequence[Row]], name: str, edges: Array, styles: dict[str, MethodStyle]
+) -> None:
+    # Side by side within a bin, so that intervals do not hide each other.
+    places = {method: place for place, method in enumerate(each for each in styles if each in methods)}
+    counts: list[list[int]] = []
+    for method, place in places.items():
+        bins = success_by_bin(methods[method], name, edges)
+        counts.append([one.share.count for one in bins])
+        shift = 0.0 if len(places) == 1 else (place / (len(places) - 1) - 0.5) * 0.6
+        full = [one for one in bins if one.share.count]
+        x = np.array([(one.low + one.high) / 2 + shift * (one.high - one.low) for one in full])
+        y = np.array([one.share.value for one in full])
+        ends = np.array([[one.share.low, one.share.high] for one in full]).reshape(-1, 2).T
+        style = styles[method]
+        axes.errorbar(
+            x, y, np.abs(ends - y), color=style.colour, marker=style.mark, markersize=3.2, linewidth=1.0,
+            linestyle=style.line, elinewidth=0.9 if len(places) <= _FEW else 0.5, capsize=0, label=method,
+        )  # fmt: skip
+    for low, high, each in zip(edges[:-1], edges[1:], zip(*counts, strict=True), strict=True):
+        least, most = min(each), max(each)
+        text = f"{most}" if least == most else f"{least}\N{EN DASH}{most}"
+        axes.text(
+            (low + high) / 2,
+            -0.1,
+            text,
+            ha="center",
+            va="center",
+            fontsize=SMALL - 1,
+            color=FAINT,
+            gid="count",
+        )
+    tidy(axes)
+    axes.set_xticks(edges)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.axhline(0.0, color=FAINT, linewidth=0.4)

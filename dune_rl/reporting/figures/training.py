@@ -1,0 +1,244 @@
+"""Training curves: success and return over frames, as means and bands over the seeds of a group of runs."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, PercentFormatter
+from numpy.typing import NDArray
+from scipy import stats
+
+from dune_rl.learning.statistics import CONFIDENCE
+from dune_rl.reporting.figures.style import (
+    COLUMN_IN,
+    PAGE_IN,
+    RC,
+    SMALL,
+    MethodStyle,
+    draw_legend,
+    method_styles,
+    new_figure,
+    note_figure,
+    tidy,
+)
+from dune_rl.reporting.runs import Row, TrainingRun
+
+Array = NDArray[np.float64]
+# From this many seeds on, a band is the t interval of the mean; fewer show their range.
+SEEDS_FOR_INTERVAL = 5
+_ROWS = (("SR", "success rate"), ("return", "return per episode"))
+_KINDS = (("eval", "evaluation"), ("train", "training"))
+# Settings that do not change what is learnt, apart from chance.
+_OWN = ("seed", "run_dir", "name", "resume", "overwrite")
+_SEED_WORD = re.compile(r"[-_/. ]*(seed[-_ ]?)?\d+$")
+
+
+@dataclass(frozen=True)
+class Band:
+    """Means (F,) over runs at `frames` (F,), and the band from `low` to `high`; `runs` (F,) have a value.
+
+    The band is NaN where one run has a value.
+    """
+
+    frames: Array
+    mean: Array
+    low: Array
+    high: Array
+    runs: NDArray[np.int64]
+    is_interval: bool
+
+
+def group_runs(runs: Sequence[TrainingRun]) -> dict[str, list[TrainingRun]]:
+    """Runs whose settings differ in the seed alone, by a name for all of them."""
+    groups: list[tuple[Mapping[str, Any], list[TrainingRun]]] = []
+    for run in runs:
+        settings = {key: value for key, value in run.config.items() if key not in _OWN}
+        for known, members in groups:
+            if known == settings:
+                members.append(run)
+                break
+        else:
+            groups.append((settings, [run]))
+    found: dict[str, list[TrainingRun]] = {}
+    for _, members in groups:
+        name = _common_name(members)
+        found[name if name not in found else f"{name} ({members[0].name})"] = members
+    return found
+
+
+def by_world(groups: Mapping[str, Sequence[TrainingRun]]) -> dict[str, dict[str, Sequence[TrainingRun]]]:
+    """Groups of runs by the world that they train in: trainings in different worlds are no comparison."""
+    found: dict[str, dict[str, Sequence[TrainingRun]]] = {}
+    for name, runs in groups.items():
+        world = runs[0].config.get("world")
+        title = str(world.get("name", "unknown world")) if isinstance(world, Mapping) else "unknown world"
+        found.setdefault(title, {})[name] = runs
+    return found
+
+
+def _common_name(runs: Sequence[TrainingRun]) -> str:
+    if len(runs) == 1:
+        return runs[0].name
+    same = takewhile(lambda chars: len(set(chars)) == 1, zip(*(run.name for run in runs), strict=False))
+    common = "".join(chars[0] for chars in same)
+    if not all(run.name[len(common) :].isdigit() for run in runs):
+        common = common.rpartition("/")[0] if "/" in common else common
+    return _SEED_WORD.sub("", f"{common}0").strip("-_/. ") or f"{runs[0].name} and {len(runs) - 1} more"
+
+
+def training_band(runs: Sequence[TrainingRun], kind: str, metric: str, group: str = "") -> Band:
+    """The band of `metric` over runs, from their rows of `kind`, of a group of agents.
+
+    Between its rows a run is interpolated; it has no value before its first and after its last row.
+    """
+    curves = [_curve(run.history, kind, metric, group) for run in runs]
+    curves = [(frames, values) for frames, values in curves if len(frames)]
+    empty = np.zeros(0)
+    if not curves:
+        return Band(empty, empty, empty, empty, np.zeros(0, np.int64), False)
+    frames = np.unique(np.concatenate([frames for frames, _ in curves]))
+    values = np.array([np.interp(frames, *curve, left=np.nan, right=np.nan) for curve in curves])
+    count = (~np.isnan(values)).sum(axis=0)
+    mean = np.nansum(values, axis=0) / count
+    is_interval = len(curves) >= SEEDS_FOR_INTERVAL
+    if is_interval:
+        spread = np.sqrt(np.nansum((values - mean) ** 2, axis=0) / np.maximum(count - 1, 1) / count)
+        half = stats.t.ppf((1 + CONFIDENCE) / 2, np.maximum(count - 1, 1)) * spread
+        low, high = mean - half, mean + half
+        if metric == "SR":
+            low, high = np.maximum(low, 0.0), np.minimum(high, 1.0)
+    else:
+        low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+    alone = count < 2
+    return Band(frames, mean, np.where(alone, np.nan, low), np.where(alone, np.nan, high), count, is_interval)
+
+
+def _curve(history: Sequence[Row], kind: str, metric: str, group: str) -> tuple[Array, Array]:
+    rows = [row for row in history if row.get("kind") == kind and str(row.get("group", "")) == group]
+    points = np.array([[row["frames"], row.get(metric, np.nan)] for row in rows], float).reshape(-1, 2)
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[np.argsort(points[:, 0], kind="stable")]
+    return points[:, 0], points[:, 1]
+
+
+def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
+    """Success rate and return over frames: evaluation on the left, training on the right.
+
+    `groups` are runs that differ in the seed alone, by name (`group_runs`). Lines are means over the seeds;
+    bands are 95 % t intervals of the mean from 5 seeds on, and the smallest and largest value of fewer.
+    Groups of agents have rows of their own.
+    """
+    agents = list(
+        dict.fromkeys(
+            str(row.get("group", "")) for runs in groups.values() for run in runs for row in run.history
+        )
+    )
+    shown = [
+        (agent, metric, label)
+        for agent in agents
+        for metric, label in _ROWS
+        if any(
+            len(training_band(runs, kind, metric, agent).frames)
+            for runs in groups.values()
+            for kind, _ in _KINDS
+        )
+    ]
+    if not shown:
+        return note_figure("no episode has ended in these trainings")
+    styles = method_styles(list(groups))
+    with rc_context(RC):
+        several = len(styles) > 1
+        height = 0.45 + 1.55 * len(shown) + (0.17 * -(-len(styles) // 4) if several else 0.0)
+        figure = new_figure(PAGE_IN, height)
+        grid = figure.subplots(len(shown), len(_KINDS), sharex=True, sharey="row", squeeze=False)
+        for row, (agent, metric, label) in zip(grid, shown, strict=True):
+            for axes, (kind, _) in zip(row, _KINDS, strict=True):
+                for name, runs in groups.items():
+                    _draw(axes, training_band(runs, kind, metric, agent), styles[name], kind, name)
+                tidy(axes)
+                if metric == "SR":
+                    axes.set_ylim(-0.02, 1.02)
+                    axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+            row[0].set_ylabel(f"{agent}: {label}" if agent else label)
+        for axes, (kind, title) in zip(grid[0], _KINDS, strict=True):
+            axes.set_title(f"{title}: {_counts(groups, kind)}", loc="left")
+        for axes in grid[-1]:
+            axes.set_xlabel("frames (control steps of all scenes)")
+            axes.set_xlim(left=0)
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if several:
+            draw_legend(figure, styles)
+        figure.supxlabel(_caption(groups), fontsize=SMALL, x=0.995, ha="right")
+    return figure
+
+
+def _draw(axes: Axes, band: Band, style: MethodStyle, kind: str, name: str) -> None:
+    if not len(band.frames):
+        return
+    axes.fill_between(band.frames, band.low, band.high, color=style.colour, alpha=0.2, linewidth=0)
+    marks = style.mark if kind == "eval" else ""
+    every = max(1, len(band.frames) // 12)
+    axes.plot(
+        band.frames, band.mean, color=style.colour, linestyle=style.line, linewidth=1.2,  # type: ignore[arg-type]
+        marker=marks, markersize=3, markevery=every, label=name,
+    )  # fmt: skip
+
+
+def _counts(groups: Mapping[str, Sequence[TrainingRun]], kind: str) -> str:
+    """Episodes behind each point, as the rows of these runs state them."""
+    found = sorted(
+        {
+            int(row["episodes"])
+            for runs in groups.values()
+            for run in runs
+            for row in run.history
+            if row.get("kind") == kind and np.isfinite(row.get("episodes", np.nan))
+        }
+    )
+    if not found:
+        return "no rows"
+    number = f"{found[-1]}" if len(found) == 1 else f"{found[0]} to {found[-1]}"
+    return f"{'last ' if kind == 'train' else ''}{number} episodes a point"
+
+
+def _caption(groups: Mapping[str, Sequence[TrainingRun]]) -> str:
+    numbers = sorted({len(runs) for runs in groups.values()})
+    seeds = f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
+    if numbers[-1] == 1:
+        return "one seed each, no band" if len(groups) > 1 else "one seed, no band"
+    kinds = []
+    if any(1 < number < SEEDS_FOR_INTERVAL for number in numbers):
+        kinds.append("smallest to largest")
+    if numbers[-1] >= SEEDS_FOR_INTERVAL:
+        kinds.append("95 % t interval of the mean")
+    return f"{seeds} seeds; lines: means, bands: {' or '.join(kinds)}"
+
+
+def draw_learning_curve(groups: Mapping[str, Sequence[TrainingRun]], metric: str = "SR") -> Figure:
+    """Evaluations alone, of one measure, at the width of a column; as `draw_training_curves` otherwise."""
+    styles = method_styles(list(groups))
+    label = dict(_ROWS).get(metric, metric)
+    with rc_context(RC):
+        figure = new_figure(COLUMN_IN, 2.2 + (0.17 * -(-len(styles) // 2) if len(styles) > 1 else 0.0))
+        axes = figure.subplots()
+        for name, runs in groups.items():
+            _draw(axes, training_band(runs, "eval", metric), styles[name], "eval", name)
+        tidy(axes)
+        axes.set_xlabel("frames (control steps of all scenes)")
+        axes.set_ylabel(f"{label}, evaluation")
+        axes.set_xlim(left=0)
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if metric == "SR":
+            axes.set_ylim(-0.02, 1.02)
+            axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+        axes.set_title(_counts(groups, "eval"), loc="left")
+        if len(styles) > 1:
+            draw_legend(figure, styles)
+        figure.supxlabel(_caption(groups), fontsize=SMALL, x=0.995, ha="right")
+    return figure
