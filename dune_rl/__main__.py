@@ -5,6 +5,7 @@ import sys
 COMMANDS = (
     ("train", "train a rover: +world=inspection"),
     ("evaluate", "measure a policy on numbered episodes: checkpoint=runs/NAME"),
+    ("report", "a page, figures and tables of runs and evaluations: runs/NAME"),
     ("view", "pictures, films and maps: +world=inspection"),
     ("benchmark", "what a step costs on this machine"),
     ("engines", "compare PyBullet and DART"),

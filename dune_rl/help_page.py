@@ -18,12 +18,16 @@ _ENTRY_POINTS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class HelpPage:
-    """The text of `--help`: what the command does, how it is called, what can be set, and a closing note."""
+    """The text of `--help`: what the command does, how it is called, what can be set, and a closing note.
+
+    With `options`, the groups of options of an environment are listed too.
+    """
 
     title: str
     usage: HelpRows
     settings: HelpRows
     closing: str
+    options: bool = True
 
 
 def option_group_rows() -> list[tuple[str, str]]:
@@ -48,7 +52,7 @@ def show_help(page: HelpPage) -> None:
 
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"[bold]{page.title}[/bold]")
-    for lines in (page.usage, [*option_group_rows(), *page.settings]):
+    for lines in (page.usage, [*(option_group_rows() if page.options else ()), *page.settings]):
         table = Table(box=None, show_header=False, padding=(0, 2))
         table.add_column(style="cyan", no_wrap=True, min_width=max(len(name) for name, _ in lines))
         table.add_column()

@@ -60,3 +60,8 @@ def describe_columns(names: Sequence[str]) -> list[dict[str, str]]:
             meaning = "action component, in its own unit"
         found.append({"column": name, "unit": unit, "meaning": meaning})
     return found
+
+
+def measured_columns(names: Sequence[str]) -> list[str]:
+    """The columns that measure the agent: those of metrics, without ids, places and what was drawn or earned."""
+    return [name for name in names if name not in _FIXED and "/" not in name]

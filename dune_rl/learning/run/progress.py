@@ -182,11 +182,12 @@ class LineReporter:
 
 @contextmanager
 def show_episodes(
-    console: Console, name: str, total: int, interval_s: float = 15.0
+    console: Console, name: str, total: int, interval_s: float = 15.0, counted: str = "episodes"
 ) -> Iterator[Callable[[int], None]]:
     """Show how many of `total` episodes are done: yields a function to call with their number.
 
-    It is a bar on a terminal, and a line every `interval_s` [s] elsewhere.
+    `counted` names them where they are something else. It is a bar on a terminal, and a line every `interval_s` [s]
+    elsewhere.
     """
     if console.is_terminal:
         columns = (
@@ -207,6 +208,6 @@ def show_episodes(
         if now - last >= interval_s and done:
             last = now
             left = format_duration((now - start) * (total - done) / done)
-            print(f"{name}: {done} of {total} episodes  {left} left", flush=True)
+            print(f"{name}: {done} of {total} {counted}  {left} left", flush=True)
 
     yield show

@@ -1,0 +1,184 @@
+"""Lays out a report: which tables and figures there are, in which section."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from dune_rl.learning.paired_comparison import PairedComparison
+from dune_rl.learning.statistics import Estimate
+from dune_rl.reporting.comparisons import Comparison, collect_comparisons
+from dune_rl.reporting.page.blocks import Block, FigureBlock, HeadingBlock, Section, TableBlock, TextBlock
+from dune_rl.reporting.page.render import shown_path
+from dune_rl.reporting.runs import Note, ReportInputs
+from dune_rl.reporting.tables.methods import (
+    PAPER_MEASURES,
+    all_measures_table,
+    main_table,
+    overview_table,
+    paired_table,
+)
+from dune_rl.reporting.tables.origin import cases_table, evaluations_table, training_origin_table
+from dune_rl.reporting.tables.table import Table
+from dune_rl.reporting.tables.training import sweep_table, training_table
+from dune_rl.reporting.training_groups import TrainingGroup, group_runs
+
+
+@dataclass
+class Findings:
+    """What was computed from the inputs: comparisons with their intervals and pairs, and groups of runs."""
+
+    inputs: ReportInputs
+    comparisons: list[Comparison]
+    groups: list[TrainingGroup]
+    estimates: list[dict[str, dict[str, Estimate]]] = field(default_factory=list)
+    pairs: list[list[PairedComparison]] = field(default_factory=list)
+
+    def name(self, comparison: Comparison) -> str:
+        """The stem of the files of a comparison."""
+        number = self.comparisons.index(comparison) + 1
+        return f"{number:02d}_{file_stem(comparison.cases.title)}"
+
+
+def collect_findings(inputs: ReportInputs) -> Findings:
+    """The comparisons and groups of the inputs; `compute_steps` fills in the statistics."""
+    return Findings(inputs, collect_comparisons(inputs.evaluations), group_runs(inputs.training))
+
+
+def compute_steps(findings: Findings) -> list[Callable[[], None]]:
+    """The statistics of each comparison, which take seconds, as steps to be called in order."""
+
+    def step(comparison: Comparison) -> Callable[[], None]:
+        def compute() -> None:
+            findings.estimates.append(comparison.estimates())
+            findings.pairs.append(comparison.paired())
+
+        return compute
+
+    return [step(comparison) for comparison in findings.comparisons]
+
+
+def lay_out(findings: Findings, figures: dict[str, list[FigureBlock]]) -> list[Section]:
+    """The sections of the page; `figures` are by the name of the section that they belong to."""
+    sections = [
+        Section("compared", "What was compared", _compared(findings)),
+        Section("results", "Main comparison", _results(findings)),
+        Section("pairs", "Methods in pairs", _pairs(findings)),
+        Section("measures", "All measures", _measures(findings)),
+        Section("training", "Training", _training(findings)),
+        Section("distributions", "Distributions"),
+        Section("difficulty", "Success against distance and slope"),
+        Section("tracks", "Tracks"),
+        Section("failures", "Failures"),
+        Section("aggregates", "Aggregates over cases"),
+        Section("sweeps", "Sweeps", _sweeps(findings)),
+    ]
+    for section in sections:
+        section.blocks += figures.get(section.name, [])
+    sections.append(Section("files", "Files", _files(sections)))
+    return sections
+
+
+def tables_of(sections: Iterable[Section]) -> list[Table]:
+    """All tables of a page, in order."""
+    return [block.table for section in sections for block in section.blocks if isinstance(block, TableBlock)]
+
+
+def figures_of(sections: Iterable[Section]) -> list[FigureBlock]:
+    """All figures of a page, in order."""
+    return [block for section in sections for block in section.blocks if isinstance(block, FigureBlock)]
+
+
+def file_stem(text: str) -> str:
+    """Text as a part of a file's name: letters, digits, - and . alone."""
+    kept = "".join(char if char.isascii() and (char.isalnum() or char in "-.") else "_" for char in text)
+    return "_".join(filter(None, kept.split("_"))).strip(".")[:60] or "unnamed"
+
+
+def _compared(findings: Findings) -> list[Block]:
+    inputs, blocks = findings.inputs, list[Block]()
+    for text, notes in (("Left out:", inputs.skipped), ("To be known:", inputs.notes)):
+        if notes:
+            blocks.append(TextBlock(text, [describe_note(note) for note in notes], warning=True))
+    if findings.comparisons:
+        blocks.append(TableBlock(cases_table(findings.comparisons)))
+    if inputs.evaluations:
+        blocks.append(TableBlock(evaluations_table(inputs.evaluations), folded=True))
+    if findings.groups:
+        blocks.append(TableBlock(training_origin_table(findings.groups)))
+    return blocks
+
+
+def describe_note(note: Note) -> str:
+    """A note with the folder that it is about."""
+    return f"{shown_path(note.path)}: {note.text}"
+
+
+def _results(findings: Findings) -> list[Block]:
+    blocks: list[Block] = []
+    if len(findings.comparisons) > 1:
+        for measure in ("SR", "TR"):
+            if any(measure in found for each in findings.estimates for found in each.values()):
+                blocks.append(TableBlock(overview_table(findings.comparisons, findings.estimates, measure)))
+    for comparison, estimates in zip(findings.comparisons, findings.estimates, strict=True):
+        blocks.append(TableBlock(main_table(findings.name(comparison), comparison, estimates)))
+        if comparison.notes:
+            blocks.append(TextBlock("", comparison.notes, warning=True))
+    return blocks
+
+
+def _pairs(findings: Findings) -> list[Block]:
+    blocks: list[Block] = []
+    for comparison, pairs in zip(findings.comparisons, findings.pairs, strict=True):
+        shown = [one for one in pairs if one.measure.name in PAPER_MEASURES]
+        others = [one for one in pairs if one.measure.name not in PAPER_MEASURES]
+        name = findings.name(comparison)
+        # Many pairs would push all else away.
+        folded = len(findings.comparisons) > 1 or len(comparison.methods) > 2
+        if shown:
+            blocks.append(TableBlock(paired_table(name, comparison, shown), folded=folded))
+        if others:
+            table = paired_table(f"{name}_further", comparison, others)
+            blocks.append(TableBlock(table, folded=True))
+    return blocks
+
+
+def _measures(findings: Findings) -> list[Block]:
+    return [
+        TableBlock(
+            all_measures_table(findings.name(comparison), comparison, estimates),
+            folded=len(findings.comparisons) > 1,
+        )
+        for comparison, estimates in zip(findings.comparisons, findings.estimates, strict=True)
+    ]
+
+
+def _training(findings: Findings) -> list[Block]:
+    return [TableBlock(training_table(findings.groups))] if findings.groups else []
+
+
+def _sweeps(findings: Findings) -> list[Block]:
+    return [
+        TableBlock(sweep_table(f"sweep_{number:02d}", sweep))
+        for number, sweep in enumerate(findings.inputs.sweeps, 1)
+    ]
+
+
+def _files(sections: Sequence[Section]) -> list[Block]:
+    """Which files each table and figure was made from, and where it is beside the page."""
+    blocks: list[Block] = []
+    tables, figures = tables_of(sections), figures_of(sections)
+    if tables:
+        blocks.append(HeadingBlock("Tables"))
+        blocks.append(
+            TextBlock(
+                "Each in tables/ as .tex (booktabs), .md and .csv; the last has all digits.",
+                [f"{table.name}: {table.title}" for table in tables],
+            )
+        )
+    if figures:
+        blocks.append(HeadingBlock("Figures"))
+        blocks.append(
+            TextBlock(
+                "Each in figures/ as .png and .pdf.", [f"{figure.name}: {figure.title}" for figure in figures]
+            )
+        )
+    return blocks

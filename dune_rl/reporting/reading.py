@@ -1,0 +1,264 @@
+"""Finds runs, evaluations and sweeps in the folders that a report is asked for, and says what it leaves out."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dune_rl.episode_sets.files import read_episode_set, set_names
+from dune_rl.errors import ConfigError
+from dune_rl.evaluation.folder import CONFIG, EPISODES, PROVENANCE, STEPS
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE
+from dune_rl.reporting.csv_rows import read_rows
+from dune_rl.reporting.runs import (
+    EvaluationRun,
+    Note,
+    ReportInputs,
+    Row,
+    Sweep,
+    TrainingRun,
+    with_unique_names,
+)
+from dune_rl.reporting.sweeps import is_sweep, read_sweep
+
+_HISTORY = "metrics.csv"
+_PART = "episodes.part.jsonl"
+_REQUIRED = ("policy", "episode")
+# Folders below the given one that are searched: experiments/STUDY/seed1 has two.
+_DEPTH = 4
+# Rows that share these were made on the same episodes.
+_MIXED = ("set", "world", "engine", "seed")
+
+
+@dataclass
+class _Found:
+    training: list[TrainingRun] = field(default_factory=list)
+    evaluations: list[EvaluationRun] = field(default_factory=list)
+    sweeps: list[Sweep] = field(default_factory=list)
+    skipped: list[Note] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    seen: set[Path] = field(default_factory=set)
+
+
+def read_inputs(paths: Sequence[Path], show: Callable[[Path], None] = lambda path: None) -> ReportInputs:
+    """All runs, evaluations and sweeps in and below the folders `paths`; `show` is called with each.
+
+    What cannot be used is in `skipped`, with the reason; nothing is raised for it.
+    """
+    found = _Found()
+    for path in paths:
+        before = len(found.seen)
+        if not path.exists():
+            found.skipped.append(Note(path, "there is no such folder"))
+        elif not path.is_dir():
+            found.skipped.append(Note(path, "is a file; give the folder of a run or of an evaluation"))
+        elif path.resolve() in found.seen:
+            found.skipped.append(Note(path, "is given twice; read once"))
+        else:
+            _search(path, found, show, _DEPTH)
+            if len(found.seen) == before:
+                found.skipped.append(Note(path, "holds no run, no evaluation and no sweep"))
+    return ReportInputs(
+        with_unique_names(found.training),
+        with_unique_names(found.evaluations),
+        with_unique_names(found.sweeps),
+        found.skipped,
+        found.notes,
+    )
+
+
+def _search(path: Path, found: _Found, show: Callable[[Path], None], depth: int) -> None:
+    try:
+        names = {each.name for each in path.iterdir()}
+    except OSError as error:
+        found.skipped.append(Note(path, f"cannot be read ({error.strerror})"))
+        return
+    if is_sweep(path):
+        found.seen.add(path.resolve())
+        show(path)
+        _add_sweep(path, found)
+    if path.resolve() not in found.seen and names & {
+        *(CONFIG, _HISTORY, CHECKPOINT_FILE, PROVENANCE, _PART),
+        f"{EPISODES}.csv",
+    }:
+        _read_folder(path, names, found, show)
+    if depth:
+        for name in sorted(names):
+            below = path / name
+            # Links could lead round in a circle, or out of what was asked for.
+            if below.is_dir() and not below.is_symlink() and not name.startswith("."):
+                _search(below, found, show, depth - 1)
+
+
+def _read_folder(path: Path, names: set[str], found: _Found, show: Callable[[Path], None]) -> None:
+    config = _read_config(path, found)
+    evaluated = bool(names & {PROVENANCE, _PART, f"{EPISODES}.csv"})
+    # An evaluation's settings have no number of frames.
+    trained = bool(names & {_HISTORY, CHECKPOINT_FILE}) or "total_frames" in config
+    if not (evaluated or trained):
+        return
+    found.seen.add(path.resolve())
+    show(path)
+    if trained and (_HISTORY in names or not evaluated):
+        _read(path, found, lambda: _add_training(path, config, found))
+    if evaluated:
+        _read(path, found, lambda: _add_evaluation(path, config, found))
+
+
+def _read(path: Path, found: _Found, add: Callable[[], None]) -> None:
+    try:
+        add()
+    except ConfigError as error:
+        found.skipped.append(Note(path, str(error)))
+
+
+def _read_config(path: Path, found: _Found) -> dict[str, Any]:
+    file = path / CONFIG
+    if not file.exists():
+        return {}
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        content = None
+    if isinstance(content, dict):
+        return {str(key): value for key, value in content.items()}
+    found.notes.append(Note(path, f"{CONFIG} is damaged; its settings are not in the report"))
+    return {}
+
+
+def _add_training(path: Path, config: dict[str, Any], found: _Found) -> None:
+    if not (path / _HISTORY).exists():
+        raise ConfigError(f"has no {_HISTORY}: its training has just begun, or was cut off early")
+    history = read_rows(path / _HISTORY, empty=None)
+    if not history:
+        raise ConfigError(f"{_HISTORY} has no rows: no episode has ended in its training")
+    if any("frames" not in row or "kind" not in row for row in history):
+        raise ConfigError(f"{_HISTORY} lacks the columns kind and frames, as those of other programs do")
+    total, frames = config.get("total_frames"), max(float(row["frames"]) for row in history)
+    if isinstance(total, int) and frames < total:
+        found.notes.append(Note(path, f"is not finished: {frames:,.0f} of {total:,} frames"))
+    found.training.append(TrainingRun(path, "", config, history))
+
+
+def _add_sweep(path: Path, found: _Found) -> None:
+    sweep, notes = read_sweep(path)
+    found.notes += notes
+    if sweep.jobs:
+        found.sweeps.append(sweep)
+    else:
+        found.skipped.append(Note(path, "is a sweep without jobs"))
+
+
+def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
+    provenance = _read_provenance(path, found)
+    file = path / f"{EPISODES}.csv"
+    if provenance.get("complete") is False:
+        total = provenance.get("episodes", 0) * max(1, len(provenance.get("policies", ())))
+        raise ConfigError(
+            f"was cut off after {provenance.get('finished', 0)} of {total} episodes, of which short ones end "
+            f"first; go on with python -m dune_rl.evaluate resume={path}"
+        )
+    if not file.exists():
+        raise ConfigError(f"has no {file.name}; evaluate again")
+    episodes = read_rows(file, empty=float("nan"))
+    if not episodes:
+        raise ConfigError(f"{file.name} has no episodes")
+    missing = [name for name in _REQUIRED if name not in episodes[0]]
+    if missing:
+        raise ConfigError(
+            f"{file.name} lacks the column {missing[0]}, as those of other versions do; evaluate again"
+        )
+    world = str((config.get("world") or {}).get("name", "unknown world"))
+    # The first studies have one agent, and no column for it.
+    defaults = {"set": "", "world": world, "engine": _engine(config), "agent": "agent_0"}
+    episodes = [{**defaults, **row} for row in episodes]
+    _check_repeated(file, episodes)
+    _note_origin(path, provenance, found)
+    steps = read_rows(path / f"{STEPS}.csv", empty=float("nan")) if (path / f"{STEPS}.csv").exists() else []
+    whole = EvaluationRun(path, "", config, provenance, episodes, steps)
+    parts = _split_mixed(whole)
+    if len(parts) > 1:
+        kinds = ", ".join(part.episodes[0]["set"] or part.episodes[0]["world"] for part in parts)
+        found.notes.append(Note(path, f"has several sets, worlds, engines or seeds ({kinds}): kept apart"))
+    found.evaluations += parts
+
+
+def _engine(config: dict[str, Any]) -> str:
+    physics = config.get("physics")
+    return str(physics.get("backend", "")) if isinstance(physics, dict) else ""
+
+
+def _read_provenance(path: Path, found: _Found) -> dict[str, Any]:
+    file = path / PROVENANCE
+    if not file.exists():
+        return {}
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        content = None
+    if isinstance(content, dict):
+        return content
+    raise ConfigError(f"{PROVENANCE} is damaged, so that nothing tells whether it is complete; evaluate again")
+
+
+def _check_repeated(file: Path, episodes: list[Row]) -> None:
+    seen = set()
+    for row in episodes:
+        key = tuple(str(row.get(name)) for name in (*_REQUIRED, "agent", *_MIXED))
+        if key in seen:
+            raise ConfigError(f"{file.name} has episode {row['episode']} of {row['policy']} twice")
+        seen.add(key)
+
+
+def _note_origin(path: Path, provenance: dict[str, Any], found: _Found) -> None:
+    used = provenance.get("set")
+    if isinstance(used, dict):
+        installed = installed_checksum(str(used.get("name")))
+        if installed is None:
+            found.notes.append(Note(path, f"the set {used.get('name')} is not installed, so it is not checked"))
+        elif installed != used.get("sha256"):
+            found.notes.append(
+                Note(
+                    path,
+                    f"was made on another set {used.get('name')} than the installed one (checksums "
+                    f"{str(used.get('sha256'))[:12]} and {installed[:12]}): kept apart",
+                )
+            )
+    packages = provenance.get("packages")
+    made_with = packages.get("dune_rl") if isinstance(packages, dict) else None
+    if made_with is not None and made_with != installed_version():
+        found.notes.append(
+            Note(path, f"was made with dune_rl {made_with}; this report is of {installed_version()}")
+        )
+
+
+def installed_checksum(name: str) -> str | None:
+    """The checksum of the installed episode set `name`; None where it is not among them or damaged."""
+    if name not in set_names():
+        return None
+    try:
+        return read_episode_set(name).header.sha256
+    except ConfigError:
+        return None
+
+
+def installed_version() -> str:
+    """The version of this package."""
+    try:
+        return version("dune_rl")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _split_mixed(run: EvaluationRun) -> list[EvaluationRun]:
+    parts: dict[tuple[str, ...], list[Row]] = {}
+    for row in run.episodes:
+        parts.setdefault(tuple(str(row.get(name)) for name in _MIXED), []).append(row)
+    if len(parts) == 1:
+        return [run]
+    # Steps do not say which world they were made in.
+    return [replace(run, episodes=rows, steps=[]) for rows in parts.values()]

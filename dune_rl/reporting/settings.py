@@ -1,0 +1,52 @@
+"""Settings of `python -m dune_rl.report`, and which of its words are folders."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import Field
+
+from dune_rl.config.checks import validate
+from dune_rl.errors import ConfigError
+from dune_rl.settings import Settings
+
+
+class ReportConf(Settings):
+    """Settings of a report."""
+
+    out: str | None = Field(None, min_length=1)
+    overwrite: bool = False
+    title: str | None = Field(None, min_length=1)
+    into: str | None = Field(None, min_length=1)
+
+
+def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
+    """The folders and the settings among the words of a command line; `ConfigError` where they are not valid.
+
+    A word with = is a setting, unless there is a folder of that name.
+    """
+    folders = [word for word in words if "=" not in word or Path(word).exists()]
+    settings = [word for word in words if word not in folders]
+    values: dict[str, Any] = {}
+    for word in settings:
+        key, _, text = word.partition("=")
+        # Paths and titles are taken as they are, not parsed.
+        values[key] = _parse(word, key) if key == "overwrite" else text
+    conf = validate(ReportConf, values)
+    if conf.into is None and not folders:
+        raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")
+    if conf.into is not None and (folders or conf.out or conf.title):
+        raise ConfigError(
+            f"into={conf.into} writes the tables that the file itself asks for; leave {([*folders, 'out, title'])[0]} out"
+        )
+    return [Path(word) for word in folders], conf
+
+
+def _parse(word: str, key: str) -> object:
+    try:
+        found = cast("dict[str, Any]", OmegaConf.to_object(OmegaConf.from_dotlist([word])))
+    except (OmegaConfBaseException, ValueError) as error:
+        raise ConfigError(f"{word}: {error}") from error
+    return found.get(key)

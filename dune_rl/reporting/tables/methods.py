@@ -1,0 +1,240 @@
+"""Tables of methods on the same cases: like Table 3 of the DUnE paper, all measures, in pairs, and over cases."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from dune_rl.learning.paired_comparison import PairedComparison
+from dune_rl.learning.statistics import Estimate
+from dune_rl.metrics.catalogue import Measure
+from dune_rl.reporting import published
+from dune_rl.reporting.comparisons import Comparison, measure_of
+from dune_rl.reporting.tables.table import (
+    NOTHING,
+    Cell,
+    Table,
+    estimate_cell,
+    format_value,
+    measure_title,
+)
+
+PAPER_MEASURES = ("SR", "TR", "TC", "MTT", "OC", "VR", "VORT", "TSR")
+Estimates = Mapping[str, Mapping[str, Estimate]]
+
+
+def main_table(name: str, comparison: Comparison, estimates: Estimates) -> Table:
+    """The paper's measures: a row for each method, and one with what the paper reports of the same world."""
+    figures = published.PAPER_FIGURES.get(comparison.cases.world, {})
+    # What the paper measures and we cannot, as VORT on flat ground, has dashes.
+    shown = [
+        measure_of(one)
+        for one in PAPER_MEASURES
+        if one in figures or any(one in found for found in estimates.values())
+    ]
+    rows = [
+        [
+            Cell(method.name),
+            Cell(_count(method.episodes, method.agents)),
+            *(
+                estimate_cell(one, estimates[method.name].get(one.name), best=_is_best(one, method.name, estimates))
+                for one in shown
+            ),
+        ]
+        for method in comparison.methods
+    ]
+    caption = [_intervals(comparison), vort_note(comparison)]
+    if len(comparison.methods) > 1:
+        caption.append("The best value is marked, whether or not it differs significantly.")
+    if figures:
+        rows.append([Cell(published.NAME), Cell(""), *(Cell(figures.get(one.name, "")) for one in shown)])
+        caption.append(published.CAVEAT)
+    return Table(
+        f"{name}_main",
+        comparison.cases.title,
+        " ".join(filter(None, caption)),
+        ["method", "episodes", *(measure_title(one) for one in shown)],
+        rows,
+        _data(comparison, {key: {m.name: found.get(m.name) for m in shown} for key, found in estimates.items()}),
+        comparison.files,
+    )
+
+
+def all_measures_table(name: str, comparison: Comparison, estimates: Estimates) -> Table:
+    """Every measure that some method has, the paper's among them: a row for each, a column for each method."""
+    measures = [
+        measure_of(one) for one in dict.fromkeys(one for found in estimates.values() for one in found)
+    ]
+    rows = [
+        [
+            Cell(measure_title(one)),
+            Cell(one.meaning),
+            Cell({"higher": "higher", "lower": "lower"}.get(one.better or "", "")),
+            *(
+                estimate_cell(
+                    one, estimates[method.name].get(one.name), best=_is_best(one, method.name, estimates)
+                )
+                for method in comparison.methods
+            ),
+        ]
+        for one in measures
+    ]
+    return Table(
+        f"{name}_all",
+        f"{comparison.cases.title}: all measures",
+        " ".join(filter(None, (_intervals(comparison), vort_note(comparison)))),
+        ["measure", "meaning", "better is", *(method.name for method in comparison.methods)],
+        rows,
+        _data(comparison, estimates),
+        comparison.files,
+        heads=3,
+    )
+
+
+def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedComparison]) -> Table:
+    """Differences of each pair of methods on the same episodes, by measure."""
+    rows = []
+    for one in pairs:
+        measure = one.measure
+        difference = [
+            _signed(measure, value)
+            for value in (one.difference.value, one.difference.low, one.difference.high)
+        ]
+        known = not math.isnan(one.difference.value)
+        bounded = not math.isnan(one.difference.low)
+        rows.append(
+            [
+                Cell(measure_title(measure)),
+                Cell(f"{one.first} − {one.second}"),
+                Cell(difference[0], f"{difference[1]} to {difference[2]}" if bounded else "")
+                if known
+                else Cell(NOTHING),
+                Cell(str(one.difference.count)),
+                Cell(format_p(one.p_value)),
+                Cell(format_p(one.adjusted_p)),
+                Cell(NOTHING if math.isnan(one.effect) else f"{one.effect:.2f}"),
+            ]
+        )
+    data = [
+        {
+            "cases": comparison.cases.title,
+            "measure": one.measure.name,
+            "first": one.first,
+            "second": one.second,
+            "difference": one.difference.value,
+            "low": one.difference.low,
+            "high": one.difference.high,
+            "pairs": one.difference.count,
+            "p": one.p_value,
+            "p_holm": one.adjusted_p,
+            "effect": one.effect,
+        }
+        for one in pairs
+    ]
+    caption = (
+        "Mean differences with 95 % intervals of a paired bootstrap; p of the exact McNemar test for shares and "
+        "of a sign-flip permutation test for means, and by Holm's method over all pairs of one measure; effect: "
+        "for shares the part of the discordant episodes that the first wins (0.5: none), for means Cohen's d of "
+        "paired samples. Times are compared on the episodes in which both arrive."
+    )
+    return Table(
+        f"{name}_pairs",
+        f"{comparison.cases.title}: in pairs",
+        caption,
+        ["measure", "methods", "difference", "pairs", "p", "p (Holm)", "effect"],
+        rows,
+        data,
+        comparison.files,
+        heads=2,
+    )
+
+
+def overview_table(comparisons: Sequence[Comparison], estimates: Sequence[Estimates], measure: str) -> Table:
+    """One measure of all methods on all cases: a row for each method, a column for each kind of cases."""
+    one = measure_of(measure)
+    methods = list(dict.fromkeys(method.name for each in comparisons for method in each.methods))
+    rows = [
+        [Cell(name), *(estimate_cell(one, found.get(name, {}).get(measure)) for found in estimates)]
+        for name in methods
+    ]
+    data: list[Mapping[str, object]] = []
+    for each, found in zip(comparisons, estimates, strict=True):
+        chosen = {name: {measure: values.get(measure)} for name, values in found.items()}
+        data += _data(each, chosen)
+    return Table(
+        f"overview_{measure}",
+        f"{measure_title(one)} of every method on all cases",
+        f"{one.meaning}; {', '.join(_episodes(each) for each in comparisons)}. "
+        "95 % intervals. A dash: not measured.",
+        ["method", *(each.cases.title for each in comparisons)],
+        rows,
+        data,
+        list(dict.fromkeys(file for each in comparisons for file in each.files)),
+    )
+
+
+def vort_note(comparison: Comparison) -> str:
+    """From which tilt on ground counts as uneven."""
+    if not comparison.thresholds:
+        return ""
+    return f"VORT: ground is uneven above a tilt of {' or '.join(f'{one:g}°' for one in comparison.thresholds)}."
+
+
+def format_p(value: float) -> str:
+    """A p-value with two digits."""
+    return NOTHING if math.isnan(value) else f"{value:.2g}"
+
+
+def _intervals(comparison: Comparison) -> str:
+    several = any(method.agents > 1 for method in comparison.methods)
+    return "In brackets: 95 % intervals" + (", over whole episodes." if several else ".")
+
+
+def _episodes(comparison: Comparison) -> str:
+    counts = sorted({method.episodes for method in comparison.methods})
+    told = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return f"{comparison.cases.title}: {told} episodes"
+
+
+def _count(episodes: int, agents: int) -> str:
+    return f"{episodes}" if agents == 1 else f"{episodes} × {agents} agents"
+
+
+def _is_best(measure: Measure, method: str, estimates: Estimates) -> bool:
+    if measure.better is None or len(estimates) < 2:
+        return False
+    values = {
+        name: found[measure.name].value
+        for name, found in estimates.items()
+        if measure.name in found and not math.isnan(found[measure.name].value)
+    }
+    if len(values) < 2 or method not in values:
+        return False
+    shown = {name: format_value(measure, value) for name, value in values.items()}
+    best = (max if measure.better == "higher" else min)(values, key=lambda name: values[name])
+    # What reads the same is equally good; if all do, none is the best.
+    return shown[method] == shown[best] and len(set(shown.values())) > 1
+
+
+def _signed(measure: Measure, value: float) -> str:
+    if math.isnan(value):
+        return NOTHING
+    text = format_value(measure, abs(value))
+    zero = not any(digit in text for digit in "123456789")
+    return text if zero else f"{'−' if value < 0 else '+'}{text}"
+
+
+def _data(comparison: Comparison, estimates: Mapping[str, Mapping[str, Estimate | None]]) -> list[Mapping[str, object]]:
+    return [
+        {
+            "cases": comparison.cases.title,
+            "method": method,
+            "measure": name,
+            "unit": "" if measure_of(name).unit == "%" else measure_of(name).unit,
+            "value": estimate.value,
+            "low": estimate.low,
+            "high": estimate.high,
+            "count": estimate.count,
+        }
+        for method, found in estimates.items()
+        for name, estimate in found.items()
+        if estimate is not None
+    ]

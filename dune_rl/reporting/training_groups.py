@@ -1,0 +1,71 @@
+"""Groups training runs that differ in nothing but their seed, and what each came to."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dune_rl.reporting.runs import Row, TrainingRun
+
+# Settings that change neither what is learnt nor on what.
+_INDIFFERENT = ("seed", "run_dir", "resume", "film", "device", "objective")
+
+
+@dataclass(frozen=True)
+class TrainingGroup:
+    """Runs with equal settings, but for their seeds."""
+
+    name: str
+    runs: list[TrainingRun]
+
+    @property
+    def seeds(self) -> list[str]:
+        """The seed of each run."""
+        return [str(run.config.get("seed", "?")) for run in self.runs]
+
+
+def group_runs(runs: Sequence[TrainingRun]) -> list[TrainingGroup]:
+    """The runs, those together that only their seeds tell apart; runs without settings stay alone."""
+    groups: dict[str, list[TrainingRun]] = {}
+    for run in runs:
+        key = _settings_key(run.config) if run.config else f"alone: {run.name}"
+        groups.setdefault(key, []).append(run)
+    found: list[TrainingGroup] = []
+    for members in groups.values():
+        name, number = _common_name(members), 1
+        unique = name
+        while unique in {group.name for group in found}:
+            number += 1
+            unique = f"{name} ({number})"
+        found.append(TrainingGroup(unique, members))
+    return found
+
+
+def _settings_key(config: Mapping[str, Any]) -> str:
+    kept = {name: value for name, value in config.items() if name not in _INDIFFERENT}
+    return json.dumps(kept, sort_keys=True, default=str)
+
+
+def _common_name(runs: Sequence[TrainingRun]) -> str:
+    """What the names of the runs have in common: the folder that they are in, or their beginning."""
+    if len(runs) == 1:
+        return runs[0].name
+    parents = {run.path.resolve().parent for run in runs}
+    # Names are ends of paths.
+    beginning = os.path.commonprefix([run.name for run in runs]).rstrip("/_-. ").removesuffix("seed")
+    beginning = beginning.rstrip("/_-. ")
+    if not beginning and len(parents) == 1:
+        beginning = parents.pop().name
+    return f"{beginning or runs[0].name}, {len(runs)} seeds"
+
+
+def agent_groups(run: TrainingRun) -> list[str]:
+    """The groups of agents that it trained; one without a name where there is only one."""
+    return list(dict.fromkeys(str(row.get("group", "")) for row in run.history))
+
+
+def final_evaluation(run: TrainingRun, group: str = "") -> Row:
+    """The row of its last evaluation of a group of agents; empty without one."""
+    rows = [row for row in run.history if row["kind"] == "eval" and str(row.get("group", "")) == group]
+    return rows[-1] if rows else {}
