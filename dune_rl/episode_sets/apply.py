@@ -17,6 +17,8 @@ Model = TypeVar("Model", bound=EnvConf)
 
 # Headers state radii with four digits [m].
 _ROUNDING_M = 1e-3
+# The limits of sets count control steps of this rate.
+_CONTROL_HZ = 20
 _DETERMINED = ("world", "weather", "actors", "randomisation", "task.spawn", "task.terminations")
 _ONE_ROBOT = ("agents", "robots")
 _RENAMED = ("task.termination",)
@@ -39,6 +41,11 @@ def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
         raise ConfigError(
             f"set={episode_set.name} is for one robot, and these settings have agents or robots of their "
             "own; evaluate them with +world=NAME episodes=N"
+        )
+    if conf.physics.control_hz != _CONTROL_HZ:
+        raise ConfigError(
+            f"set={episode_set.name} ends episodes after a number of steps of 1/{_CONTROL_HZ} s; leave "
+            f"physics.control_hz={conf.physics.control_hz} out"
         )
     data = conf.model_dump(mode="json")
     for section, values in episode_set.header.settings.items():

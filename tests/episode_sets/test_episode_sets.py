@@ -184,3 +184,11 @@ def test_plans_that_are_none() -> None:
         EpisodePlan([])
     with pytest.raises(ValueError, match="in all of them or in none"):
         EpisodePlan([PlannedEpisode(), PlannedEpisode(world_seed=3)])
+
+
+def test_limits_in_steps_hold_for_one_control_rate() -> None:
+    conf = compose_environment(
+        "flat", ["robot=rover_zero", "sensors.enabled=[goal]", "physics.control_hz=10"]
+    )
+    with pytest.raises(ConfigError, match=r"leave physics\.control_hz=10 out"):
+        settings_on_set(conf, read_episode_set("flat-v1"))
