@@ -71,8 +71,8 @@ def test_sites_of_two_sets_are_different_ones() -> None:
 
 
 def test_the_design_effect_by_hand() -> None:
-    # Four sites of two equal episodes, half of them successes: the variance is twice that of independent ones,
-    # and 4 / 3 of that for 3 degrees of freedom: as many as 3 independent episodes.
+    # Four sites of two equal episodes, half of them successes: the variance is twice that of eight
+    # independent ones, and 4 / 3 of that for 3 degrees of freedom: as many as 3 independent episodes.
     found = estimate_proportion([1, 1, 1, 1, 0, 0, 0, 0], [0, 0, 1, 1, 2, 2, 3, 3])
     t = 3.182446
     half = t / (1 + t**2 / 3) * math.sqrt(0.25 / 3 + t**2 / 36)
