@@ -220,14 +220,16 @@ def _oddities(comparison: Comparison) -> list[str]:
     for method in comparison.methods:
         if method.episodes == 1:
             notes.append(f"{method.name} has one episode, which has no interval.")
-    robots = {str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs}
+    robots = {
+        str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs
+    }
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
-    """Each measure over the rows of a method with its 95 % interval; measures without any value are left out."""
+    """Each measure over the rows of a method with its 95 % interval; those without any value are left out."""
     names = _measured_names(rows)
     found: dict[str, Estimate] = {}
     for measure in measures_of([name for name in _columns(rows) if name in names]):
@@ -236,9 +238,7 @@ def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
         if measure.is_share:
             numeric = [row for row in numeric if not math.isnan(row[measure.metric])]
         found |= {
-            name: estimate
-            for name, estimate in estimate_metrics(numeric).items()
-            if name == measure.name
+            name: estimate for name, estimate in estimate_metrics(numeric).items() if name == measure.name
         }
     return found
 
@@ -287,4 +287,4 @@ def _uneven_tilt(config: Mapping[str, Any]) -> float | None:
         return float(vort["uneven_tilt_deg"])
     # Settings of earlier versions.
     old = metrics.get("uneven_tilt_rad")
-    return round(math.degrees(old), 6) if is_number(old) else None
+    return round(math.degrees(float(old)), 6) if isinstance(old, int | float) else None

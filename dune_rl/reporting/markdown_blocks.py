@@ -15,7 +15,7 @@ Folders are relative to the Markdown file. What is between the comments is writt
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -57,8 +57,8 @@ class TableConf(Settings):
     methods: dict[str, str | SourceConf | tuple[str | SourceConf, ...]] = Field(min_length=1)
     measures: tuple[str, ...] = Field(min_length=1)
     rows: Literal["methods", "measures"] = "methods"
-    labels: dict[str, str] = {}
-    decimals: dict[str, int] = {}
+    labels: Mapping[str, str] = Field(default_factory=dict)
+    decimals: Mapping[str, int] = Field(default_factory=dict)
     intervals: bool = True
     paper: str | None = None
 
@@ -81,7 +81,9 @@ def rewrite_file(file: Path) -> int:
         raise ConfigError(f"into={file} cannot be read as text: {error}") from None
     rewritten, count = rewrite_text(text, file)
     if not count:
-        raise ConfigError(f"{file} has no block that begins with <!-- report: table; see docs/how_to/report.md")
+        raise ConfigError(
+            f"{file} has no block that begins with <!-- report: table; see docs/how_to/report.md"
+        )
     if rewritten != text:
         with write_atomically(file) as temporary:
             temporary.write_text(rewritten, encoding="utf-8", newline="")
@@ -141,7 +143,9 @@ def _make_table(conf: TableConf, folder: Path) -> str:
     }
     paper = published.PAPER_FIGURES.get(conf.paper or "", {})
     if conf.paper and not paper:
-        raise ConfigError(f"the paper has no figures of {conf.paper}; it has {', '.join(published.PAPER_FIGURES)}")
+        raise ConfigError(
+            f"the paper has no figures of {conf.paper}; it has {', '.join(published.PAPER_FIGURES)}"
+        )
     cells: dict[str, dict[str, str]] = {}
     for name in conf.measures:
         measure = _with_decimals(measure_of(name), conf)
@@ -155,7 +159,9 @@ def _make_table(conf: TableConf, folder: Path) -> str:
     titles = list(next(iter(cells.values())))
     if conf.rows == "measures":
         header = ["", *titles]
-        rows = [[Cell(labels[name]), *(Cell(cells[name][title]) for title in titles)] for name in conf.measures]
+        rows = [
+            [Cell(labels[name]), *(Cell(cells[name][title]) for title in titles)] for name in conf.measures
+        ]
     else:
         header = ["", *labels.values()]
         rows = [[Cell(title), *(Cell(cells[name][title]) for name in conf.measures)] for title in titles]
@@ -178,7 +184,7 @@ def _cell(
     name: str,
     measure: Measure,
     methods: list[Method],
-    estimates: list[Mapping[str, Estimate]],
+    estimates: Sequence[Mapping[str, Estimate]],
     conf: TableConf,
     folder: Path,
 ) -> str:
@@ -222,8 +228,8 @@ def _make_pair(conf: PairConf, folder: Path) -> str:
     names = (escape_markdown(f"`{method.policy}`").replace("\\`", "`") for method in (first, second))
     one, other = names
     return (
-        f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in {test.only_b}: "
-        f"exact McNemar test, p = {format_p(test.p_value)}.\n"
+        f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in "
+        f"{test.only_b}: exact McNemar test, p = {format_p(test.p_value)}.\n"
     )
 
 
