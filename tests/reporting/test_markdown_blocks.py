@@ -41,7 +41,7 @@ def test_the_headline_and_the_studies_have_tables_that_are_made() -> None:
 def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
     file.write_text(f"before\n\n{TABLE}old\n{END}\nbetween\n\n{TABLE}{END} after\n")
     assert rewrite_file(file) == 2
-    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.00 to 1.00) |")
+    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.00 to 0.75) |")
     made = TABLE + "".join(f"{line}\n" for line in lines) + END
     assert file.read_text() == f"before\n\n{made}\nbetween\n\n{made} after\n"
     written = file.stat().st_mtime_ns
@@ -53,7 +53,8 @@ def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
 def test_rows_labels_digits_several_sources_and_the_paper(file: Path) -> None:
     file.write_text(
         "<!-- report: table\n"
-        "methods:\n  both: [{folder: a, policy: x}, {folder: a, policy: y}]\n  '`y`': {folder: a, policy: y}\n"
+        "methods:\n  both: [{folder: a, policy: x}, {folder: a, policy: y}]\n"
+        "  '`y`': {folder: a, policy: y}\n"
         "measures: [SR, TC, episodes]\nlabels: {TC: collisions}\ndecimals: {SR: 1}\nrows: measures\n"
         f"paper: inspection\nintervals: false\n-->\n{END}\n"
     )
