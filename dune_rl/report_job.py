@@ -18,8 +18,8 @@ from dune_rl.reporting.layout import (
     collect_findings,
     compute_steps,
     describe_note,
-    file_stem,
     figures_of,
+    file_stem,
     lay_out,
     tables_of,
 )
@@ -114,8 +114,8 @@ def default_folder(folders: Sequence[Path], now: datetime) -> Path:
 
 def default_title(inputs: ReportInputs) -> str:
     """The names of what is reported."""
-    named = [*inputs.sweeps, *inputs.evaluations, *inputs.training]
-    names = list(dict.fromkeys(one.name for one in named))
+    by_kind = (inputs.sweeps, inputs.evaluations, inputs.training)
+    names = list(dict.fromkeys(one.name for kind in by_kind for one in kind))
     if len(names) > _NAMES:
         return f"{', '.join(names[: _NAMES - 1])} and {len(names) - _NAMES + 1} more"
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))

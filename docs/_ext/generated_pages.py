@@ -8,16 +8,17 @@ from conf_comments import option_summary, read_comments
 from realism_tables import devices_table, faults_table, sensors_table
 from settings_tables import Section, as_code, first_paragraph, read_section, render_section
 
-from dune_rl import paths
+from dune_rl import paths, report
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
-from dune_rl.engine_comparison.command_line import PAGE
+from dune_rl.engine_comparison import command_line as engines_command
 from dune_rl.engine_comparison.job import EnginesConf
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.help_page import HelpPage
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.metrics.episode import MetricsConf
@@ -25,6 +26,7 @@ from dune_rl.metrics.registry import METRICS
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.registry import Registry
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.reporting.settings import ReportConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
@@ -45,14 +47,20 @@ SECTIONS: Mapping[str, tuple[Any, str]] = {
     "randomisation": (RandomisationConf, "randomisation/none"),
     "learning": (SacConf, "learning/sac"),
 }
+# Commands that take no settings of an environment.
+_ALONE: Mapping[str, tuple[type[Settings], HelpPage]] = {
+    "engines": (EnginesConf, engines_command.PAGE),
+    "report": (ReportConf, report.PAGE),
+}
 _TAGS = frozenset({"name", "term", "sensor"})
 
 
 def command_settings(command: str) -> Section:
     """The settings that a command has beside those of an environment."""
-    if command == "engines":
-        # It has no file in conf/: the help of the command says what its settings mean.
-        return read_section(EnginesConf, "", {words.split("=")[0]: said for words, said in PAGE.settings})
+    if command in _ALONE:
+        # They have no files in conf/: the help of the command says what its settings mean.
+        alone, page = _ALONE[command]
+        return read_section(alone, "", {words.split("=")[0]: said for words, said in page.settings})
     model, file = COMMANDS[command]
     own = frozenset(model.model_fields) - frozenset(EnvConf.model_fields) - {"learning"}
     section = read_section(model, "", read_comments(file), only=own)

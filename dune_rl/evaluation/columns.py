@@ -63,5 +63,5 @@ def describe_columns(names: Sequence[str]) -> list[dict[str, str]]:
 
 
 def measured_columns(names: Sequence[str]) -> list[str]:
-    """The columns that measure the agent: those of metrics, without ids, places and what was drawn or earned."""
+    """The columns that measure the agent: without ids, places and what was drawn or earned."""
     return [name for name in names if name not in _FIXED and "/" not in name]

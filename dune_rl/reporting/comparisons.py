@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.evaluation.columns import measured_columns
-from dune_rl.learning.measures import MetricsRow, estimate_metrics
+from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, cluster_rows, estimate_metrics
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
@@ -76,15 +76,19 @@ class Comparison:
             return []
         results = {method.name: _rows_of(method, common) for method in self.methods}
         shared = set.intersection(*(_measured_names(rows) for rows in results.values()))
+        kept = {*shared, *CASE_COLUMNS, "episode", "agent"}
         return compare_policies(
             {
-                name: [
-                    {key: value for key, value in row.items() if key in shared or key in ("episode", "agent")}
-                    for row in rows
-                ]
+                name: [{key: value for key, value in row.items() if key in kept} for row in rows]
                 for name, rows in results.items()
             }
         )
+
+    @property
+    def sites(self) -> int:
+        """Number of sites, if episodes share them, so that intervals are over whole sites; else 0."""
+        clusters, kind = cluster_rows(self.methods[0].rows)
+        return int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
 
     def common_episodes(self) -> set[tuple[float, str]]:
         """The (episode, agent) that all methods have."""
@@ -220,14 +224,16 @@ def _oddities(comparison: Comparison) -> list[str]:
     for method in comparison.methods:
         if method.episodes == 1:
             notes.append(f"{method.name} has one episode, which has no interval.")
-    robots = {str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs}
+    robots = {
+        str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs
+    }
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
-    """Each measure over the rows of a method with its 95 % interval; measures without any value are left out."""
+    """Each measure over the rows of a method with its 95 % interval; those without any value are left out."""
     names = _measured_names(rows)
     found: dict[str, Estimate] = {}
     for measure in measures_of([name for name in _columns(rows) if name in names]):
@@ -236,9 +242,7 @@ def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
         if measure.is_share:
             numeric = [row for row in numeric if not math.isnan(row[measure.metric])]
         found |= {
-            name: estimate
-            for name, estimate in estimate_metrics(numeric).items()
-            if name == measure.name
+            name: estimate for name, estimate in estimate_metrics(numeric).items() if name == measure.name
         }
     return found
 
@@ -260,12 +264,13 @@ def _measured_names(rows: Sequence[Row]) -> set[str]:
 
 
 def _numeric(rows: Sequence[Row], names: Sequence[str]) -> list[MetricsRow]:
-    """The metrics `names` of rows and their ids as numbers; NaN where a row has none."""
+    """The metrics `names` of rows, their ids as numbers and their sites; NaN where a row has no value."""
     agents = {agent: float(number) for number, agent in enumerate(sorted({row["agent"] for row in rows}))}
     return [
         {
             "episode": row["episode"],
             "agent": agents[row["agent"]],
+            **{name: row[name] for name in CASE_COLUMNS if name in row},
             **{name: row[name] if is_number(row.get(name)) else math.nan for name in names},
         }
         for row in rows
@@ -287,4 +292,4 @@ def _uneven_tilt(config: Mapping[str, Any]) -> float | None:
         return float(vort["uneven_tilt_deg"])
     # Settings of earlier versions.
     old = metrics.get("uneven_tilt_rad")
-    return round(math.degrees(old), 6) if is_number(old) else None
+    return round(math.degrees(float(old)), 6) if isinstance(old, int | float) else None

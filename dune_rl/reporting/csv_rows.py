@@ -30,7 +30,7 @@ def read_rows(file: Path, *, empty: float | None) -> list[Row]:
     for number, cells in enumerate(body, 2):
         if len(cells) != len(header):
             raise ConfigError(
-                f"{file.name}, line {number}: {len(cells)} cells under {len(header)} columns; it is half-written"
+                f"{file.name}, line {number}: {len(cells)} cells under {len(header)} columns; half-written"
             )
     columns = [_parse_column(file, name, [cells[i] for cells in body]) for i, name in enumerate(header)]
     rows: list[Row] = []

@@ -2,17 +2,29 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dune_rl.reporting.comparisons import Comparison
+from dune_rl.reporting.comparisons import Comparison, Method
+from dune_rl.reporting.figures.aggregates import (
+    collect_scores,
+    draw_aggregates,
+    draw_improvements,
+    draw_profiles,
+)
 from dune_rl.reporting.figures.distributions import distribution_metrics, draw_distributions
-from dune_rl.reporting.figures.results import Results
+from dune_rl.reporting.figures.results import Results, axis_label
 from dune_rl.reporting.figures.success import draw_success_by
-from dune_rl.reporting.figures.training import draw_training_curves
+from dune_rl.reporting.figures.training import by_world, draw_training_curves
 from dune_rl.reporting.layout import Findings, file_stem
 from dune_rl.reporting.page.blocks import FigureBlock
+
+_PROPERTIES = (
+    ("goal_distance_m", "the distance to the goal"),
+    ("slope_deg", "the steepest ground on the way to the goal"),
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +49,7 @@ def plan_figures(findings: Findings) -> list[FigurePlan]:
         *_training(findings),
         *_distributions(findings),
         *_difficulty(findings),
+        *_aggregates(findings),
     ]
 
 
@@ -46,18 +59,17 @@ def results_of(comparisons: Sequence[Comparison]) -> Results:
 
 
 def _training(findings: Findings) -> Iterator[FigurePlan]:
-    if not findings.groups:
-        return
-    groups = {group.name: group.runs for group in findings.groups}
-    yield FigurePlan(
-        "training",
-        "training_curves",
-        "Training curves",
-        "Success rate and return over frames: on the left in evaluations on unseen episodes, on the right in "
-        "training, where actions are noisy. Runs that differ only in their seed are one line.",
-        [run.path / "metrics.csv" for group in findings.groups for run in group.runs],
-        lambda: draw_training_curves(groups),
-    )
+    # Runs on other worlds have other lengths and returns.
+    for world, groups in by_world({group.name: group.runs for group in findings.groups}).items():
+        yield FigurePlan(
+            "training",
+            f"training_{file_stem(world)}",
+            f"Training on {world}",
+            "Success rate and return over frames: on the left in evaluations on unseen episodes, on the "
+            "right in training, where actions are noisy. Runs that differ only in their seed are one line.",
+            [run.path / "metrics.csv" for runs in groups.values() for run in runs],
+            partial(draw_training_curves, groups),
+        )
 
 
 def _distributions(findings: Findings) -> Iterator[FigurePlan]:
@@ -66,11 +78,11 @@ def _distributions(findings: Findings) -> Iterator[FigurePlan]:
         yield FigurePlan(
             "distributions",
             f"distribution_{file_stem(metric)}",
-            f"Distribution of {metric.replace('_', ' ')}",
-            "Points are episodes, the shape is their smoothed density, the bar spans the quartiles and the light "
-            "mark is the median. On the right: episodes that have a value, of all.",
+            f"Distribution of {axis_label(metric)}",
+            "Points are episodes, the shape is their smoothed density, the bar spans the quartiles and the "
+            "light mark is the median. On the right: episodes that have a value, of all.",
             _files(findings.comparisons),
-            lambda metric=metric: draw_distributions(results, metric),
+            partial(draw_distributions, results, metric),
         )
 
 
@@ -83,14 +95,94 @@ def _difficulty(findings: Findings) -> Iterator[FigurePlan]:
                 "difficulty",
                 f"success_by_{column}",
                 f"Success against {words}",
-                "Share of successes in each bin with Wilson's 95 % interval; the numbers below are the episodes in "
-                "the bin.",
+                "Share of successes in each bin with Wilson's 95 % interval; the numbers below are "
+                "the episodes in the bin.",
                 _files(findings.comparisons),
-                lambda column=column: draw_success_by(results, column),
+                partial(draw_success_by, results, column),
             )
 
 
-_PROPERTIES = (("goal_distance_m", "the distance to the goal"),)
+def _aggregates(findings: Findings) -> Iterator[FigurePlan]:
+    results = shared_results(findings.comparisons)
+    methods = list(dict.fromkeys(name for each in results.values() for name in each))
+    rows = [row for each in results.values() for found in each.values() for row in found]
+    # Of a single kind of cases the main table says as much.
+    if len(results) < 2 or not any("success" in row for row in rows):
+        return
+    scores = collect_scores(results, "success", trained_groups(findings))
+    sources = _files([one for one in findings.comparisons if one.cases.title in results])
+    units = f"Units: {scores.units}; 95 % intervals of a stratified bootstrap."
+    yield FigurePlan(
+        "aggregates",
+        "aggregates",
+        "Success over all cases",
+        "Interquartile mean, median, mean and optimality gap of the success rate (Agarwal et al. 2021). "
+        + units,
+        sources,
+        partial(draw_aggregates, scores),
+    )
+    yield FigurePlan(
+        "aggregates",
+        "profiles",
+        "Performance profiles",
+        f"Share of units with a success rate above each threshold. {units}",
+        sources,
+        partial(draw_profiles, scores),
+    )
+    if len(methods) > 1:
+        yield FigurePlan(
+            "aggregates",
+            "improvements",
+            "Probability of improvement",
+            f"How probably a unit of one method has a higher success rate than one of another. {units}",
+            sources,
+            partial(draw_improvements, scores),
+        )
+
+
+def shared_results(comparisons: Sequence[Comparison]) -> Results:
+    """Results of the methods and the cases among which each method has each cases; the most of them."""
+    cases_by_method: dict[str, list[str]] = {}
+    for one in comparisons:
+        for method in one.methods:
+            cases_by_method.setdefault(method.name, []).append(one.cases.title)
+    candidates = [set(cases) for cases in cases_by_method.values()]
+
+    def methods_on(cases: set[str]) -> list[str]:
+        return [name for name, found in cases_by_method.items() if cases <= set(found)]
+
+    if not candidates:
+        return {}
+    most = max(candidates, key=lambda cases: len(cases) * len(methods_on(cases)))
+    names = methods_on(most)
+    return {
+        title: {name: found[name] for name in names}
+        for title, found in results_of(comparisons).items()
+        if title in most
+    }
+
+
+def trained_groups(findings: Findings) -> dict[str, str]:
+    """The group of training runs that made the policy of each method, where there are several such runs."""
+    found = {}
+    for method in (method for one in findings.comparisons for method in one.methods):
+        for group in findings.groups:
+            folders = [run.path.resolve() for run in group.runs]
+            if len(folders) > 1 and any(
+                place.is_relative_to(folder) for place in _places(method) for folder in folders
+            ):
+                found[method.name] = group.name
+    return found
+
+
+def _places(method: Method) -> Iterator[Path]:
+    """Where the weights of a method may lie: beside its episodes, or where its provenance says."""
+    for run in method.runs:
+        yield run.path.resolve()
+        policies = run.provenance.get("policies")
+        for each in policies if isinstance(policies, list) else []:
+            if isinstance(each, dict) and each.get("name") == method.policy:
+                yield Path(str(each.get("location", ""))).resolve()
 
 
 def _files(comparisons: Sequence[Comparison]) -> list[Path]:

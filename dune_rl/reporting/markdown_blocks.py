@@ -15,7 +15,7 @@ Folders are relative to the Markdown file. What is between the comments is writt
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +24,7 @@ from pydantic import Field, ValidationError
 
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
-from dune_rl.learning.measures import compare_success
+from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_success
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
@@ -57,8 +57,8 @@ class TableConf(Settings):
     methods: dict[str, str | SourceConf | tuple[str | SourceConf, ...]] = Field(min_length=1)
     measures: tuple[str, ...] = Field(min_length=1)
     rows: Literal["methods", "measures"] = "methods"
-    labels: dict[str, str] = {}
-    decimals: dict[str, int] = {}
+    labels: Mapping[str, str] = Field(default_factory=dict)
+    decimals: Mapping[str, int] = Field(default_factory=dict)
     intervals: bool = True
     paper: str | None = None
 
@@ -81,7 +81,9 @@ def rewrite_file(file: Path) -> int:
         raise ConfigError(f"into={file} cannot be read as text: {error}") from None
     rewritten, count = rewrite_text(text, file)
     if not count:
-        raise ConfigError(f"{file} has no block that begins with <!-- report: table; see docs/how_to/report.md")
+        raise ConfigError(
+            f"{file} has no block that begins with <!-- report: table; see docs/how_to/report.md"
+        )
     if rewritten != text:
         with write_atomically(file) as temporary:
             temporary.write_text(rewritten, encoding="utf-8", newline="")
@@ -141,7 +143,9 @@ def _make_table(conf: TableConf, folder: Path) -> str:
     }
     paper = published.PAPER_FIGURES.get(conf.paper or "", {})
     if conf.paper and not paper:
-        raise ConfigError(f"the paper has no figures of {conf.paper}; it has {', '.join(published.PAPER_FIGURES)}")
+        raise ConfigError(
+            f"the paper has no figures of {conf.paper}; it has {', '.join(published.PAPER_FIGURES)}"
+        )
     cells: dict[str, dict[str, str]] = {}
     for name in conf.measures:
         measure = _with_decimals(measure_of(name), conf)
@@ -155,7 +159,9 @@ def _make_table(conf: TableConf, folder: Path) -> str:
     titles = list(next(iter(cells.values())))
     if conf.rows == "measures":
         header = ["", *titles]
-        rows = [[Cell(labels[name]), *(Cell(cells[name][title]) for title in titles)] for name in conf.measures]
+        rows = [
+            [Cell(labels[name]), *(Cell(cells[name][title]) for title in titles)] for name in conf.measures
+        ]
     else:
         header = ["", *labels.values()]
         rows = [[Cell(title), *(Cell(cells[name][title]) for name in conf.measures)] for title in titles]
@@ -178,7 +184,7 @@ def _cell(
     name: str,
     measure: Measure,
     methods: list[Method],
-    estimates: list[Mapping[str, Estimate]],
+    estimates: Sequence[Mapping[str, Estimate]],
     conf: TableConf,
     folder: Path,
 ) -> str:
@@ -212,7 +218,10 @@ def _frames(method: Method) -> str:
 def _make_pair(conf: PairConf, folder: Path) -> str:
     first, second = (find_method(source, folder) for source in (conf.first, conf.second))
     rows = [
-        [{"episode": row["episode"], "agent": 0.0, "success": row["success"]} for row in method.rows]
+        [
+            {"agent": 0.0, **{key: row[key] for key in ("episode", "success", *CASE_COLUMNS) if key in row}}
+            for row in method.rows
+        ]
         for method in (first, second)
     ]
     try:
@@ -221,9 +230,11 @@ def _make_pair(conf: PairConf, folder: Path) -> str:
         raise ConfigError(str(error)) from None
     names = (escape_markdown(f"`{method.policy}`").replace("\\`", "`") for method in (first, second))
     one, other = names
+    clusters, units = cluster_rows(rows[0])
+    name = "exact McNemar test" if clusters is None else f"sign-flip test of whole {units}"
     return (
-        f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in {test.only_b}: "
-        f"exact McNemar test, p = {format_p(test.p_value)}.\n"
+        f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in "
+        f"{test.only_b}: {name}, p = {format_p(test.p_value)}.\n"
     )
 
 

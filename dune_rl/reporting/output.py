@@ -1,4 +1,4 @@
-"""Writes the folder of a report: the page, its figures as PNG and PDF, its tables as LaTeX, Markdown and CSV."""
+"""Writes the folder of a report: the page, figures as PNG and PDF, tables as LaTeX, Markdown and CSV."""
 
 import io
 import shutil

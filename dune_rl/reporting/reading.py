@@ -1,4 +1,4 @@
-"""Finds runs, evaluations and sweeps in the folders that a report is asked for, and says what it leaves out."""
+"""Finds runs, evaluations and sweeps in the folders of a report, and says what it leaves out."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -202,7 +202,9 @@ def _read_provenance(path: Path, found: _Found) -> dict[str, Any]:
         content = None
     if isinstance(content, dict):
         return content
-    raise ConfigError(f"{PROVENANCE} is damaged, so that nothing tells whether it is complete; evaluate again")
+    raise ConfigError(
+        f"{PROVENANCE} is damaged, so that nothing tells whether it is complete; evaluate again"
+    )
 
 
 def _check_repeated(file: Path, episodes: list[Row]) -> None:
@@ -219,7 +221,9 @@ def _note_origin(path: Path, provenance: dict[str, Any], found: _Found) -> None:
     if isinstance(used, dict):
         installed = installed_checksum(str(used.get("name")))
         if installed is None:
-            found.notes.append(Note(path, f"the set {used.get('name')} is not installed, so it is not checked"))
+            found.notes.append(
+                Note(path, f"the set {used.get('name')} is not installed, so it is not checked")
+            )
         elif installed != used.get("sha256"):
             found.notes.append(
                 Note(

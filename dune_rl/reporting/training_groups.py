@@ -1,9 +1,9 @@
 """Groups training runs that differ in nothing but their seed, and what each came to."""
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 from dune_rl.reporting.runs import Row, TrainingRun
@@ -53,11 +53,16 @@ def _common_name(runs: Sequence[TrainingRun]) -> str:
         return runs[0].name
     parents = {run.path.resolve().parent for run in runs}
     # Names are ends of paths.
-    beginning = os.path.commonprefix([run.name for run in runs]).rstrip("/_-. ").removesuffix("seed")
+    beginning = _common_beginning([run.name for run in runs]).rstrip("/_-. ").removesuffix("seed")
     beginning = beginning.rstrip("/_-. ")
     if not beginning and len(parents) == 1:
         beginning = parents.pop().name
     return f"{beginning or runs[0].name}, {len(runs)} seeds"
+
+
+def _common_beginning(names: Sequence[str]) -> str:
+    equal = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    return "".join(letters[0] for letters in equal)
 
 
 def agent_groups(run: TrainingRun) -> list[str]:

@@ -39,6 +39,7 @@ from dune_rl.config.compose import (
 from dune_rl.engine_comparison.job import parse_settings as engines_settings
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError
+from dune_rl.reporting.settings import parse_words
 from dune_rl.robots import __main__ as robots
 from dune_rl.sensors.conf import ROBOT_SENSORS
 
@@ -89,6 +90,8 @@ def compose_command(words: list[str]) -> None:
         compose_evaluation(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
+    elif program == "dune_rl.report":
+        parse_words(rest)
     elif program == "dune_rl.view":
         compose_view(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     else:

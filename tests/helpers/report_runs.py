@@ -30,7 +30,9 @@ def write_rows(file: Path, rows: Sequence[Mapping[str, object]]) -> None:
         writer.writerows(rows)
 
 
-def episode_rows(policy: str, episodes: int, *, share: float = 0.5, agents: int = 1, **more: object) -> list[dict[str, object]]:
+def episode_rows(
+    policy: str, episodes: int, *, share: float = 0.5, agents: int = 1, **more: object
+) -> list[dict[str, object]]:
     """Rows of a policy that succeeds in the first `share` of its episodes."""
     drawn = stream(0, policy, episodes)
     rows: list[dict[str, object]] = []

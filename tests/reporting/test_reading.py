@@ -128,7 +128,9 @@ def test_a_set_with_another_checksum_is_kept_apart(tmp_path: Path) -> None:
     installed = read_episode_set("flat-v1").header.sha256
     rows = episode_rows("x", 2, set="flat-v1")
     write_evaluation(tmp_path / "a", rows, set={"name": "flat-v1", "sha256": installed})
-    write_evaluation(tmp_path / "b", episode_rows("y", 2, set="flat-v1"), set={"name": "flat-v1", "sha256": "0" * 64})
+    write_evaluation(
+        tmp_path / "b", episode_rows("y", 2, set="flat-v1"), set={"name": "flat-v1", "sha256": "0" * 64}
+    )
     inputs = read_inputs([tmp_path])
     assert [(note.path.name, "another set" in note.text) for note in inputs.notes] == [("b", True)]
     first, second = collect_comparisons(inputs.evaluations)
@@ -178,9 +180,7 @@ def test_missing_and_users_own_metrics(tmp_path: Path) -> None:
 
 def test_several_agents_are_clusters_and_groups_stand_apart(tmp_path: Path) -> None:
     rows = [*episode_rows("x", 5, agents=2), *episode_rows("x", 5, agent="walker_0")]
-    first, second = collect_comparisons(
-        read_inputs([write_evaluation(tmp_path / "a", rows)]).evaluations
-    )
+    first, second = collect_comparisons(read_inputs([write_evaluation(tmp_path / "a", rows)]).evaluations)
     assert [one.cases.title for one in (first, second)] == ["flat, seed 5, rover", "flat, seed 5, walker"]
     assert (first.methods[0].episodes, first.methods[0].agents) == (5, 2)
     assert first.estimates()["x"]["SR"].count == 10
@@ -201,7 +201,10 @@ def test_runs_that_differ_only_in_their_seed_are_a_group(tmp_path: Path) -> None
         write_training(tmp_path / "flat" / f"seed{seed}", seed)
     write_training(tmp_path / "other", 1, learning={"gamma": 0.9})
     groups = group_runs(read_inputs([tmp_path]).training)
-    assert [(group.name, group.seeds) for group in groups] == [("flat, 3 seeds", ["1", "2", "3"]), ("other", ["1"])]
+    assert [(group.name, group.seeds) for group in groups] == [
+        ("flat, 3 seeds", ["1", "2", "3"]),
+        ("other", ["1"]),
+    ]
 
 
 def test_an_unfinished_training_is_told(tmp_path: Path) -> None:
@@ -212,7 +215,9 @@ def test_an_unfinished_training_is_told(tmp_path: Path) -> None:
 def test_a_sweep_is_read_with_its_best_job(tmp_path: Path) -> None:
     inputs = read_inputs([write_sweep(tmp_path / "sweep", ["0.9", "0.95", "0.99"])])
     (sweep,) = inputs.sweeps
-    assert [job.parameters for job in sweep.jobs] == [{"learning.gamma": rate} for rate in ("0.9", "0.95", "0.99")]
+    assert [job.parameters for job in sweep.jobs] == [
+        {"learning.gamma": rate} for rate in ("0.9", "0.95", "0.99")
+    ]
     assert [job.objective for job in sweep.jobs[:2]] == pytest.approx([0.61, 0.62])
     assert sweep.best == "1_flat_seed2"
     # Its jobs are training runs too.
@@ -227,5 +232,7 @@ def test_a_sweep_may_look_for_the_least(tmp_path: Path) -> None:
 def test_the_best_of_optuna_counts_where_no_job_has_the_metric(tmp_path: Path) -> None:
     folder = write_sweep(tmp_path / "sweep", ["0.9", "0.95"])
     (folder / "0_flat_seed1" / "metrics.csv").unlink()
-    (folder / "optimization_results.yaml").write_text("best_params: {learning.gamma: 0.95}\nbest_value: 2.0\n")
+    (folder / "optimization_results.yaml").write_text(
+        "best_params: {learning.gamma: 0.95}\nbest_value: 2.0\n"
+    )
     assert read_inputs([folder]).sweeps[0].best == "1_flat_seed2"

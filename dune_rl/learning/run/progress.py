@@ -186,8 +186,8 @@ def show_episodes(
 ) -> Iterator[Callable[[int], None]]:
     """Show how many of `total` episodes are done: yields a function to call with their number.
 
-    `counted` names them where they are something else. It is a bar on a terminal, and a line every `interval_s` [s]
-    elsewhere.
+    `counted` names them where they are something else. It is a bar on a terminal, and a line every
+    `interval_s` [s] elsewhere.
     """
     if console.is_terminal:
         columns = (

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
+from dune_rl.learning.measures import cluster_rows
 from dune_rl.learning.statistics import Estimate, estimate_proportion
 from dune_rl.reporting.figures.results import Results, column, count_text, method_names
 from dune_rl.reporting.figures.style import (
@@ -84,9 +85,14 @@ def success_by_bin(rows: Sequence[Row], name: str, edges: Array) -> list[Success
     values, success = column(rows, name), column(rows, "success")
     known = np.isfinite(values) & np.isfinite(success)
     values, hits = values[known], success[known] > 0
+    clusters, _ = cluster_rows([row for row, is_known in zip(rows, known, strict=True) if is_known])
     number = np.searchsorted(edges, values, side="right") - 1
     return [
-        SuccessBin(float(edges[bin]), float(edges[bin + 1]), estimate_proportion(hits[number == bin]))
+        SuccessBin(
+            float(edges[bin]),
+            float(edges[bin + 1]),
+            estimate_proportion(hits[number == bin], None if clusters is None else clusters[number == bin]),
+        )
         for bin in range(len(edges) - 1)
     ]
 

@@ -1,4 +1,4 @@
-"""Tables of methods on the same cases: like Table 3 of the DUnE paper, all measures, in pairs, and over cases."""
+"""Tables of methods on the same cases: as in the DUnE paper, all measures, in pairs, and over cases."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,6 +9,7 @@ from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
 from dune_rl.reporting.comparisons import Comparison, measure_of
 from dune_rl.reporting.tables.table import (
+    MINUS,
     NOTHING,
     Cell,
     Table,
@@ -35,7 +36,9 @@ def main_table(name: str, comparison: Comparison, estimates: Estimates) -> Table
             Cell(method.name),
             Cell(_count(method.episodes, method.agents)),
             *(
-                estimate_cell(one, estimates[method.name].get(one.name), best=_is_best(one, method.name, estimates))
+                estimate_cell(
+                    one, estimates[method.name].get(one.name), best=_is_best(one, method.name, estimates)
+                )
                 for one in shown
             ),
         ]
@@ -53,13 +56,15 @@ def main_table(name: str, comparison: Comparison, estimates: Estimates) -> Table
         " ".join(filter(None, caption)),
         ["method", "episodes", *(measure_title(one) for one in shown)],
         rows,
-        _data(comparison, {key: {m.name: found.get(m.name) for m in shown} for key, found in estimates.items()}),
+        _data(
+            comparison, {key: {m.name: found.get(m.name) for m in shown} for key, found in estimates.items()}
+        ),
         comparison.files,
     )
 
 
 def all_measures_table(name: str, comparison: Comparison, estimates: Estimates) -> Table:
-    """Every measure that some method has, the paper's among them: a row for each, a column for each method."""
+    """Every measure that some method has: a row for each, and a column for each method."""
     measures = [
         measure_of(one) for one in dict.fromkeys(one for found in estimates.values() for one in found)
     ]
@@ -103,7 +108,7 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
         rows.append(
             [
                 Cell(measure_title(measure)),
-                Cell(f"{one.first} − {one.second}"),
+                Cell(f"{one.first} {MINUS} {one.second}"),
                 Cell(difference[0], f"{difference[1]} to {difference[2]}" if bounded else "")
                 if known
                 else Cell(NOTHING),
@@ -130,11 +135,14 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
         for one in pairs
     ]
     caption = (
-        "Mean differences with 95 % intervals of a paired bootstrap; p of the exact McNemar test for shares and "
-        "of a sign-flip permutation test for means, and by Holm's method over all pairs of one measure; effect: "
-        "for shares the part of the discordant episodes that the first wins (0.5: none), for means Cohen's d of "
-        "paired samples. Times are compared on the episodes in which both arrive."
+        "Differences with paired 95 % intervals; p of the exact McNemar test for shares and of a "
+        "permutation test for the rest, and by Holm's method over all pairs of one measure; effect: for "
+        "shares the part of the discordant episodes that the first wins (0.5: none), for means Cohen's d of "
+        "paired samples, for ratios their quotient (1: none). Times are compared on the episodes in which "
+        "both arrive."
     )
+    if comparison.sites:
+        caption += f" Intervals and tests, all of permutations, are over {comparison.sites} whole sites."
     return Table(
         f"{name}_pairs",
         f"{comparison.cases.title}: in pairs",
@@ -175,7 +183,9 @@ def vort_note(comparison: Comparison) -> str:
     """From which tilt on ground counts as uneven."""
     if not comparison.thresholds:
         return ""
-    return f"VORT: ground is uneven above a tilt of {' or '.join(f'{one:g}°' for one in comparison.thresholds)}."
+    return (
+        f"VORT: ground is uneven above a tilt of {' or '.join(f'{one:g}°' for one in comparison.thresholds)}."
+    )
 
 
 def format_p(value: float) -> str:
@@ -184,6 +194,8 @@ def format_p(value: float) -> str:
 
 
 def _intervals(comparison: Comparison) -> str:
+    if comparison.sites:
+        return f"In brackets: 95 % intervals, over {comparison.sites} whole sites."
     several = any(method.agents > 1 for method in comparison.methods)
     return "In brackets: 95 % intervals" + (", over whole episodes." if several else ".")
 
@@ -195,7 +207,7 @@ def _episodes(comparison: Comparison) -> str:
 
 
 def _count(episodes: int, agents: int) -> str:
-    return f"{episodes}" if agents == 1 else f"{episodes} × {agents} agents"
+    return f"{episodes}" if agents == 1 else f"{episodes}, {agents} agents each"
 
 
 def _is_best(measure: Measure, method: str, estimates: Estimates) -> bool:
@@ -219,10 +231,12 @@ def _signed(measure: Measure, value: float) -> str:
         return NOTHING
     text = format_value(measure, abs(value))
     zero = not any(digit in text for digit in "123456789")
-    return text if zero else f"{'−' if value < 0 else '+'}{text}"
+    return text if zero else f"{MINUS if value < 0 else '+'}{text}"
 
 
-def _data(comparison: Comparison, estimates: Mapping[str, Mapping[str, Estimate | None]]) -> list[Mapping[str, object]]:
+def _data(
+    comparison: Comparison, estimates: Mapping[str, Mapping[str, Estimate | None]]
+) -> list[Mapping[str, object]]:
     return [
         {
             "cases": comparison.cases.title,

@@ -40,8 +40,8 @@ def cases_table(comparisons: Sequence[Comparison]) -> Table:
     return _text_table(
         "cases",
         "Cases",
-        "Methods on the same cases met the same episodes. VORT above: the tilt from which ground counts as uneven; "
-        "the paper states none. Goals: straight distance from start to goal.",
+        "Methods on the same cases met the same episodes. VORT above: the tilt from which ground counts as "
+        "uneven; the paper states none. Goals: straight distance from start to goal.",
         data,
         list(dict.fromkeys(file for one in comparisons for file in one.files)),
     )
@@ -148,7 +148,9 @@ def _checksum(comparison: Comparison) -> str:
     if not cases.checksum:
         return NOTHING
     installed = installed_checksum(cases.set_name)
-    state = "not installed" if installed is None else "as installed" if installed == cases.checksum else "ANOTHER"
+    state = (
+        "not installed" if installed is None else "as installed" if installed == cases.checksum else "ANOTHER"
+    )
     return f"{cases.checksum[:_SHOWN]} ({state})"
 
 

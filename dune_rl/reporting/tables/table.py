@@ -11,7 +11,7 @@ from pathlib import Path
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 
-NOTHING = "–"
+NOTHING, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
 _LATEX = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -29,9 +29,9 @@ _LATEX = {
     "°": r"$^\circ$",
     "²": r"$^2$",
     "³": r"$^3$",
-    "−": r"$-$",
-    "–": "--",
-    "×": r"$\times$",
+    MINUS: r"$-$",
+    NOTHING: "--",
+    "\N{MULTIPLICATION SIGN}": r"$\times$",
     "±": r"$\pm$",
     "\n": " ",
     "\r": " ",
@@ -103,7 +103,8 @@ def to_latex(table: Table) -> str:
     ]
     for row in table.rows:
         cells = [
-            rf"\textbf{{{escape_latex(cell.plain)}}}" if cell.best else escape_latex(cell.plain) for cell in row
+            rf"\textbf{{{escape_latex(cell.plain)}}}" if cell.best else escape_latex(cell.plain)
+            for cell in row
         ]
         lines.append(" & ".join(_protected(cell) for cell in cells) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])

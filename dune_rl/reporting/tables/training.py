@@ -48,7 +48,7 @@ def training_table(groups: Sequence[TrainingGroup]) -> Table:
     return Table(
         "training",
         "The last evaluation of each training run",
-        "On unseen episodes, whose number is given. Means over seeds are followed by the least and the largest.",
+        "On unseen episodes, whose number is given. Means over seeds: with the least and the largest.",
         ["run", "seed", "frames", "episodes", *(measure_title(measure_of(name)) for name in shown), _RETURN],
         rows,
         data,
@@ -118,8 +118,9 @@ def sweep_table(name: str, sweep: Sweep) -> Table:
     title = sweep.metric if measure is None else measure_title(measure)
     failed = sum(math.isnan(job.objective) for job in sweep.jobs)
     caption = (
-        f"Objective: {title} in the last evaluation of each job; {'more' if sweep.maximise else 'less'} is better. "
-        "The best of many jobs looks better than it is: evaluate it on episodes that it was not chosen by."
+        f"Objective: {title} in the last evaluation of each job; "
+        f"{'more' if sweep.maximise else 'less'} is better. The best of many jobs looks better than it is: "
+        "evaluate it on episodes that it was not chosen by."
     )
     if failed:
         caption += f" {failed} of {len(sweep.jobs)} jobs have no figure."

@@ -1,0 +1,110 @@
+"""Tables in Markdown files: those of this repository are what the command makes of its committed files."""
+
+from pathlib import Path
+
+import pytest
+from documents import ROOT
+from report_runs import episode_rows, write_evaluation
+
+from dune_rl.errors import ConfigError
+from dune_rl.reporting.markdown_blocks import rewrite_file, rewrite_text
+
+FILES = sorted(
+    file
+    for file in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "experiments").rglob("*.md"))
+    if "\n<!-- report: " in file.read_text(encoding="utf-8")
+)
+TABLE = "<!-- report: table\nmethods:\n  ours: {folder: a, policy: x}\nmeasures: [SR, TC]\n-->\n"
+END = "<!-- end report -->"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A Markdown file beside an evaluation of two policies: x succeeds in 3 of 4 episodes."""
+    write_evaluation(tmp_path / "a", [*episode_rows("x", 4, share=0.75), *episode_rows("y", 4, share=0.25)])
+    return tmp_path / "page.md"
+
+
+@pytest.mark.parametrize("committed", FILES, ids=lambda file: str(file.relative_to(ROOT)))
+def test_tables_of_the_repository_are_those_of_its_files(committed: Path) -> None:
+    text = committed.read_text(encoding="utf-8")
+    made, count = rewrite_text(text, committed)
+    assert made == text, f"run: python -m dune_rl.report into={committed.relative_to(ROOT)}"
+    assert count or "```" in text
+
+
+def test_the_headline_and_the_studies_have_tables_that_are_made() -> None:
+    names = {str(file.relative_to(ROOT)) for file in FILES}
+    assert {"README.md", "experiments/flat/README.md", "experiments/inspection/README.md"} <= names
+
+
+def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
+    file.write_text(f"before\n\n{TABLE}old\n{END}\nbetween\n\n{TABLE}{END} after\n")
+    assert rewrite_file(file) == 2
+    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.00 to 0.75) |")
+    made = TABLE + "".join(f"{line}\n" for line in lines) + END
+    assert file.read_text() == f"before\n\n{made}\nbetween\n\n{made} after\n"
+    written = file.stat().st_mtime_ns
+    rewrite_file(file)
+    # What is right already is left alone.
+    assert file.stat().st_mtime_ns == written
+
+
+def test_rows_labels_digits_several_sources_and_the_paper(file: Path) -> None:
+    file.write_text(
+        "<!-- report: table\n"
+        "methods:\n  both: [{folder: a, policy: x}, {folder: a, policy: y}]\n"
+        "  '`y`': {folder: a, policy: y}\n"
+        "measures: [SR, TC, episodes]\nlabels: {TC: collisions}\ndecimals: {SR: 1}\nrows: measures\n"
+        f"paper: inspection\nintervals: false\n-->\n{END}\n"
+    )
+    rewrite_file(file)
+    assert file.read_text().splitlines()[11:-1] == [
+        "|  | both | `y` | DUnE paper |",
+        "|---|---:|---:|---:|",
+        "| SR | 75.0, 25.0 % | 25.0 % | 75 % |",
+        "| collisions | 0.25, 0.75 | 0.75 | 52 in all |",
+        "| episodes | 4, 4 | 4 |  |",
+    ]
+
+
+def test_a_pair_is_a_sentence(file: Path) -> None:
+    pair = "<!-- report: pair\nfirst: {folder: a, policy: x}\nsecond: {folder: a, policy: y}\n-->\n"
+    file.write_text(f"{pair}{END}\n")
+    rewrite_file(file)
+    # x alone succeeds in two of the four: p = 2 / 2^2.
+    assert (
+        "Of 4 episodes, `x` alone succeeds in 2, `y` alone in 0: exact McNemar test, p = 0.5.\n"
+        in file.read_text()
+    )
+
+
+def test_blocks_that_a_page_shows_as_code_stay(file: Path) -> None:
+    shown = f"```markdown\n{TABLE}{END}\n```\n"
+    assert rewrite_text(shown, file) == (shown, 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("no block\n", "has no block"),
+        (TABLE, "has no <!-- end report -->"),
+        (f"{TABLE}{TABLE}{END}\n", "has no <!-- end report -->"),
+        (f"<!-- report: chart\n-->\n{END}\n", "there is no block 'chart'"),
+        (f"<!-- report: table\nmethods: [\n-->\n{END}\n", "is not YAML"),
+        (f"<!-- report: table\nmethods: {{o: a}}\n-->\n{END}\n", "measures: Field required"),
+        (TABLE.replace("SR", "SRX") + f"{END}\n", "has no measure SRX"),
+        (
+            TABLE.replace("folder: a", "folder: b") + f"{END}\n",
+            "b has no episodes of x: there is no such folder",
+        ),
+        (TABLE.replace(", policy: x", "") + f"{END}\n", "several methods (x, y)"),
+        (TABLE.replace("measures", "paper: mars\nmeasures") + f"{END}\n", "the paper has no figures of mars"),
+    ],
+)
+def test_blocks_that_cannot_be_made_change_nothing(text: str, message: str, file: Path) -> None:
+    file.write_text(text)
+    with pytest.raises(ConfigError) as raised:
+        rewrite_file(file)
+    assert message in str(raised.value) and str(file) in str(raised.value)
+    assert file.read_text() == text
