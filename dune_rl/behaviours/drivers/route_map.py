@@ -1,5 +1,7 @@
 """Global planning: Dijkstra's algorithm on a grid of the true slopes and obstacles of a world."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
@@ -27,6 +29,20 @@ _OFF_COST = 10.0
 # Cost of places from which no route leads to the goal, beside the straight distance.
 _NO_ROUTE_COST = 1_000.0
 _REACH = 4.0
+# A waypoint lies 2 to this power steps of a route ahead.
+_DOUBLINGS = 2
+
+
+class Routes(NamedTuple):
+    """The cheapest routes to a goal from everywhere, (rows, columns) each.
+
+    `cost` is that to go, `waypoint` the number of the cell four steps ahead. `clearance` [m] is the map's,
+    with what was blocked besides.
+    """
+
+    cost: Floats
+    waypoint: NDArray[np.int32]
+    clearance: Floats
 
 
 class RouteMap:
@@ -40,6 +56,7 @@ class RouteMap:
         xmin, xmax, ymin, ymax = world.extent
         cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
         space = FreeSpace(world, footprint_radius_m, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
+        self._footprint_radius_m = footprint_radius_m
         self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
         self.traversable = space.traversable
         self.clearance: Floats = space.clearance.astype(np.float32)
@@ -97,24 +114,56 @@ class RouteMap:
         row = int(np.clip(np.floor((y - self.y[0]) / self.cell_m + 0.5), 0, len(self.y) - 1))
         return row * len(self.x) + column
 
-    def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
-        """Cost of the cheapest route to a goal from each cell, (rows, columns).
+    def routes_to(self, goal_xy: ArrayLike, start_xy: ArrayLike, blocked: ArrayLike = ()) -> Routes:
+        """The cheapest routes to a goal; `blocked` (B, 3: x, y, radius) [m] are discs to avoid besides.
 
-        It is exact from where the route costs up to four times the straight distance between both points, or
-        from everywhere if the start is farther. Cells that are not traversable lead to the nearest that is.
-        Without any route a cell costs 1,000 and its straight distance from the goal.
+        Costs are exact from where the route costs up to four times the straight distance between both points,
+        or from everywhere if the start is farther. Cells that are not traversable lead to the nearest that
+        is. Without any route a cell costs 1,000 and its straight distance from the goal, which is its
+        waypoint.
         """
         goal, start = np.asarray(goal_xy, np.float64), np.asarray(start_xy, np.float64)
+        discs = np.asarray(blocked, np.float64).reshape(-1, 3)
+        graph, clearance = self._graph, self.clearance
+        if len(discs):
+            clearance = self._clearance_beside(discs)
+            graph = self._graph_without((clearance < self._footprint_radius_m).ravel())
         source = int(self._nearest[self.cell_number(goal)])
         begin = int(self._nearest[self.cell_number(start)])
         limit = _REACH * (float(np.hypot(*(goal - start))) + 3.0)
-        found = dijkstra(self._graph, indices=source, limit=limit)
+        found, before = dijkstra(graph, indices=source, limit=limit, return_predecessors=True)
         if not np.isfinite(found[begin]):
-            found = dijkstra(self._graph, indices=source)
-        cost = found[self._nearest].reshape(self.traversable.shape) + _OFF_COST * self._off_m
+            found, before = dijkstra(graph, indices=source, return_predecessors=True)
+        waypoint = np.where(before < 0, source, before)
+        for _ in range(_DOUBLINGS):
+            waypoint = waypoint[waypoint]
+        shape = self.traversable.shape
+        cost = found[self._nearest].reshape(shape) + _OFF_COST * self._off_m
         straight = np.hypot(self.x - goal[0], self.y[:, None] - goal[1])
-        result: Floats = np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32)
-        return result
+        return Routes(
+            np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32),
+            waypoint[self._nearest].astype(np.int32).reshape(shape),
+            clearance,
+        )
+
+    def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
+        """Cost of the cheapest route to a goal from each cell, (rows, columns); see `routes_to`."""
+        return self.routes_to(goal_xy, start_xy).cost
+
+    def _clearance_beside(self, discs: Array) -> Floats:
+        """The clearance, with `discs` (B, 3: x, y, radius) as further obstacles."""
+        found = self.clearance.copy()
+        for x, y, radius in discs:
+            apart = np.hypot(self.x - x, self.y[:, None] - y) - radius
+            found = np.minimum(found, np.maximum(apart, 0.0).astype(np.float32))
+        return found
+
+    def _graph_without(self, cells: NDArray[np.bool_]) -> csr_matrix:
+        """The graph without the edges at `cells` (C,)."""
+        graph = self._graph
+        starts = np.repeat(cells, np.diff(graph.indptr))
+        lengths = np.where(starts | cells[graph.indices], np.inf, graph.data)
+        return csr_matrix((lengths, graph.indices, graph.indptr), shape=graph.shape)
 
     def route(self, start_xy: ArrayLike, goal_xy: ArrayLike) -> Array:
         """Centres (P, 2) [m] of the cells of the cheapest route; empty without any."""
