@@ -17,9 +17,11 @@ _ROOM = 32
 # Returns from farther are not entered, since a segment is wide there.
 _FARTHEST_M = 5.0
 # Evidence of an obstacle in a cell: by a return, by a beam that passes, at most, and from where on it is one.
-_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.5, 6.0, 3.0
+_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.2, 6.0, 3.0
+# That of what the body has met, which no beam takes back.
+_MET = 100.0
 # A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
-_AT_COST, _BESIDE_COST = 15.0, 2.0
+_AT_COST, _BESIDE_COST = 50.0, 2.0
 _REPLAN_STEPS = 10
 _MOST_ROUNDS = 8
 _FAR = 1e6
@@ -57,14 +59,14 @@ def _enter_scan(
         while step < free:
             column = np.int64(np.floor((x + step * along_x) / CELL_M)) - origin[0]
             row = np.int64(np.floor((y + step * along_y) / CELL_M)) - origin[1]
-            if 0 <= column < CELLS and 0 <= row < CELLS:
+            if 0 <= column < CELLS and 0 <= row < CELLS and evidence[row, column] <= _MOST:
                 evidence[row, column] = max(evidence[row, column] - _PASS, 0.0)
             step += CELL_M
         if rests[segment] and not moves[segment] and ranges[segment] < _FARTHEST_M:
             column = np.int64(np.floor((x + ranges[segment] * along_x) / CELL_M)) - origin[0]
             row = np.int64(np.floor((y + ranges[segment] * along_y) / CELL_M)) - origin[1]
             if 0 <= column < CELLS and 0 <= row < CELLS:
-                evidence[row, column] = min(evidence[row, column] + _HIT, _MOST)
+                evidence[row, column] = max(evidence[row, column], min(evidence[row, column] + _HIT, _MOST))
 
 
 @compile_function
@@ -177,6 +179,13 @@ class LocalMap:
         self.origins[mask] = -(CELLS // 2)
         self._planned[mask] = np.nan
         self._ages[mask] = 0
+
+    def block(self, row: int, disc: Array) -> None:
+        """Enter a disc (3,: x, y, radius) [m] that the body of a row has met."""
+        column, line = np.floor(disc[:2] / CELL_M).astype(int) - self.origins[row]
+        if 0 <= column < CELLS and 0 <= line < CELLS:
+            self._evidence[row, line, column] = _MET
+            self._planned[row] = np.nan
 
     def update(self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array) -> None:
         """Take a scan: `ranges` (N, S) [m], which segments have a return and which of them move (N, S), at

@@ -9,6 +9,7 @@ from pydantic import Field
 from dune_rl.behaviours.drivers.context import DriverContext
 from dune_rl.behaviours.drivers.local_map import LocalMap
 from dune_rl.behaviours.drivers.path_integral_loops import update_controls
+from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
 from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
 from dune_rl.errors import ConfigError
 from dune_rl.seeding import stream
@@ -32,8 +33,8 @@ _WEIGHTS = (3.0, 0.5, 100.0, 8.0, 1.5, 0.02)
 # Backwards where the LiDAR does not see.
 _BLIND_REVERSE_COST_PER_M = 10.0
 # Radius of the disc that stands for what moves, and room that it should have.
-_MOVER_M = 0.3
-_MOVER_MARGIN_M = 0.7
+_MOVER_M = 0.33
+_MOVER_MARGIN_M = 0.9
 _READINGS = ("goal", "lidar", "velocity")
 
 
@@ -72,6 +73,7 @@ class Mppi:
         self._temperature, self._margin_m = temperature, margin_m
         self._nominal = np.zeros((num_rows, self._horizon, 2))
         self._steps = np.zeros(num_rows, np.int64)
+        self._watch = ProgressWatch(num_rows)
         self._context: DriverContext | None = None
 
     def bind(self, context: DriverContext) -> None:
@@ -117,6 +119,7 @@ class Mppi:
         """Forget the plans of the bodies in `mask` (N,)."""
         self._nominal[mask] = 0.0
         self._steps[mask] = 0
+        self._watch.forget(mask)
         if self._context is not None:
             self._tracker.forget(mask)
             self._map.forget(mask)
@@ -149,6 +152,7 @@ class Mppi:
             (self._margin_m, _MOVER_MARGIN_M), model, self._temperature,
         )  # fmt: skip
         chosen = self._nominal[:, 0].copy()
+        self._watch.note(chosen[:, 0])
         self._shift(group.episode.step_s)
         self._steps = self._steps + 1
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
@@ -168,11 +172,21 @@ class Mppi:
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
         moves = tracker.velocities.any(axis=2)
+        self._note_blockages(step_s)
         self._map.update(tracker.poses, ranges, sees, moves, goals)
         rests = sees & (ranges < reach) & ~moves
         seen = np.repeat(rests, _POINTS_PER_SEGMENT, axis=1)
         order = np.argsort(~seen, axis=1, kind="stable")
         return np.take_along_axis(points, order[:, :, None], axis=1), seen.sum(axis=1), movers
+
+    def _note_blockages(self, step_s: float) -> None:
+        """Enter what keeps bodies from moving into their maps, and forget the plans that led there."""
+        assert self._context is not None
+        poses, nobody = self._tracker.poses, np.zeros(self._num_rows, bool)
+        blocked = self._watch.update(poses, nobody, self._context.vehicle.length_m, step_s)
+        for row in np.flatnonzero(blocked).tolist():
+            self._map.block(row, self._watch.blocked[row][-1])
+        self._nominal[blocked] = 0.0
 
     def _shift(self, step_s: float) -> None:
         """Move the plans on by a control step; the last control is kept."""

@@ -16,7 +16,8 @@ from dune_rl.compiled import compile_function
 
 _ARRIVED_M = 0.3
 # Closer than this to a return counts as contact: segments and responses are no more exact.
-_TOUCHING_M = 0.05
+_TOUCHING_M = 0.08
+_YAW_ACCELERATION_RADPS2 = 4.0
 
 
 @compile_function
@@ -89,7 +90,8 @@ def rollout_cost(
     for step in range(len(controls)):
         wanted_speed, wanted_turn = _clip_control(controls[step], vehicle)
         speed += share * (wanted_speed - speed)
-        turn += share * (wanted_turn - turn)
+        change = _YAW_ACCELERATION_RADPS2 * step_s
+        turn += min(max(share * (wanted_turn - turn), -change), change)
         yaw += 0.5 * turn * step_s
         x += speed * step_s * np.cos(yaw)
         y += speed * step_s * np.sin(yaw)

@@ -26,7 +26,7 @@ _FIRST_SPEED_MPS = 0.8
 _GATE_M = 0.45
 _GATE_PER_M = 0.06
 _KEEP_S = 0.6
-_YOUNG_S = 0.4
+_YOUNG_S = 0.3
 _SLOWEST_MPS = 0.35
 # Columns of a track: x, y, vx, vy [m, m/s, odometry frame], variances of place and speed and their
 # covariance, time since it began and since it was seen [s].
