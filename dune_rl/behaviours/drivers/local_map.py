@@ -17,11 +17,11 @@ _ROOM = 32
 # Returns from farther are not entered, since a segment is wide there.
 _FARTHEST_M = 5.0
 # Evidence of an obstacle in a cell: by a return, by a beam that passes, at most, and from where on it is one.
-_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.2, 6.0, 3.0
+_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 6.0, 3.0
 # That of what the body has met, which no beam takes back.
 _MET = 100.0
 # A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
-_AT_COST, _BESIDE_COST = 50.0, 2.0
+_AT_COST, _BESIDE_COST = 20.0, 2.0
 _REPLAN_STEPS = 10
 _MOST_ROUNDS = 8
 _FAR = 1e6

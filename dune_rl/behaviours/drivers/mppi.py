@@ -29,7 +29,7 @@ _KNOTS = 6
 # Points on each segment of the scan, so that no body slips between two.
 _POINTS_PER_SEGMENT = 2
 # End, way, contact, nearness, backwards, turning: see `path_integral_loops`.
-_WEIGHTS = (3.0, 0.5, 100.0, 8.0, 1.5, 0.02)
+_WEIGHTS = (3.0, 0.5, 100.0, 8.0, 5.0, 0.02)
 # Backwards where the LiDAR does not see.
 _BLIND_REVERSE_COST_PER_M = 10.0
 # Radius of the disc that stands for what moves, and room that it should have.

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _ACCELERATION_MPS2 = 3.0
 _YAW_ACCELERATION_RADPS2 = 4.0
+# Routes lead through gaps with this room on either side.
+_SIDE_ROOM_M = 0.08
 # Three discs, about the middles of the thirds of the footprint's length, cover its rectangle.
 _DISCS = 3
 
@@ -128,9 +130,10 @@ class Planner:
             return
         worlds = state.ground
         assert self._context is not None and isinstance(worlds, BatchedWorlds)
-        radius = self._context.vehicle.footprint_radius_m
+        vehicle = self._context.vehicle
+        radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
-            known = shared_route_map(worlds.worlds[row // group.count], radius, self._max_slope_deg)
+            known = shared_route_map(worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest)
             routes = known.routes_to(goals[row], group.motion.position_w[row, :2], self._watch.blocked[row])
             size = routes.cost.size
             self._make_room(size)

@@ -24,11 +24,15 @@ _MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (2, -1), (1, -2))
 _SLOPE_COST = 2.0
 _NEAR_COST = 3.0
 _NEAR_M = 0.6
+# Where the robot fits only lengthwise, at the narrowest.
+_TIGHT_COST = 8.0
 # Cost of a metre in cells that are not traversable, from the nearest that is.
 _OFF_COST = 10.0
 # Cost of places from which no route leads to the goal, beside the straight distance.
 _NO_ROUTE_COST = 1_000.0
 _REACH = 4.0
+# Room that steep ground counts for in the follower, over the footprint's radius.
+_STEEP_ROOM = 0.68
 # A waypoint lies 2 to this power steps of a route ahead.
 _DOUBLINGS = 2
 
@@ -36,8 +40,9 @@ _DOUBLINGS = 2
 class Routes(NamedTuple):
     """The cheapest routes to a goal from everywhere, (rows, columns) each.
 
-    `cost` is that to go, `waypoint` the number of the cell four steps ahead. `clearance` [m] is the map's,
-    with what was blocked besides.
+    `cost` is that to go, `waypoint` the number of the cell four steps ahead. `clearance` [m] is that of
+    obstacles and of what was blocked besides; on ground that is too steep it is at most 0.68 times the
+    footprint's radius, and grows with the distance from there.
     """
 
     cost: Floats
@@ -48,22 +53,32 @@ class Routes(NamedTuple):
 class RouteMap:
     """Costs of travel of a round robot of `footprint_radius_m` in a world; see `FreeSpace` for what is free.
 
-    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle.
+    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle, and
+    up to 12 where the clearance is below the footprint's radius but not below `narrowest_m`.
     Cells are 0.2 m wide, larger in worlds of more than 80 by 80 m. It keeps no reference to the world.
     """
 
-    def __init__(self, world: World, footprint_radius_m: float, max_slope_deg: float) -> None:
+    def __init__(
+        self, world: World, footprint_radius_m: float, max_slope_deg: float, narrowest_m: float | None = None
+    ) -> None:
+        narrowest = footprint_radius_m if narrowest_m is None else min(narrowest_m, footprint_radius_m)
         xmin, xmax, ymin, ymax = world.extent
         cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
-        space = FreeSpace(world, footprint_radius_m, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
-        self._footprint_radius_m = footprint_radius_m
+        space = FreeSpace(world, narrowest, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
+        self._narrowest_m = narrowest
         self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
         self.traversable = space.traversable
         self.clearance: Floats = space.clearance.astype(np.float32)
+        off_steep = distance_transform_edt(~space.steep, sampling=self.cell_m) if space.steep.any() else np.inf
+        self._beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(off_steep, np.float32)
         slope = world.terrain.slope(np.stack(np.meshgrid(self.x, self.y), axis=-1))
         near = np.clip(1.0 - (space.clearance - footprint_radius_m) / _NEAR_M, 0.0, 1.0)
+        tight = np.clip((footprint_radius_m - space.clearance) / max(footprint_radius_m - narrowest, 1e-9), 0, 1)
         self.cost: Array = (
-            1.0 + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2 + _NEAR_COST * near * near
+            1.0
+            + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2
+            + _NEAR_COST * near * near
+            + _TIGHT_COST * tight
         )
         self._graph = self._edges()
         self._off_m, self._nearest = self._nearest_traversable()
@@ -127,7 +142,7 @@ class RouteMap:
         graph, clearance = self._graph, self.clearance
         if len(discs):
             clearance = self._clearance_beside(discs)
-            graph = self._graph_without((clearance < self._footprint_radius_m).ravel())
+            graph = self._graph_without((clearance < self._narrowest_m).ravel())
         source = int(self._nearest[self.cell_number(goal)])
         begin = int(self._nearest[self.cell_number(start)])
         limit = _REACH * (float(np.hypot(*(goal - start))) + 3.0)
@@ -143,7 +158,7 @@ class RouteMap:
         return Routes(
             np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32),
             waypoint[self._nearest].astype(np.int32).reshape(shape),
-            clearance,
+            np.minimum(clearance, self._beside_steep).astype(np.float32),
         )
 
     def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
@@ -189,9 +204,9 @@ def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, i
     )
 
 
-def shared_route_map(world: World, footprint_radius_m: float, max_slope_deg: float) -> RouteMap:
+def shared_route_map(
+    world: World, footprint_radius_m: float, max_slope_deg: float, narrowest_m: float | None = None
+) -> RouteMap:
     """The route map of a world, made once and kept with it."""
-    return world.memoize(
-        ("route map", footprint_radius_m, max_slope_deg),
-        lambda: RouteMap(world, footprint_radius_m, max_slope_deg),
-    )
+    settings = footprint_radius_m, max_slope_deg, narrowest_m
+    return world.memoize(("route map", *settings), lambda: RouteMap(world, *settings))

@@ -30,7 +30,7 @@ _NEAR_COST_PER_S = 2.5
 _MARGIN_COST_PER_S = 4.0
 _TOUCHING_COST_PER_S = 6.0
 _MARGIN_M = 0.05
-_DEEPER_M = 0.002
+_DEEPER_M = 0.03
 _NEAR_STATIC_M = 0.45
 _NEAR_ACTOR_M = 0.9
 _REVERSE_COST_PER_M = 1.0
@@ -140,7 +140,10 @@ def _command_cost(
     grid, field, waypoints, clearance = maps
     x, y, yaw = pose[0], pose[1], pose[2]
     speed, turn = twist[0], twist[1]
-    static_before, moving_before = _gaps(x, y, yaw, grid, clearance, places[0], actors, vehicle)
+    static, moving = _gaps(x, y, yaw, grid, clearance, places[0], actors, vehicle)
+    # Who touches already pays for the time until it is out, but hits only what it goes deeper into.
+    static_limit = static - _DEEPER_M if static <= 0.0 else 0.0
+    moving_limit = moving - _DEEPER_M if moving <= 0.0 else 0.0
     near, travelled = 0.0, 0.0
     for step in range(STEPS):
         wanted_turn = command[1] if step < _TURN_STEPS else command[2]
@@ -155,14 +158,13 @@ def _command_cost(
         travelled += abs(speed) * STEP_S
         time = (step + 1) * STEP_S
         static, moving = _gaps(x, y, yaw, grid, clearance, places[step], actors, vehicle)
-        # Who touches already pays for the time until it is out, but has hit nothing anew.
         if moving <= 0.0:
-            if moving < moving_before - _DEEPER_M:
+            if moving <= moving_limit:
                 near += _HIT_COST * np.exp(-time / _HIT_DECAY_S)
                 break
             near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - moving / _MARGIN_M)
         if static <= 0.0:
-            if static < static_before - _DEEPER_M:
+            if static <= static_limit:
                 if time < _BRAKE_S:
                     near += _HIT_COST * (2.0 - time / _BRAKE_S)
                 else:
@@ -172,7 +174,6 @@ def _command_cost(
                 x, y, yaw = last_x, last_y, last_yaw
                 break
             near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - static / _MARGIN_M)
-        static_before, moving_before = min(static, 0.0), min(moving, 0.0)
         pace = 0.3 + abs(speed)
         near += _NEAR_COST_PER_S * pace * STEP_S * max(0.0, 1.0 - max(static, 0.0) / _NEAR_STATIC_M) ** 2
         near += _MARGIN_COST_PER_S * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
