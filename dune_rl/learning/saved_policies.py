@@ -18,7 +18,6 @@ from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolic
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import algorithm_class
 
-
 # Values of "by" under "selection" in a policy's file.
 BEST_EVALUATION, LATEST = "best evaluation", "latest"
 
@@ -28,7 +27,9 @@ def describe_selection(content: Mapping[str, Any]) -> str:
     frames = content["frames"] if "frames" in content else content["counters"]["frames"]
     selection = content.get("selection")
     if selection is None:
-        chosen = "a policy whose file does not say how it was chosen" if content["kind"] == "policy" else LATEST
+        chosen = (
+            "a policy whose file does not say how it was chosen" if content["kind"] == "policy" else LATEST
+        )
     elif selection["by"] == BEST_EVALUATION:
         score = f"{selection['measure']} {selection['score']:.3g} of {selection['episodes']} episodes"
         chosen = f"{BEST_EVALUATION} of its run ({score}, seed {selection['seed']})"

@@ -43,9 +43,14 @@ Call = Callable[..., int]
 def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(train.main, "+world=flat", "run_dir=run", "seed=3", *TINY) == 0
     run = folder / "run"
-    assert {"checkpoint.pt", "policy_best.pt", "policy_last.pt", "metrics.csv", "curve.png", "config.yaml"} <= {
-        path.name for path in run.iterdir()
-    }
+    assert {
+        "checkpoint.pt",
+        "policy_best.pt",
+        "policy_last.pt",
+        "metrics.csv",
+        "curve.png",
+        "config.yaml",
+    } <= {path.name for path in run.iterdir()}
     assert list(run.glob("events.out.tfevents.*"))
     assert (run / ".hydra" / "config.yaml").exists()
     resolved = yaml.safe_load((run / "config.yaml").read_text())
@@ -307,7 +312,13 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert [line["benchmark"] for line in lines] == [
         *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
     ]
-    ratios = ("overhead_ratio", "torchrl_ratio", "metrics_ratio", "pettingzoo_ratio", "gymnasium_vector_ratio")
+    ratios = (
+        "overhead_ratio",
+        "torchrl_ratio",
+        "metrics_ratio",
+        "pettingzoo_ratio",
+        "gymnasium_vector_ratio",
+    )
     for name in (*ratios, "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
     # Two steps say nothing of how long a step takes.
