@@ -47,7 +47,10 @@ class PolicySource:
         return Path(self.location) if self.kind in _SUFFIXES.values() else None
 
     def plain(self) -> dict[str, str | None]:
-        """Plain data, with the SHA-256 of the file, and which policy of its run a checkpoint is; raises ConfigError if that cannot be read."""
+        """Plain data, with the SHA-256 of the file, and which policy of its run that holds.
+
+        Raises ConfigError if that cannot be read.
+        """
         try:
             with open(self.file, "rb") if self.file is not None else _Nothing() as file:
                 sha256 = None if file is None else hashlib.file_digest(file, "sha256").hexdigest()

@@ -15,7 +15,7 @@ from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.policies import PolicySource, UserPolicy
 from dune_rl.evaluation.recorder import EpisodeRecorder, StepRow
 from dune_rl.evaluation.tables import plain_number
-from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.random_state import preserve_random_state
@@ -78,7 +78,10 @@ class BlockRunner:
 
     def run(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
         """Run a block and `emit` its episodes, in the order in which they end."""
-        observer = _Emitter(self, block.policy, emit)
+        self.watch(block, _Emitter(self, block.policy, emit))
+
+    def watch(self, block: EpisodeBlock, observer: EpisodeObserver) -> None:
+        """Run a block, whose steps and ends `observer` is told."""
         try:
             evaluate(
                 self._policies[block.policy],

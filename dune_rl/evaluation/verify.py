@@ -11,7 +11,7 @@ from rich.console import Console
 
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.folder import EPISODES
+from dune_rl.evaluation.folder import EPISODES, read_provenance
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
 from dune_rl.learning.run.progress import show_episodes
 from dune_rl.seeding import stream
@@ -57,7 +57,7 @@ def verify_folder(
 
     Raises ConfigError if a row differs, or if there are tables that were `changed` after the evaluation.
     """
-    stored = _read_rows(path / f"{EPISODES}.csv")
+    stored = _read_rows(path)
     runner = BlockRunner(plan)
     repeated: list[Mapping[str, Any]] = []
     differences: list[RowDifference] = []
@@ -98,7 +98,10 @@ def verify_folder(
     )
 
 
-def _read_rows(file: Path) -> dict[tuple[str, str, str], dict[str, str]]:
+def _read_rows(path: Path) -> dict[tuple[str, str, str], dict[str, str]]:
+    file = path / f"{EPISODES}.csv"
+    if not file.exists() and not read_provenance(path).get("complete"):
+        raise ConfigError(f"{path} has no tables yet; go on with resume={path} first")
     try:
         with file.open(newline="", encoding="utf-8") as opened:
             rows = list(csv.DictReader(opened))

@@ -35,6 +35,7 @@ class EvaluationConf(Settings):
     every_frames: int = Field(250_000, ge=1)
     episodes: int = Field(50, ge=1)
     scenes: int = Field(16, ge=1, description="episodes run side by side; no result depends on it")
+    tracks: int = Field(6, ge=0, description="first episodes whose tracks TensorBoard shows; 0: none")
     seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed; training never sees it")
 
 
@@ -57,12 +58,12 @@ class LearningConf(Settings):
     checkpoint: CheckpointConf = CheckpointConf()
 
     def resolved(self, device: str) -> Self:
-        """These settings with what depends on the machine decided for this one, and for a learner on `device`.
+        """These settings with what depends on the machine decided for this one and a learner on `device`.
 
         A run uses and stores what comes out, so that it says what it did.
         """
         return self
 
     def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
-        """What to tell a user whose run was `saved` with other resolved settings, or does not suit `device`."""
+        """What to tell the user of a run that was `saved` with other settings, or does not suit `device`."""
         return []

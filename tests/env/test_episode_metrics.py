@@ -1,4 +1,4 @@
-"""Metrics as a transform: which, for whom, under which keys; in every wrapper, and reset with the episodes."""
+"""Metrics as a transform: which, for whom, under which keys; in all wrappers, reset with the episodes."""
 
 import copy
 import pickle

@@ -4,6 +4,9 @@ import csv
 import hashlib
 import json
 import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -144,6 +147,10 @@ def test_an_evaluation_that_was_cut_off_goes_on(
     assert call(evaluate.main, *words, "out=cut") == 2
     assert "choose another folder, go on with resume=cut, or replace" in capsys.readouterr().err
     # As a process that is killed leaves it.
+    for suffix in ("csv", "parquet"):
+        (folder / "cut" / f"episodes.{suffix}").unlink()
+    assert call(evaluate.main, "verify=cut") == 2
+    assert "cut has no tables yet; go on with resume=cut first" in capsys.readouterr().err
     part = folder / "cut" / "episodes.part.jsonl"
     part.write_text(part.read_text()[:-30])
     assert call(evaluate.main, "resume=cut") == 0
@@ -160,6 +167,29 @@ def test_what_ends_before_an_episode_leaves_nothing(
     monkeypatch.setattr(run_plan.BlockRunner, "run", interrupted)
     assert call(evaluate.main, "policy=random", short_set, "out=results") == 130
     assert not (folder / "results").exists()
+
+
+def _is_alive(pid: int) -> bool:
+    state = Path(f"/proc/{pid}/stat")
+    return state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
+def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_set: str) -> None:
+    words = ["policy=random", short_set, "scenes=1", "processes=2", "out=results"]
+    parent = subprocess.Popen([sys.executable, "-m", "dune_rl.evaluate", *words])
+    children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+    workers: list[int] = []
+    while len(workers) < 2 and parent.poll() is None:
+        found = [int(pid) for pid in children.read_text().split()]
+        workers = [pid for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        time.sleep(0.05)
+    assert len(workers) >= 2
+    parent.kill()
+    parent.wait()
+    # Without an end of their own, they wait forever, and so does this test.
+    while any(_is_alive(pid) for pid in workers):
+        time.sleep(0.05)
 
 
 def test_rows_do_not_depend_on_processes(call: Call, folder: Path, short_set: str) -> None:

@@ -95,7 +95,7 @@ def test_a_folder_stands_for_its_best_policy_or_the_published_one(tmp_path: Path
 
 @pytest.mark.parametrize("file", PUBLISHED, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
 def test_published_policies_are_what_their_study_says(file: Path) -> None:
-    """They were written before files said it: the policy at the end of its run, as the study's page states."""
+    """Before files said it themselves: the policy at the end of its run, as the study's page states."""
     content = read_checkpoint_file(file, "policy")
     if "selection" in content:
         assert content["selection"]["by"] == "latest"

@@ -34,9 +34,9 @@ class EpisodeMetrics(Transform):
     (M, G, n), for each group with metrics; `metric_names[group]` names the n columns.
 
     A value is float32, and NaN where it is not defined yet. The simulation resets the metrics with its
-    episodes, of some scenes or of all, so no key has to be carried from step to step. The transform belongs in
-    the process of the simulation: inside `SerialEnv` and `ParallelEnv`, not around them. Raises ConfigError for
-    unknown metrics, groups or settings, and TypeError for an environment without a simulation of ours.
+    episodes, of some scenes or of all, so no key has to be carried from step to step. The transform belongs
+    in the process of the simulation: inside `SerialEnv` and `ParallelEnv`, not around them. Raises
+    ConfigError for unknown metrics, groups or settings, and TypeError for an environment that is not of ours.
     """
 
     def __init__(

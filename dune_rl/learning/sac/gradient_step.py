@@ -94,6 +94,16 @@ class GradientStep:
             "sac/entropy": losses["entropy"].detach(),
         }
 
+    @torch.no_grad()
+    def action_values(self, make_batch: MakeBatch) -> Tensor:
+        """The smaller of both action values (k,) of the transitions of `make_batch`, on the CPU."""
+        batch = make_batch(self._features.encode)
+        found = []
+        for number in range(2):
+            with self.loss.qvalue_network_params[number].to_module(self.loss.qvalue_network):
+                found.append(self.loss.qvalue_network(batch.clone(recurse=False))["state_action_value"])
+        return torch.minimum(*found).squeeze(-1).float().cpu()
+
     def state_dict(self) -> dict[str, Any]:
         """Parameters of the loss, targets included, and the optimiser's state."""
         # The loss's dictionary holds batch sizes beside its tensors; those follow from the settings.

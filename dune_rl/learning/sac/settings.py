@@ -46,8 +46,7 @@ class SacConf(LearningConf):
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto",
-        description="of the networks' products; auto: bfloat16 where the processor has it built in, and the run's "
-        "folder says which",
+        description="of the networks' products; auto: bfloat16 where the processor has it built in",
     )
     replay: ReplayConf = ReplayConf()
 
@@ -65,8 +64,8 @@ class SacConf(LearningConf):
             return [f"the run goes on with learning.precision={self.precision}; before, it was {before}"]
         if self.precision == "bfloat16" and not _has_bfloat16(device):
             return [
-                "the run began with learning.precision=bfloat16, which this processor has not built in: it goes on "
-                "so, but slowly; learning.precision=auto or float32 changes it"
+                "the run began with learning.precision=bfloat16, which this processor has not built in: "
+                "it goes on so, but slowly; learning.precision=auto or float32 changes it"
             ]
         return []
 
