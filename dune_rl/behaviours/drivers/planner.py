@@ -39,8 +39,8 @@ class Planner:
     it for an obstacle that the map lacks, backs off and plans anew (`ProgressWatch`).
 
     `max_slope_deg` is the steepest ground on a route; `actor_radius_m` the radius of the circle that stands
-    for a moving body; `margin_m` is the room that the follower should keep beside obstacles; `speed_mps` limits the speed below the
-    body's own limit.
+    for a moving body; `margin_m` is the room that the follower should keep beside obstacles; `speed_mps`
+    limits the speed below the body's own limit.
     """
 
     def __init__(
