@@ -170,14 +170,21 @@ def _label(axes: Axes, failure: ShownFailure, gallery: FailureGallery) -> None:
     told = "the only one" if count == 1 else f"one of {count}"
     when = "" if failure.replay is None else f"\nafter {failure.replay.time_s:.1f} s"
     lines = wrap(failure.method, _NAME_WIDTH)
-    axes.text(
-        0.0, 1.0, "\n".join(lines), transform=axes.transAxes, va="top", fontweight="bold", fontsize=SMALL
-    )
-    axes.text(
-        0.0, 1.02,
-        "\n" * len(lines) + f"{failure.kind_name}{when}\n{failure.cases}\nepisode {failure.episode}\n({told})",
-        transform=axes.transAxes, va="top", fontsize=SMALL, linespacing=1.35,
-    )  # fmt: skip
+    below = [failure.kind_name + when, failure.cases, f"episode {failure.episode}", f"({told})"]
+    for text, top, weight in (
+        ("\n".join(lines), 1.0, "bold"),
+        ("\n" * len(lines) + "\n".join(below), 1.02, "normal"),
+    ):
+        axes.text(
+            0.0,
+            top,
+            text,
+            transform=axes.transAxes,
+            va="top",
+            fontsize=SMALL,
+            fontweight=weight,
+            linespacing=1.3,
+        )
 
 
 def _draw_pictures(panels: Sequence[Axes], replay: Replay) -> None:
