@@ -28,6 +28,8 @@ def test_sparse_bins_are_joined() -> None:
     edges = round_edges(values)
     counts = np.histogram(values, edges)[0]
     assert edges[-1] > 58.0 and counts.sum() == 202 and (counts >= 0.05 * 202).all()
+    few = np.histogram(values, round_edges(values, least=90))[0]
+    assert few.sum() == 202 and (few >= 90).all() and len(few) == 2
 
 
 def test_a_value_on_an_edge_is_in_the_bin_above(make_rows: Callable) -> None:
@@ -87,3 +89,13 @@ def test_evaluations_of_older_versions_are_told_and_left_out(make_rows: Callable
     assert "no episode has slope_deg" in draw_success_by({"a": {"m": old}}, "slope_deg").texts[0].get_text()
     both = draw_success_by({"a": {"m": old}, "b": {"m": make_rows(5, 2)}}, "slope_deg")
     assert [axes.get_title(loc="left") for axes in both.axes] == ["b"]
+
+
+def test_a_property_that_does_not_vary_is_told(make_rows: Callable) -> None:
+    rows = [{**row, "slope_deg": 0.0} for row in make_rows(5, 2)]
+    assert (
+        "all episodes have a slope_deg of 0"
+        in draw_success_by({"a": {"m": rows}}, "slope_deg").texts[0].get_text()
+    )
+    one = draw_success_by({"a": {"m": make_rows(1, 1)}}, "goal_distance_m")
+    assert "all episodes have a goal_distance_m of 2" in one.texts[0].get_text()
