@@ -4,10 +4,11 @@ import multiprocessing
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hydra
 import numpy as np
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
 
 FILM_FILE = "film.mp4"
+_SIDE_BY_SIDE = ("joblib", "submitit_local")
 
 
 def run(parsed: Namespace) -> None:
@@ -69,7 +71,8 @@ def _job(config: DictConfig) -> float | None:
     try:
         conf = from_hydra(config)
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
-        result = train(conf, words=engine.overrides.task)
+        with _cores_of_a_sweep(conf, engine):
+            result = train(conf, words=engine.overrides.task)
         from dune_rl.learning.objective import measure_objective
 
         return measure_objective(conf.objective, result.evaluation[conf.driven_group.name])
@@ -83,6 +86,31 @@ def _job(config: DictConfig) -> float | None:
         command.print_error(f"job {engine.job.num} failed: {message}")
         raise command.ReportedError from error
     return None
+
+
+@contextmanager
+def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
+    """Wait for cores where jobs of a sweep run side by side on this machine.
+
+    Slurm gives each job cores of its own, and Hydra's basic launcher runs one job at a time.
+    """
+    launcher = engine.runtime.choices.get("hydra/launcher")
+    if engine.mode is not RunMode.MULTIRUN or launcher not in _SIDE_BY_SIDE:
+        yield
+        return
+    from dune_rl.learning.collector import available_cores, learner_threads
+    from dune_rl.learning.run.cores import reserve_cores
+
+    collector = conf.learning.collector
+    needed = collector.processes + (conf.learning.threads or learner_threads(collector))
+    number = engine.job.num
+    with reserve_cores(
+        Path(engine.sweep.dir).absolute() / ".cores",
+        needed,
+        available_cores(),
+        lambda: print(f"job {number} waits for {needed} free cores", flush=True),
+    ):
+        yield
 
 
 def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
