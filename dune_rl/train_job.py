@@ -46,6 +46,8 @@ def run(parsed: Namespace) -> None:
         return
     if not parsed.multirun:
         conf = compose(parsed.overrides, folders)
+        # Before Hydra writes its own files.
+        _check_device(conf)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
@@ -123,7 +125,6 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
 
 
 def _refuse_used_folder(run_dir: Path) -> None:
-    # Before Hydra writes its own files there.
     if (run_dir / CHECKPOINT_FILE).exists():
         raise CheckpointError(
             f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
@@ -205,11 +206,17 @@ def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
     log_film(result.run_dir, pictures, view.frames_per_s, result.frames)
 
 
-def _check_machine(conf: Conf) -> None:
+def _check_device(conf: Conf) -> None:
+    if conf.device == "cpu":
+        return
     import torch
 
-    if conf.device == "cuda" and not torch.cuda.is_available():
+    if not torch.cuda.is_available():
         raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
+
+
+def _check_machine(conf: Conf) -> None:
+    _check_device(conf)
     processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
     if processes + (conf.learning.threads or 1) > cores:
         command.print_error(
