@@ -153,8 +153,7 @@ def compose_with_checkpoint(
 
     from dune_rl.config.compose import override_value
     from dune_rl.learning.checkpoint import (
-        BEST_POLICY_FILE,
-        CHECKPOINT_FILE,
+        POLICY_SOURCES,
         find_checkpoint_file,
         read_checkpoint_file,
     )
@@ -162,7 +161,7 @@ def compose_with_checkpoint(
     checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None
     if checkpoint is not None:
-        file = find_checkpoint_file(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+        file = find_checkpoint_file(Path(str(checkpoint)), *POLICY_SOURCES)
         saved = adapt(read_checkpoint_file(file, "policy", "checkpoint")["config"])
     conf = compose(parsed.overrides, config_folders(parsed), saved)
     if not parsed.cfg:

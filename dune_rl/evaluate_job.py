@@ -13,8 +13,7 @@ from dune_rl.config.compose import compose_evaluation, override_value
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
 from dune_rl.learning.checkpoint import (
-    BEST_POLICY_FILE,
-    CHECKPOINT_FILE,
+    POLICY_SOURCES,
     find_checkpoint_file,
     read_checkpoint_file,
 )
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
 _DEFAULT_EPISODES = 100
 _DEFAULT_SAMPLE = 16
+_OTHER_LIBRARIES = (".onnx", ".zip")
 
 
 def run(parsed: Namespace) -> None:
@@ -83,12 +83,14 @@ def _compose(parsed: Namespace) -> EvaluateConf:
 
 def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
     """The settings of the run of the first checkpoint; None without one."""
-    checkpoint = override_value(overrides, "checkpoint")
-    if isinstance(checkpoint, list):
-        checkpoint = checkpoint[0] if checkpoint else None
-    if checkpoint is None:
+    given = override_value(overrides, "checkpoint")
+    checkpoints = given if isinstance(given, list) else [] if given is None else [given]
+    for each in checkpoints:
+        if str(each).endswith(_OTHER_LIBRARIES):
+            raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
+    if not checkpoints:
         return None
-    file = find_checkpoint_file(Path(str(checkpoint)), BEST_POLICY_FILE, CHECKPOINT_FILE)
+    file = find_checkpoint_file(Path(str(checkpoints[0])), *POLICY_SOURCES)
     saved: Mapping[str, Any] = read_checkpoint_file(file, "policy", "checkpoint")["config"]
     return saved
 
@@ -104,13 +106,14 @@ def _plan(conf: EvaluateConf) -> "EvaluationPlan":
 
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
-    from dune_rl.evaluation.folder import ResultsFolder
+    from dune_rl.evaluation.folder import ResultsFolder, check_free
     from dune_rl.evaluation.provenance import describe_provenance
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
 
     plan = _plan(conf)
     out = Path(conf.out) if conf.out else default_folder(plan)
     _check_writable(out)
+    check_free(out, overwrite=conf.overwrite)
     # Before the folder is made: a policy that does not fit leaves nothing behind.
     prepared = prepare_run(plan)
     console = command.make_console()
@@ -135,14 +138,14 @@ def _resume(path: Path, processes: int | None) -> None:
 
 
 def _verify(path: Path, sample: int) -> None:
-    from dune_rl.evaluation.folder import read_provenance, read_settings
+    from dune_rl.evaluation.folder import changed_tables, read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.verify import verify_folder
 
     provenance = read_provenance(path)
     plan = _plan(read_settings(path))
     check_same_sources(plan, provenance, path)
-    verify_folder(path, plan, sample, command.make_console())
+    verify_folder(path, plan, sample, command.make_console(), changed_tables(path, provenance))
 
 
 def default_folder(plan: "EvaluationPlan") -> Path:

@@ -1,19 +1,33 @@
 """Files that are written whole or not at all."""
 
+import contextlib
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+_MOMENT_S = 5.0
+
 
 @contextmanager
 def write_atomically(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place, whole and on disk, unless the block fails."""
+    """A temporary path beside `path` that takes its place, whole and on disk, unless the block fails.
+
+    What a process that was killed left beside `path` is removed.
+    """
+    _remove_abandoned(path)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    os.close(handle)
     temporary = Path(name)
     try:
+        # Until the end, so that others see that this process lives.
+        _lock(handle)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
@@ -22,7 +36,37 @@ def write_atomically(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(handle)
     _sync_folder(path.parent)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove temporary files of `path` whose process is gone."""
+    if fcntl is None:
+        return
+    with contextlib.suppress(OSError):
+        for other in path.parent.iterdir():
+            if not (other.name.startswith(f".{path.name}.") and other.name.endswith(".tmp")):
+                continue
+            handle = os.open(other, os.O_RDWR)
+            try:
+                # A file that was begun this moment has no lock yet.
+                abandoned = time.time() - os.fstat(handle).st_mtime > _MOMENT_S and _lock(handle)
+            finally:
+                os.close(handle)
+            if abandoned:
+                other.unlink(missing_ok=True)
+
+
+def _lock(handle: int) -> bool:
+    """Lock a file, and return whether it was free; false where there are no such locks."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def _sync_folder(folder: Path) -> None:

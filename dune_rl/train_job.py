@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import hydra
+import numpy as np
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
+from numpy.typing import NDArray
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
@@ -66,7 +68,8 @@ def _job(config: DictConfig) -> float | None:
         multiprocessing.set_start_method("spawn", force=True)
     try:
         conf = from_hydra(config)
-        result = train(conf.model_copy(update={"run_dir": engine.runtime.output_dir}))
+        conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
+        result = train(conf, words=engine.overrides.task)
         from dune_rl.learning.objective import measure_objective
 
         return measure_objective(conf.objective, result.evaluation[conf.driven_group.name])
@@ -100,13 +103,18 @@ def _refuse_used_folder(run_dir: Path) -> None:
     refuse_locked(run_dir)
 
 
-def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
-    """Run or resume a training, and show how it ended; a signal ends the process once all is saved."""
+def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> "TrainingResult":
+    """Run or resume a training, and show how it ended; a signal ends the process once all is saved.
+
+    `words` are those of the command line, KEY=VALUE: TensorBoard compares runs by what they set.
+    """
     # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
     # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
+    from dune_rl.learning.run.hyperparameters import choose_hyperparameters
     from dune_rl.learning.run.progress import BarReporter, LineReporter
     from dune_rl.learning.trainer import Trainer
+    from dune_rl.view.evaluation_pictures import EvaluationTracks
 
     _check_machine(conf)
     console = command.make_console()
@@ -124,8 +132,10 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
         resume=resume,
         reporter=reporter,
         title=f"{conf.world.name}, seed {conf.seed}",
+        hyperparameters=choose_hyperparameters(config, words),
+        make_pictures=EvaluationTracks,
     )
-    (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     command.print_world_notes(console, conf)
     result = trainer.train()
@@ -144,6 +154,7 @@ def train(conf: Conf, resume: Path | None = None) -> "TrainingResult":
 
 def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
     """Write the film of the best policy in the first episode of the run's evaluations."""
+    from dune_rl.learning.run.film import log_film
     from dune_rl.view.episode import EpisodeView
     from dune_rl.view.outputs import write_video
 
@@ -158,10 +169,12 @@ def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
     )
     console.print("Filming an episode of the trained policy", highlight=False)
     episode = EpisodeView(view)
+    pictures: list[NDArray[np.uint8]] = []
     try:
-        write_video(episode, result.run_dir / FILM_FILE, console)
+        write_video(episode, result.run_dir / FILM_FILE, console, pictures.append)
     finally:
         episode.close()
+    log_film(result.run_dir, pictures, view.frames_per_s, result.frames)
 
 
 def _check_machine(conf: Conf) -> None:

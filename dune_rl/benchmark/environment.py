@@ -54,6 +54,7 @@ def measure_environment(conf: BenchmarkConf) -> dict[str, Any]:
         "core": (core, conf.steps),
         "raw": (simulation.step_passive, conf.steps),
         "torchrl": (torchrl, conf.steps),
+        "metrics": (torchrl_stepper(conf, metrics=True), conf.steps),
         "pettingzoo": (pettingzoo, single),
     }
     if len(simulation.agents) == 1:
@@ -74,6 +75,7 @@ def measure_environment(conf: BenchmarkConf) -> dict[str, Any]:
         "agents": agents,
         "overhead_ratio": median_ratio(per_scene["core"], per_scene["raw"]),
         "torchrl_ratio": median_ratio(per_scene["core"], per_scene["torchrl"]),
+        "metrics_ratio": median_ratio(per_scene["torchrl"], per_scene["metrics"]),
         "pettingzoo_ratio": median_ratio(per_scene["core"], per_scene["pettingzoo"]),
         "raw_physics_step_us": median["raw"] / conf.physics.substeps * 1e6,
         "raw_steps_per_s": 1.0 / median["raw"],

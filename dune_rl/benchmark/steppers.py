@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torchrl.envs import EnvBase, TransformedEnv
 
 from dune_rl.config.build import make_parallel_env, make_simulation, make_torchrl_env
 from dune_rl.config.schema import BenchmarkConf
@@ -12,6 +13,8 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.torchrl import EpisodeMetrics
+from dune_rl.metrics.episode import MetricsConf
 
 Actions = dict[str, NDArray[np.float32]]
 
@@ -69,10 +72,16 @@ def core_stepper(simulation: VectorSimulation) -> Callable[[], None]:
     return step
 
 
-def torchrl_stepper(conf: BenchmarkConf) -> Callable[[], None]:
-    """A step of the TorchRL environment of all scenes."""
-    env = make_torchrl_env(conf, conf.scenes, conf.seed)
-    actions = RandomActions(env.simulation)
+def torchrl_stepper(conf: BenchmarkConf, *, metrics: bool = False) -> Callable[[], None]:
+    """A step of the TorchRL environment of all scenes; with `metrics`, and an `EpisodeMetrics` of its terms.
+
+    These are measured a second time, as those of the settings are measured in any environment.
+    """
+    base = make_torchrl_env(conf, conf.scenes, conf.seed)
+    actions = RandomActions(base.simulation)
+    env: EnvBase = base
+    if metrics:
+        env = TransformedEnv(base, EpisodeMetrics(MetricsConf(terms=conf.metrics.terms)))
     now = env.reset()
 
     def step() -> None:

@@ -10,6 +10,7 @@ from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment
+from dune_rl.sensors.context import SensorCarrier
 from dune_rl.settings import Settings
 
 _SIDES = 24
@@ -47,6 +48,15 @@ class PersonConf(Settings):
     def collision_shape(self, name: str) -> KinematicCapsule:
         """The capsule that physics moves, called `name`."""
         return KinematicCapsule(name, self.radius_m, self.height_m, self.max_push_n)
+
+    def carrier(self) -> SensorCarrier:
+        """The person as a carrier of sensors: scanners at the hip, a camera at the eyes."""
+        return SensorCarrier(
+            scanner_b=(0.0, 0.0, 0.55 * self.height_m),
+            camera_b=(0.0, 0.0, 0.93 * self.height_m),
+            imu_b=(0.0, 0.0, 0.55 * self.height_m),
+            max_speed_mps=self.speed_mps,
+        )
 
     def mesh(self) -> MovingMesh:
         """The shape that sensors see, its origin on the ground."""

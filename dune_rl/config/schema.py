@@ -301,10 +301,12 @@ class EvaluateConf(EnvConf):
             for name in names:
                 if name in _BUILT_IN_POLICIES or ":" in name or name.endswith((".onnx", ".zip")):
                     continue
+                if "/" in name or name.endswith(".pt"):
+                    raise ValueError(f"{key}: {name} is no policy; did you mean checkpoint={name}?")
                 near = closest(name, _BUILT_IN_POLICIES)
                 meant = f"did you mean {near}? There are" if near else "there are"
-                known = ", ".join(_BUILT_IN_POLICIES)
-                raise ValueError(f"{key}: {name} is no policy; {meant} {known}, FILE.onnx, MODULE:FUNCTION")
+                known = ", ".join((*_BUILT_IN_POLICIES, "FILE.onnx", "FILE.zip", "MODULE:FUNCTION"))
+                raise ValueError(f"{key}: {name} is no policy; {meant} {known}")
         return self
 
     @model_validator(mode="after")
@@ -316,5 +318,8 @@ class EvaluateConf(EnvConf):
     @model_validator(mode="after")
     def _some_policy(self) -> Self:
         if not (self.checkpoint or self.policy):
-            raise ValueError("choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random")
+            raise ValueError(
+                f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(_BUILT_IN_POLICIES)}, "
+                "FILE.onnx, FILE.zip or MODULE:FUNCTION"
+            )
         return self

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.person import PersonConf
-from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.body import Body
 from dune_rl.env.collision_counter import CollisionCounter
 from dune_rl.env.controllers import Controller
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
+from dune_rl.env.group_metrics import GroupMetrics
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.proximity import Outline
-from dune_rl.metrics.episode import MetricsConf, MetricSet
+from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
@@ -99,7 +99,7 @@ class AgentGroup:
     def __init__(
         self,
         setup: GroupSetup,
-        body: ArticulatedBody | KinematicBody,
+        body: Body,
         goals: GoalTracker,
         spawners: Spawners,
         num_rows: int,
@@ -111,47 +111,26 @@ class AgentGroup:
         self.names = tuple(f"{setup.name}_{agent}" for agent in range(setup.count))
         self.collisions = CollisionCounter(num_rows, collision_gap_steps)
         self.task = None if setup.task is None else Task(setup.task, num_rows)
-        self._metrics = None
-        if setup.metrics is not None and self.task is not None:
-            self._metrics = MetricSet(setup.metrics, num_rows)
+        self.measured = GroupMetrics(None if self.task is None else setup.metrics, num_rows)
         self.done = np.zeros(num_rows, bool)
         self.terminated = np.zeros(num_rows, bool)
         self.truncated = np.zeros(num_rows, bool)
-        low, high = self._bounds()
+        low, high = body.action_bounds()
         self.action_bounds = low.astype(np.float32), high.astype(np.float32)
         self.action_size = len(low)
-        self._rest = self._rest_action()
-        self.outline, self.radius_m = self._shape()
-        wheels = body.robot.wheels if isinstance(body, ArticulatedBody) else None
-        self.wheel_radius_m = None if wheels is None else wheels.radius_m
+        self._rest = body.rest_action()
+        self.outline, self.radius_m = body.outline, body.radius_m
+        self.wheel_radius_m = body.wheel_radius_m
         self.num_rows = num_rows
         self._controller: Controller | None = None
 
     def equip(self, suite: SensorSuite | None) -> None:
         """Set the sensors and create the controller; called once, after all groups have been built."""
         self.suite = suite
-        if isinstance(self.body, ArticulatedBody):
-            by_sensors = suite is not None and suite.needs_joints
-            self.body.reads_joints = by_sensors or (self._metrics is not None and self._metrics.needs_joints)
+        by_sensors = suite is not None and suite.needs_joints
+        self.body.reads_joints = by_sensors or self.measured.needs_joints
         if self.setup.controller is not None:
             self._controller = self.setup.controller(self)
-
-    def _shape(self) -> tuple[Outline, float]:
-        """The outline in plan view, and half its width [m]."""
-        body = self.body
-        if isinstance(body, KinematicBody):
-            return Outline.disc(body.conf.radius_m), body.conf.radius_m
-        robot = body.robot
-        half = np.array([robot.length_m, robot.width_m]) / 2
-        return Outline(robot.outline(), half), robot.width_m / 2
-
-    def _bounds(self) -> tuple[Array, Array]:
-        body = self.body
-        return body.robot.action_bounds() if isinstance(body, ArticulatedBody) else body.action_bounds()
-
-    def _rest_action(self) -> Array:
-        body = self.body
-        return body.robot.rest_action() if isinstance(body, ArticulatedBody) else body.rest_action()
 
     @property
     def is_external(self) -> bool:
@@ -176,8 +155,7 @@ class AgentGroup:
 
     def reset(self, mask: Flags) -> None:
         """Clear the history of the agents in `mask` (N,)."""
-        if isinstance(self.body, ArticulatedBody):
-            self.body.reset(mask)
+        self.body.reset(mask)
         self.collisions.reset(mask)
         for flags in (self.done, self.terminated, self.truncated):
             flags[mask] = False
@@ -185,18 +163,14 @@ class AgentGroup:
     def read_start(self, mask: Flags, engines: Sequence[PhysicsRobot], bodies: int) -> None:
         """Read the start states in `mask` (N,) from physics; a scene has at most `bodies` bodies."""
         self.collisions.make_room(bodies)
-        if isinstance(self.body, ArticulatedBody):
-            self.body.read_start(mask, engines)
-        else:
-            self.body.read_start(mask)
+        self.body.read_start(mask, engines)
 
     def begin(self, mask: Flags, state: State) -> None:
         """Start task, metrics, sensors and controller of the agents in `mask` (N,) at `state`."""
         now = state.groups[self.name]
         if self.task is not None:
             self.task.reset(mask, now)
-        if self._metrics is not None:
-            self._metrics.reset(mask, now)
+        self.measured.reset(mask, now)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
         if self._controller is not None:
@@ -220,9 +194,6 @@ class AgentGroup:
         assert actions is not None
         if self.done.any():
             actions = np.where(self.done[:, None], self._rest, actions)
-        if isinstance(self.body, KinematicBody):
-            self.body.apply_actions(actions)
-            return
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
@@ -236,18 +207,12 @@ class AgentGroup:
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
         """Read the bodies' states after a physics step; returns contacts as pairs of row and body number."""
-        if isinstance(self.body, ArticulatedBody):
-            return self.body.read(engines)
-        self.body.read()
-        return []
+        return self.body.read(engines)
 
     @property
     def energy(self) -> EnergyState | None:
         """Motor work in the last control step, and the battery; None unless it is measured."""
-        body = self.body
-        if not isinstance(body, ArticulatedBody) or body.work_j is None:
-            return None
-        return EnergyState(body.work_j, body.robot.battery)
+        return self.body.energy
 
     def measure_goals(self) -> GoalState:
         """Distances and bearings of the goals after a step; not updated if nothing reads them."""
@@ -260,8 +225,7 @@ class AgentGroup:
             return Evaluation(np.zeros(len(self.done), np.float32), now)
         ends = self.task.end(state, now)
         reward = self.task.reward(state, now)
-        if self._metrics is not None:
-            self._metrics.update(state, now, reward)
+        self.measured.update(state, now, reward)
         renews = ends.renews & ~self.done
         if renews.any():
             now = replace(now, goal=self.goals.renew(renews, now.motion, now.goal))
@@ -291,14 +255,14 @@ class AgentGroup:
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Names of the columns of `metrics`."""
-        if self._metrics is None or self.task is None:
+        if self.measured.own is None or self.task is None:
             return ()
-        return (*self._metrics.names, *self.task.reward_names)
+        return (*self.measured.own.names, *self.task.reward_names)
 
     def metrics(self) -> list[Array]:
         """Metrics of the present episodes so far: arrays (N, ...) whose concatenation has the columns
         `metric_names`; final for agents that are done.
         """
-        if self._metrics is None or self.task is None:
+        if self.measured.own is None or self.task is None:
             return []
-        return [self._metrics.values, self.task.reward_sums]
+        return [self.measured.own.values, self.task.reward_sums]

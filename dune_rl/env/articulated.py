@@ -1,23 +1,26 @@
 """Robots in physics: N = M * G of one kind, from actions to motor commands and from the engine to motion."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.env.body import Engines
 from dune_rl.env.drag import drag_forces
 from dune_rl.env.latency import Latency
+from dune_rl.env.proximity import Outline
+from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.traction import Traction
 from dune_rl.geometry.frame_loops import derive_motion
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
+from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion, Robot
-from dune_rl.state import JointState, Motion
+from dune_rl.sensors.context import SensorCarrier
+from dune_rl.sensors.odometry import DriveGeometry, WheelMotion
+from dune_rl.state import EnergyState, JointState, Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Engines = Sequence[PhysicsRobot]
 
 # Limits of position, quaternion, velocity and angular velocity [SI] beyond which physics has diverged: robots
 # are slower, worlds are smaller, and components of unit quaternions are at most 1.
@@ -25,7 +28,7 @@ _STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
 
 class ArticulatedBody:
-    """The bodies of N robots of one kind, rows scene after scene: commands them and reads their motion.
+    """The bodies of N robots of one kind, rows scene after scene: a `Body` that physics simulates.
 
     `latency` delays the commands, if it is not None. The physics robots (`engines`, one per row) are passed
     to each call, because scenes may be rebuilt between episodes.
@@ -55,6 +58,45 @@ class ArticulatedBody:
         self._step_s = physics.control_step_s
         self.motion = self._derive(np.zeros(rows, bool), np.zeros((rows, 3)))
         self.work_j: Array | None = np.zeros(rows) if measures_work else None
+        self.outline = Outline(robot.outline(), np.array([robot.length_m, robot.width_m]) / 2)
+        self.radius_m, self.height_m = robot.width_m / 2, robot.height_m
+        self.wheel_radius_m = None if robot.wheels is None else robot.wheels.radius_m
+
+    def action_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the action, each (A,)."""
+        return self.robot.action_bounds()
+
+    def rest_action(self) -> Array:
+        """Action (A,) at which the robot stands still."""
+        return self.robot.rest_action()
+
+    def carrier(self) -> SensorCarrier:
+        """The robot as a carrier of sensors."""
+        mounts, wheels = self.robot.mounts, self.robot.wheels
+        drive: WheelMotion | None = None
+        num_joints = len(self.robot.body.drive_joints)
+        if wheels is not None:
+            geometry = DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
+            drive, num_joints = wheels.steering or geometry, wheels.num_driven
+        return SensorCarrier(
+            scanner_b=mounts.scanner_b,
+            camera_b=mounts.camera_b,
+            imu_b=mounts.imu_b,
+            camera_pitch_deg=mounts.camera_pitch_deg,
+            standing_height_m=self.robot.standing_height_m,
+            max_speed_mps=self.robot.max_speed_mps,
+            num_joints=num_joints,
+            drive=drive,
+        )
+
+    def mesh(self) -> MovingMesh:
+        """What the sensors of others see."""
+        return robot_mesh(self.robot.body)
+
+    @property
+    def energy(self) -> EnergyState | None:
+        """Motor work in the last control step, and the battery; None unless it is measured."""
+        return None if self.work_j is None else EnergyState(self.work_j, self.robot.battery)
 
     # -- a new episode ----------------------------------------------------------------------------
 

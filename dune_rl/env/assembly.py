@@ -9,9 +9,8 @@ from dune_rl.env.agent_group import AgentGroup, GroupSetup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.goals import GoalTracker, PathGoals, RegionGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
-from dune_rl.env.sensing import person_carrier, robot_carrier, sensor_context
+from dune_rl.env.sensing import sensor_context
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -104,7 +103,7 @@ def _kinematic_group(
 
 def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:
     """Give each group the sensors of its setup: one suite for all its agents."""
-    meshes = {group.name: mesh_of(group) for group in groups}
+    meshes = {group.name: group.body.mesh() for group in groups}
     for group in groups:
         suite = None
         if group.setup.sensors is not None:
@@ -114,11 +113,9 @@ def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: Sce
 
 
 def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorSuite:
-    body = group.body
-    carrier = robot_carrier(body.robot) if isinstance(body, ArticulatedBody) else person_carrier(body.conf)
     context = sensor_context(
         scenes.worlds,
-        carrier,
+        group.body.carrier(),
         neighbours,
         num_rows=len(scenes.worlds) * group.count,
         step_s=scenes.conf.control_step_s,
@@ -128,12 +125,6 @@ def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneMan
     return SensorSuite(group.setup.sensors, context)
 
 
-def mesh_of(group: AgentGroup) -> MovingMesh:
-    """What one agent of a group looks like to others' sensors."""
-    body = group.body
-    return robot_mesh(body.robot.body) if isinstance(body, ArticulatedBody) else body.conf.mesh()
-
-
 def scene_bodies(groups: Sequence[AgentGroup]) -> SceneBodies:
     """What the groups put into each scene's physics."""
     robots, kinematics = [], []
@@ -141,6 +132,6 @@ def scene_bodies(groups: Sequence[AgentGroup]) -> SceneBodies:
         for name in group.names:
             if isinstance(group.body, ArticulatedBody):
                 robots.append(group.body.robot.body)
-            else:
+            elif isinstance(group.body, KinematicBody):
                 kinematics.append(group.body.conf.collision_shape(name))
     return SceneBodies(tuple(robots), tuple(kinematics))

@@ -3,6 +3,7 @@
 from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext, Unicycle
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.kinematic import KinematicBody
 from dune_rl.errors import ConfigError
 
 _SPEED_AND_HEADING = 2
@@ -28,11 +29,12 @@ def _unicycle(group: AgentGroup) -> Unicycle:
     low, high = group.action_bounds
     speeds = float(low[0]), float(high[0])
     body = group.body
-    if not isinstance(body, ArticulatedBody):
+    if isinstance(body, KinematicBody):
         # A person turns to the commanded heading within the step, as far as its limit lets it.
         conf = body.conf
         size = 2.0 * conf.radius_m
         return Unicycle(*speeds, conf.max_turn_radps, 1.0 / body.step_s, size, size, conf.radius_m)
+    assert isinstance(body, ArticulatedBody)
     robot = body.robot
     steering = None if robot.wheels is None else robot.wheels.steering
     return Unicycle(

@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.compiled import compile_function
+from dune_rl.env.body import Engines
+from dune_rl.env.proximity import Outline
 from dune_rl.geometry.frames import wrap_angle
+from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.robots.robot import BodyMotion
+from dune_rl.sensors.context import SensorCarrier
 from dune_rl.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
@@ -20,7 +25,7 @@ _EDGE_M = 1.0
 
 
 class KinematicBody:
-    """N equal bodies with unicycle kinematics, rows scene after scene.
+    """N equal bodies with unicycle kinematics, rows scene after scene: a `Body` without physics.
 
     `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad], from a command on those of the end of its
     control step; `motion` is derived from them by `read`. `blocked` (N,) marks bodies that stopped in the
@@ -37,6 +42,9 @@ class KinematicBody:
         still = np.zeros((rows, 3))
         self.motion = self._moving(still, still, still)
         self._start_poses = self.poses
+        self.outline = Outline.disc(conf.radius_m)
+        self.radius_m, self.height_m = conf.radius_m, conf.height_m
+        self.wheel_radius_m, self.energy, self.reads_joints = None, None, False
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds, each (2,), of speed [m/s] (never backwards) and relative heading [rad]."""
@@ -46,6 +54,17 @@ class KinematicBody:
         """Action (2,) at which the body stands still."""
         return np.zeros(2)
 
+    def carrier(self) -> SensorCarrier:
+        """The body as a carrier of sensors."""
+        return self.conf.carrier()
+
+    def mesh(self) -> MovingMesh:
+        """What the sensors of others see."""
+        return self.conf.mesh()
+
+    def reset(self, mask: Flags) -> None:
+        """Nothing is kept from one episode to the next."""
+
     def place(self, scene: int, poses: Array) -> None:
         """Put the bodies of a scene at `poses` (G, 4), at rest; `read_start` must follow."""
         rows = slice(scene * self.count, (scene + 1) * self.count)
@@ -53,7 +72,7 @@ class KinematicBody:
         self.poses[rows] = poses
         self.blocked[rows] = False
 
-    def read_start(self, mask: Flags) -> None:
+    def read_start(self, mask: Flags, engines: Engines = ()) -> None:
         """Set the motion in the rows in `mask` (N,) to rest."""
         before = self.motion
         velocity, turning, acceleration = (
@@ -66,11 +85,12 @@ class KinematicBody:
         """Move to `poses` (N, 4) by the end of the control step."""
         self._start_poses, self.poses = self.poses, poses
 
-    def apply_actions(self, actions: Array) -> None:
+    def command(self, actions: Array, known: BodyMotion, engines: Engines = ()) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
 
         Both are clipped to the limits of the body. A body in front of an obstacle turns in place; one that a
-        robot has pushed into an obstacle may move where it is less deep in it.
+        robot has pushed into an obstacle may move where it is less deep in it. It needs no measured motion
+        (`known`) and no `engines`.
         """
         conf, poses = self.conf, self.poses.copy()
         most = conf.max_turn_radps * self.step_s
@@ -106,12 +126,16 @@ class KinematicBody:
         _set_reached(reached.reshape(-1, self.count, 4), scenes, poses, heights)
         self.poses = reached
 
-    def read(self) -> None:
-        """Derive the motion at the end of a control step: its mean velocities, and their change."""
+    def read(self, engines: Engines = ()) -> list[tuple[int, int]]:
+        """Derive the motion at the end of a control step: its mean velocities, and their change.
+
+        Returns no contacts: these bodies have those that robots have with them.
+        """
         found = np.zeros((3, len(self.poses), 3))
         _derive_motion(self.poses, self._start_poses, self.motion.velocity_w, self.step_s, found)
         velocity_w, angular_w, acceleration_b = found
         self.motion = self._moving(velocity_w, angular_w, acceleration_b)
+        return []
 
     def _moving(self, velocity_w: Array, angular_w: Array, acceleration_b: Array) -> Motion:
         attitude = np.zeros((len(self.poses), 3))

@@ -1,5 +1,6 @@
 """Pictures of a scene for people: from behind an agent, or from anywhere."""
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +37,15 @@ _HALF_ROBOT_M = 0.35
 # Smaller sites are seen from steeper above, and of larger ones a part.
 _SMALL_SITE_M, _LARGEST_SITE_M = 25.0, 60.0
 _GOAL_COLOUR = (0.10, 0.75, 0.35)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """All bodies of a scene at an instant, and the position (3,) [m] and heading [rad] of one agent."""
+
+    bodies: list[PosedMesh]
+    position: Array
+    yaw: float
 
 
 class Pictures:
@@ -120,9 +130,7 @@ class Pictures:
         yaw = float(motion.yaw[row])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         # Somebody as tall as the eye would fill the picture, from so near.
-        body = group.body
-        excess = body.conf.height_m - _USUAL_HEIGHT_M if isinstance(body, KinematicBody) else 0.0
-        more = max(excess, 0.0)
+        more = max(group.body.height_m - _USUAL_HEIGHT_M, 0.0)
         others = self._others(scene, group, row) if turns_for_agents else np.zeros((0, 4))
         views = []
         for turn in np.deg2rad(_TURNS_DEG):
@@ -138,16 +146,30 @@ class Pictures:
         eye, target = views[-1]
         return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
 
+    def moment(self, scene: int, agent: str) -> Moment:
+        """The present instant of an agent, for a picture that is rendered later (`of_moment`)."""
+        group = self._group_of(agent)
+        row = scene * group.count + group.names.index(agent)
+        motion = group.body.motion
+        return Moment(self.bodies(scene), motion.position_w[row].copy(), float(motion.yaw[row]))
+
+    def of_moment(self, moment: Moment, scene: int, width: int, height: int, samples: int = 1) -> Picture:
+        """RGB (height, width, 3) of a moment of a scene's episode, from behind its agent and above."""
+        ahead = np.array([np.cos(moment.yaw), np.sin(moment.yaw), 0.0])
+        eye = moment.position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M]
+        eye = self._free_eye(scene, moment.position, eye, _FARTHEST_EYE_M)
+        view = Viewpoint(tuple(eye), tuple(moment.position + _LOOK_AHEAD_M * ahead), 1.05)
+        return self._painters[scene].render(view, width, height, moment.bodies, samples)
+
     def _others(self, scene: int, group: AgentGroup, row: int) -> Array:
         """Positions on the ground, radii and heights (K, 4) [m] of the scene's agents but that of `row`."""
         found = []
         for other in self._simulation.groups:
             body = other.body
-            height = body.conf.height_m if isinstance(body, KinematicBody) else _USUAL_HEIGHT_M
             for each in self._rows(scene, other):
                 if other is not group or each != row:
                     x, y = body.motion.position_w[each, :2].tolist()
-                    found.append([x, y, other.radius_m, height])
+                    found.append([x, y, other.radius_m, body.height_m])
         return np.array(found).reshape(-1, 4)
 
     def _group_of(self, agent: str) -> AgentGroup:

@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 
-from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
@@ -14,10 +13,8 @@ from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
-from dune_rl.robots.robot import Robot
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.context import SensorCarrier, SensorContext
-from dune_rl.sensors.odometry import DriveGeometry, WheelMotion
 from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
 from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
 from dune_rl.worlds.beam_surface import beam_surface
@@ -59,26 +56,6 @@ def sensor_context(
     )
 
 
-def robot_carrier(robot: Robot) -> SensorCarrier:
-    """The robot as a carrier of sensors."""
-    mounts, wheels = robot.mounts, robot.wheels
-    drive: WheelMotion | None = None
-    num_joints = len(robot.body.drive_joints)
-    if wheels is not None:
-        drive = wheels.steering or DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
-        num_joints = wheels.num_driven
-    return SensorCarrier(
-        scanner_b=mounts.scanner_b,
-        camera_b=mounts.camera_b,
-        imu_b=mounts.imu_b,
-        camera_pitch_deg=mounts.camera_pitch_deg,
-        standing_height_m=robot.standing_height_m,
-        max_speed_mps=robot.max_speed_mps,
-        num_joints=num_joints,
-        drive=drive,
-    )
-
-
 def _cameras(worlds: BatchedWorlds, meshes: Sequence[MovingMesh], conf: CameraConf) -> Cameras:
     def camera(look: WorldAppearance) -> Camera:
         return Camera(conf, bake_in_weather(look.world, look.weather), meshes, look.media)
@@ -117,13 +94,3 @@ def _terrain(world: World) -> HeightField:
 
 def _foliage(world: World) -> Foliage | None:
     return None if world.grass is None else world.grass.foliage
-
-
-def person_carrier(conf: PersonConf) -> SensorCarrier:
-    """A person as a carrier of sensors: scanners at the hip, a camera at the eyes."""
-    return SensorCarrier(
-        scanner_b=(0.0, 0.0, 0.55 * conf.height_m),
-        camera_b=(0.0, 0.0, 0.93 * conf.height_m),
-        imu_b=(0.0, 0.0, 0.55 * conf.height_m),
-        max_speed_mps=conf.speed_mps,
-    )

@@ -16,9 +16,11 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.episode_plan import EpisodePlan
 from dune_rl.env.episode_request import EpisodeRequest, plain_request, request_from_plain
 from dune_rl.env.episode_start import EpisodeStart
+from dune_rl.env.group_metrics import add_metrics
 from dune_rl.env.restore import RestoreError, check_arrival, state_digest
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
 from dune_rl.env.state_builder import StateBuilder
+from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.sensor import Reading
@@ -276,6 +278,10 @@ class VectorSimulation:
             return np.zeros((self.num_scenes, found.count, 0), np.float32)
         return np.concatenate(values, axis=1).astype(np.float32).reshape(self.num_scenes, found.count, -1)
 
+    def add_metrics(self, group: str, conf: MetricsConf) -> MetricSet:
+        """Measure `conf` of a group's episodes as well, from now on; equal settings share one set."""
+        return add_metrics(self.group(group), conf, None if self._refusal else self.state)
+
     def joint_angles(self, group: str, row: int) -> dict[str, float]:
         """Joint angles [rad] by name of a group's robot in `row`; empty for a kinematic body."""
         body = self.group(group).body
@@ -294,10 +300,15 @@ class VectorSimulation:
     def save_point(self) -> dict[str, Any]:
         """As `save_state`, also before the first episode and after `close`."""
         begun = {} if self._refusal else self.save_state()
-        return {"refusal": self._refusal, "seed": self.seed, "episodes": self.episodes.tolist(), **begun}
+        added = {group.name: group.measured.added for group in self.groups}
+        episodes = self.episodes.tolist()
+        return {"refusal": self._refusal, "seed": self.seed, "episodes": episodes, "metrics": added, **begun}
 
     def return_to(self, point: dict[str, Any]) -> None:
         """Restore what `save_point` returned; raises as `restore`."""
+        for name, confs in point["metrics"].items():
+            for conf in confs:
+                self.add_metrics(name, MetricsConf.model_validate(conf))
         if not point["refusal"]:
             self.restore(point)
             return

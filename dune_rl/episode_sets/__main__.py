@@ -1,9 +1,15 @@
 """`python -m dune_rl.episode_sets`: lists, makes and checks episode sets."""
 
+import signal
+import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dune_rl.errors import DuneError
+
+if TYPE_CHECKING:
+    from dune_rl.episode_sets.generate import SetRecipe
 
 
 def main() -> None:
@@ -11,18 +17,41 @@ def main() -> None:
     parser = ArgumentParser(prog="python -m dune_rl.episode_sets", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="the sets of the package, with their checksums")
-    make = commands.add_parser("make", help="make sets again from their recipes (builds all their sites)")
-    make.add_argument("names", nargs="*", help="which sets; none: all")
+    make = commands.add_parser(
+        "make",
+        help="make sets again from their recipes, or one of your own from settings",
+        description="Make sets of the package again (none named: all), which builds all their sites; or one "
+        "of your own: make mine-v1 +world=NAME robot=NAME --episodes 50",
+    )
+    make.add_argument("names", nargs="*", metavar="NAME", help="a set")
     make.add_argument("--out", type=Path, default=Path("episode_sets"), help="the folder to write to")
+    own = make.add_argument_group("for a set of your own, beside settings (key=value)")
+    own.add_argument("--episodes", type=int, default=100, help="how many (default: 100)")
+    own.add_argument("--sites", type=int, default=1, help="of a generated world (default: 1, its world.seed)")
+    own.add_argument("--farthest", type=float, metavar="M", help="largest distance of a goal from its start")
+    own.add_argument("--seed", type=int, default=0, help="of all that episodes draw (default: 0)")
     check = commands.add_parser("check", help="start every episode of sets, and report what is not free")
-    check.add_argument("names", nargs="*", help="which sets, by name or path; none: all of the package")
-    parsed = parser.parse_args()
+    check.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="a set, by name or path (none: all of the package), or a setting of the robot (key=value)",
+    )
+    parsed, unknown = parser.parse_known_args()
+    if any("=" not in word or word.startswith("-") for word in unknown):
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    # argparse takes words after an option for unknown ones.
+    words = [*getattr(parsed, "names", ()), *unknown]
+    parsed.names = [word for word in words if "=" not in word]
+    parsed.settings = [word for word in words if "=" in word]
     try:
         {"list": _list, "make": _make, "check": _check}[parsed.command](parsed)
     except DuneError as error:
         from dune_rl.command import exit_with_error
 
         exit_with_error(str(error))
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
 
 
 def _list(_: Namespace) -> None:
@@ -36,26 +65,54 @@ def _list(_: Namespace) -> None:
 def _make(parsed: Namespace) -> None:
     from dune_rl.command import describe_user_error
     from dune_rl.episode_sets.files import write_episode_set
-    from dune_rl.episode_sets.generate import all_recipes, generate_episodes
+    from dune_rl.episode_sets.generate import generate_episodes
     from dune_rl.errors import ConfigError
-    from dune_rl.suggestions import one_of
 
-    recipes = all_recipes()
-    unknown = [name for name in parsed.names if name not in recipes]
-    if unknown:
-        raise ConfigError(f"there is no recipe {unknown[0]!r}; choose {one_of(list(recipes))}")
-    for name in parsed.names or recipes:
+    recipes = _recipes(parsed)
+    for recipe in recipes:
         for suffix in (".json", ".csv"):
-            if (parsed.out / f"{name}{suffix}").exists():
-                raise ConfigError(f"{parsed.out / name}{suffix} exists; choose another --out")
-    for name in parsed.names or recipes:
-        episodes = generate_episodes(recipes[name])
-        header = recipes[name].header(len({one.world_seed for one in episodes}))
+            if (parsed.out / f"{recipe.name}{suffix}").exists():
+                raise ConfigError(f"{parsed.out / recipe.name}{suffix} exists; choose another --out")
+    for recipe in recipes:
+        episodes = generate_episodes(recipe)
+        # The world without a seed is one site.
+        header = recipe.header(len({one.world_seed for one in episodes}))
         try:
             written = write_episode_set(parsed.out, header, episodes)
         except OSError as error:
             raise ConfigError(describe_user_error(error) or str(error)) from error
-        print(f"{parsed.out / name}.json  {written.header.sha256}", flush=True)
+        print(f"{parsed.out / recipe.name}.json  {written.header.sha256}", flush=True)
+
+
+def _recipes(parsed: Namespace) -> list["SetRecipe"]:
+    """The recipes that the command line names, or the one of its settings."""
+    from dune_rl.episode_sets.generate import all_recipes
+    from dune_rl.episode_sets.own import own_recipe
+    from dune_rl.errors import ConfigError
+    from dune_rl.suggestions import closest
+
+    if parsed.settings:
+        if len(parsed.names) != 1:
+            raise ConfigError(f"settings are for one set: make NAME {parsed.settings[0]} ...")
+        return [
+            own_recipe(
+                *(
+                    parsed.names[0],
+                    parsed.settings,
+                    parsed.episodes,
+                    parsed.sites,
+                    parsed.farthest,
+                    parsed.seed,
+                )
+            )
+        ]
+    recipes = all_recipes()
+    for name in parsed.names:
+        if name not in recipes:
+            near = closest(name, recipes)
+            meant = f"did you mean {near}? For one" if near else "for one"
+            raise ConfigError(f"there is no recipe {name!r}; {meant} of your own give settings: +world=NAME")
+    return [recipes[name] for name in parsed.names or recipes]
 
 
 def _check(parsed: Namespace) -> None:
@@ -65,7 +122,7 @@ def _check(parsed: Namespace) -> None:
 
     faults = []
     for name in parsed.names or set_names():
-        found = faulty_episodes(read_episode_set(name))
+        found = faulty_episodes(read_episode_set(name), overrides=parsed.settings)
         print(f"{name:<22} {len(found)} faults", flush=True)
         faults += [f"{name}: {fault}" for fault in found]
     if faults:

@@ -17,9 +17,20 @@ Model = TypeVar("Model", bound=EnvConf)
 
 # Headers state radii with four digits [m].
 _ROUNDING_M = 1e-3
+# The limits of sets count control steps of this rate.
+_CONTROL_HZ = 20
 _DETERMINED = ("world", "weather", "actors", "randomisation", "task.spawn", "task.terminations")
 _ONE_ROBOT = ("agents", "robots")
 _RENAMED = ("task.termination",)
+
+
+def refuse_several_robots(name: str, conf: EnvConf) -> None:
+    """Raise ConfigError unless `conf` has the one robot that the set `name` is for."""
+    if conf.agents is not None or conf.robots is not None:
+        raise ConfigError(
+            f"set={name} is for one robot, and these settings have agents or robots of their own; evaluate "
+            "them with +world=NAME episodes=N"
+        )
 
 
 def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
@@ -35,10 +46,11 @@ def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
 
 def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
     """`conf` with the world, actors, starts and ends of a set; raises ConfigError where they do not fit."""
-    if conf.agents is not None or conf.robots is not None:
+    refuse_several_robots(episode_set.name, conf)
+    if conf.physics.control_hz != _CONTROL_HZ:
         raise ConfigError(
-            f"set={episode_set.name} is for one robot, and these settings have agents or robots of their "
-            "own; evaluate them with +world=NAME episodes=N"
+            f"set={episode_set.name} ends episodes after a number of steps of 1/{_CONTROL_HZ} s; leave "
+            f"physics.control_hz={conf.physics.control_hz} out"
         )
     data = conf.model_dump(mode="json")
     for section, values in episode_set.header.settings.items():
@@ -59,7 +71,7 @@ def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
 
 def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
     """The plan of a set's episodes for the robot of `conf`."""
-    agent = _robot_group(conf).agents[0]
+    agent = robot_group(conf).agents[0]
     return EpisodePlan(
         [
             PlannedEpisode({agent: AgentRequest(one.start, one.goal)}, one.world_seed)
@@ -70,12 +82,13 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
 
 def footprint_radius_m(conf: EnvConf) -> float:
     """Radius of the footprint of the robot of `conf` [m]."""
-    body = _robot_group(conf).body
+    body = robot_group(conf).body
     assert not isinstance(body, PersonConf)
     return build_robot(body, 1).footprint_radius_m
 
 
-def _robot_group(conf: EnvConf) -> ResolvedGroup:
+def robot_group(conf: EnvConf) -> ResolvedGroup:
+    """The group of the one robot of `conf`."""
     return next(group for group in conf.groups if not isinstance(group.body, PersonConf))
 
 
@@ -84,5 +97,6 @@ def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:
     if radius > limit + _ROUNDING_M:
         raise ConfigError(
             f"set={episode_set.name} has room for footprints of {limit:.2f} m ({episode_set.header.robot}), "
-            f"and the robot needs {radius:.2f} m: make a set for it with python -m dune_rl.episode_sets"
+            f"and the robot needs {radius:.2f} m: make a set for it with\n"
+            f"python -m dune_rl.episode_sets make NAME +world={episode_set.world} robot=..."
         )

@@ -14,11 +14,17 @@ from dune_rl.errors import WorldError
 _SETTLED_M = 0.2
 
 
-def faulty_episodes(episode_set: EpisodeSet, numbers: Sequence[int] | None = None) -> list[str]:
-    """Start episodes (None: all) and return a line for each that fails or touches something at its start."""
+def faulty_episodes(
+    episode_set: EpisodeSet, numbers: Sequence[int] | None = None, overrides: Sequence[str] = ()
+) -> list[str]:
+    """Start episodes (None: all) and return a line for each that fails or touches something at its start.
+
+    `overrides` are settings of the robot, where its name does not tell all of it.
+    """
     conf = settings_on_set(
         compose_environment(
-            episode_set.world, [f"robot={episode_set.header.robot}", "sensors.enabled=[goal]"]
+            episode_set.header.settings["world"],
+            [f"robot={episode_set.header.robot}", "sensors.enabled=[goal]", *overrides],
         ),
         episode_set,
     )

@@ -12,6 +12,7 @@ from dune_rl.settings import Settings
 
 FORMAT = "dune_rl episode set"
 FORMAT_VERSION = 1
+NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]*"
 # With the unit at the end of each name; metres have a precision of 1 mm, and yaw one of 0.0001 rad.
 COLUMNS = ("episode", "world_seed", "start_x_m", "start_y_m", "start_yaw_rad", "goal_x_m", "goal_y_m")
 
@@ -43,7 +44,7 @@ class SetHeader(Settings):
 
     format: str
     format_version: int
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    name: str = Field(pattern=f"^{NAME_PATTERN}$")
     description: str
     robot: str
     footprint_radius_m: float = Field(gt=0.0)

@@ -1,7 +1,9 @@
 """How the package's episode sets are made: sampled starts and goals on sites that training never draws."""
 
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ import numpy as np
 from dune_rl.config.build import build_world, make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
-from dune_rl.episode_sets.apply import footprint_radius_m
+from dune_rl.episode_sets.apply import footprint_radius_m, robot_group
 from dune_rl.episode_sets.episode_set import SetEpisode
 from dune_rl.errors import WorldError
 from dune_rl.seeding import stream
@@ -23,6 +25,7 @@ EPISODES = 200
 FAMILIES = ("flat", "inspection", "construction", "rubicon", "island")
 _TRIES = 2_000
 _SET_SEED = 140_000
+_NO_SEED = ", since the world has no seed"
 
 
 @dataclass(frozen=True)
@@ -56,61 +59,72 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class SetRecipe:
-    """The settings from which a set is made."""
+    """What a set is made from: a world, and `overrides` of the settings of its episodes.
 
-    family: str
-    variant: SetVariant
-    robot: str = "rover_zero"
+    `words` are those of the command line after the name, if it is not one of the package's sets. `seed` is
+    that of everything that the episodes draw. With several `sites`, these have world seeds from `FIRST_SITE`
+    on; one site is the world as its settings have it.
+    """
+
+    name: str
+    world: str
+    overrides: tuple[str, ...]
+    meaning: str
+    goal_distance_m: tuple[float, float | None]
+    seed: int
     episodes: int = EPISODES
     sites: int = SITES
-    version: int = 1
+    words: tuple[str, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """The set's name."""
-        return f"{self.family}{self.variant.suffix}-v{self.version}"
-
-    @property
-    def seed(self) -> int:
-        """The seed of everything that the set's episodes draw: another for each set."""
-        return _SET_SEED + 10 * FAMILIES.index(self.family) + VARIANTS.index(self.variant)
-
+    @cached_property
     def settings(self) -> EnvConf:
         """The settings of the episodes."""
-        return compose_environment(self.family, [f"robot={self.robot}", *self.variant.overrides])
+        return compose_environment(self.world, self.overrides)
 
     def header(self, sites: int) -> dict[str, Any]:
         """The header of the set's file; see `SetHeader`."""
-        conf = self.settings()
-        data = conf.model_dump(mode="json")
+        data = self.settings.model_dump(mode="json")
         determined = {key: data[key] for key in ("world", "weather", "actors", "randomisation")}
         determined["task"] = {key: data["task"][key] for key in ("spawn", "terminations")}
-        places = f"{sites} sites" if sites > 1 else "one site, since the world has no seed"
+        seeded = self.words or hasattr(self.settings.world, "seed")
+        places = f"{sites} sites" if sites > 1 else "one site" + ("" if seeded else _NO_SEED)
         return {
             "name": self.name,
-            "description": f"{self.family}: {self.variant.meaning}; {self.episodes} episodes on {places}",
-            "robot": self.robot,
-            "footprint_radius_m": round(footprint_radius_m(conf), 4),
+            "description": f"{self.world}: {self.meaning}; {self.episodes} episodes on {places}",
+            "robot": robot_group(self.settings).body.name,
+            "footprint_radius_m": round(footprint_radius_m(self.settings), 4),
             "episodes": self.episodes,
             "sites": sites,
-            "goal_distance_m": list(self.variant.goal_distance_m),
+            "goal_distance_m": list(self.goal_distance_m),
             "seed": self.seed,
             "settings": determined,
-            "command": f"python -m dune_rl.episode_sets make {self.name}",
+            "command": shlex.join(["python", "-m", "dune_rl.episode_sets", "make", self.name, *self.words]),
         }
 
 
 def all_recipes() -> dict[str, SetRecipe]:
     """The recipes of the package's sets, by name."""
-    recipes = (SetRecipe(family, variant) for family in FAMILIES for variant in VARIANTS)
+    recipes = (_package_recipe(family, variant) for family in FAMILIES for variant in VARIANTS)
     return {recipe.name: recipe for recipe in recipes}
+
+
+def _package_recipe(family: str, variant: SetVariant) -> SetRecipe:
+    return SetRecipe(
+        f"{family}{variant.suffix}-v1",
+        family,
+        ("robot=rover_zero", *variant.overrides),
+        variant.meaning,
+        variant.goal_distance_m,
+        # Another one for each set.
+        _SET_SEED + 10 * FAMILIES.index(family) + VARIANTS.index(variant),
+    )
 
 
 def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
     """All episodes of a recipe: as many on each site, site after site. Slow: it builds every site."""
-    conf = recipe.settings()
-    if not hasattr(conf.world, "seed"):
-        return tuple(_episodes_on_site(recipe, conf, None, range(recipe.episodes)))
+    conf = recipe.settings
+    if recipe.sites == 1 or not hasattr(conf.world, "seed"):
+        return tuple(_episodes_on_site(recipe, None, range(recipe.episodes)))
     each = recipe.episodes // recipe.sites
     found: list[SetEpisode] = []
     seed = FIRST_SITE
@@ -118,7 +132,7 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
         numbers = range(len(found), len(found) + each)
         try:
             _check_paths(recipe, conf, seed)
-            found += _episodes_on_site(recipe, conf, seed, numbers)
+            found += _episodes_on_site(recipe, seed, numbers)
         except WorldError:
             # A site without room, such as one where no goal is far enough: the next one takes its place.
             if seed > FIRST_SITE + 2 * recipe.sites:
@@ -135,12 +149,11 @@ def _check_paths(recipe: SetRecipe, conf: EnvConf, world_seed: int) -> None:
 
 def generate_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
     """The episodes of these numbers, if they are on the site of `world_seed`."""
-    return _episodes_on_site(recipe, recipe.settings(), world_seed, numbers)
+    return _episodes_on_site(recipe, world_seed, numbers)
 
 
-def _episodes_on_site(
-    recipe: SetRecipe, conf: EnvConf, world_seed: int | None, numbers: Iterable[int]
-) -> list[SetEpisode]:
+def _episodes_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
+    conf = recipe.settings
     world_conf = conf.world if world_seed is None else conf.world.model_copy(update={"seed": world_seed})
     world = build_world(world_conf)
     spawner = Spawner(world, conf.task.spawn, footprint_radius_m(conf))
@@ -152,7 +165,7 @@ def _episode(
 ) -> SetEpisode:
     draws = stream(recipe.seed, "episode set", number)
     room = footprint_radius_m(conf) + conf.task.spawn.margin_m
-    low, high = recipe.variant.goal_distance_m
+    low, high = recipe.goal_distance_m
     for _ in range(_TRIES):
         placement = _rounded(spawner.sample(draws))
         ends = np.array([[placement.x, placement.y], [placement.goal_x, placement.goal_y]])
@@ -167,9 +180,9 @@ def _episode(
                 (placement.x, placement.y, placement.yaw),
                 (placement.goal_x, placement.goal_y),
             )
-    raise WorldError(
-        f"{recipe.name}: site {world_seed} has no start and goal {low:g} to {high:g} m apart; take another"
-    )
+    site = "the world" if world_seed is None else f"site {world_seed}"
+    apart_m = f"at least {low:g} m" if high is None else f"{low:g} to {high:g} m"
+    raise WorldError(f"{recipe.name}: {site} has no start and goal {apart_m} apart; take other distances")
 
 
 def _rounded(placement: Placement) -> Placement:

@@ -1,5 +1,7 @@
 """The folder of an evaluation: its settings, where it comes from, and rows that outlive an interruption."""
 
+import contextlib
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -26,13 +28,15 @@ _FILES = (CONFIG, PROVENANCE, COLUMNS, _PART, *_TABLES, f"{COMPARISON}.csv", f"{
 class ResultsFolder:
     """A folder that one evaluation writes to; other processes are kept out while it is open.
 
-    `finished` has the episodes by (number of the policy, episode). Every finished episode is appended to a
+    `finished` has the episodes by (number of the policy, episode), and `is_new` says whether the folder was
+    made for this evaluation. Every finished episode is appended to a
     file at once, from which the tables are written at the end, or when the evaluation is interrupted.
     """
 
     def __init__(self, path: Path, provenance: dict[str, Any]) -> None:
         self.path, self.provenance = path, provenance
         self.finished: dict[tuple[int, int], FinishedEpisode] = {}
+        self.is_new = False
         try:
             self._lock = RunLock(path)
         except CheckpointError:
@@ -43,20 +47,13 @@ class ResultsFolder:
         cls, path: Path, conf: EvaluateConf, provenance: dict[str, Any], *, overwrite: bool
     ) -> "ResultsFolder":
         """A new folder; raises ConfigError if something is there that must not be overwritten."""
-        if path.suffix in (".csv", ".parquet"):
-            raise ConfigError(f"out={path}: results are a folder of several files; write out={path.stem}")
+        check_free(path, overwrite=overwrite)
         path.mkdir(parents=True, exist_ok=True)
-        others = sorted(each.name for each in path.iterdir() if each.name not in (*_FILES, ".lock"))
-        if others:
-            raise ConfigError(f"out={path} holds other files ({others[0]}); choose another folder")
-        if any((path / name).exists() for name in _FILES) and not overwrite:
-            raise ConfigError(
-                f"out={path} holds results already; choose another folder, go on with resume={path}, or "
-                "replace them with overwrite=true"
-            )
         folder = cls(path, provenance)
-        for name in _FILES:
-            (path / name).unlink(missing_ok=True)
+        folder.is_new = True
+        left_over = [each for each in path.iterdir() if _is_temporary(each.name)]
+        for old in (*(path / name for name in _FILES), *left_over):
+            old.unlink(missing_ok=True)
         with write_atomically(path / CONFIG) as temporary:
             text = yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False)
             temporary.write_text(text, encoding="utf-8")
@@ -77,6 +74,14 @@ class ResultsFolder:
                 episode = FinishedEpisode(**json.loads(line))
                 folder.finished[episode.policy, episode.episode] = episode
         return folder
+
+    def discard(self) -> None:
+        """Remove what was written, and the folder if nothing else is in it."""
+        for name in _FILES:
+            (self.path / name).unlink(missing_ok=True)
+        self._lock.release()
+        with contextlib.suppress(OSError):
+            self.path.rmdir()
 
     def __enter__(self) -> Self:
         return self
@@ -118,10 +123,58 @@ class ResultsFolder:
             (self.path / _PART).unlink(missing_ok=True)
 
     def write_provenance(self, *, complete: bool) -> None:
-        """Write provenance.json, which says whether the evaluation is `complete`."""
-        content = {**self.provenance, "complete": complete, "finished": len(self.finished)}
+        """Write provenance.json, which has the tables' checksums and says whether they are `complete`."""
+        tables = [name for name in _TABLES if (self.path / name).is_file()]
+        content = {
+            **self.provenance,
+            "complete": complete,
+            "finished": len(self.finished),
+            "tables": {name: _sha256(self.path / name) for name in tables},
+        }
         with write_atomically(self.path / PROVENANCE) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Raise ConfigError unless `path` is free for results, or has some that may be replaced (`overwrite`)."""
+    if path.suffix in (".csv", ".parquet"):
+        raise ConfigError(f"out={path}: results are a folder of several files; write out={path.stem}")
+    if not path.is_dir():
+        return
+    names = sorted(each.name for each in path.iterdir())
+    others = [name for name in names if name not in (*_FILES, ".lock") and not _is_temporary(name)]
+    if others:
+        raise ConfigError(f"out={path} holds other files ({others[0]}); choose another folder")
+    if overwrite or not any(name in _FILES for name in names):
+        return
+    try:
+        complete = bool(read_provenance(path).get("complete"))
+    except ConfigError:
+        complete = True
+    going_on = "" if complete else f"go on with resume={path}, "
+    raise ConfigError(
+        f"out={path} holds results already; choose another folder, {going_on}or replace them with "
+        "overwrite=true"
+    )
+
+
+def _is_temporary(name: str) -> bool:
+    """Whether a process that was killed left a file of this name."""
+    return name.endswith(".tmp") and name.startswith(tuple(f".{each}." for each in _FILES))
+
+
+def changed_tables(path: Path, provenance: Mapping[str, Any]) -> list[str]:
+    """The tables in `path` that are not as the evaluation wrote them, by their checksums."""
+    sums: Mapping[str, str] = provenance.get("tables", {})
+    return [name for name, sha256 in sums.items() if _sha256(path / name) != sha256]
+
+
+def _sha256(file: Path) -> str | None:
+    try:
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError:
+        return None
 
 
 def read_provenance(path: Path) -> dict[str, Any]:

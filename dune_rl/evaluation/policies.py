@@ -1,7 +1,8 @@
-"""The policies of an evaluation: checkpoints, built-in ones, ONNX files, and a user's own functions."""
+"""The policies of an evaluation: checkpoints, built-in ones, files of other libraries, and own functions."""
 
 import hashlib
 import importlib
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,16 +16,19 @@ from torchrl.envs import EnvBase
 
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, find_checkpoint_file
+from dune_rl.errors import ConfigError, DuneError
+from dune_rl.evaluation.stable_baselines import read_stable_baselines
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.saved_policies import load_policy
+from dune_rl.learning.saved_policies import describe_selection, load_policy
 from dune_rl.sensors.draws import uniform
+from dune_rl.suggestions import closest
 
 Act = Callable[[dict[str, NDArray[Any]]], NDArray[np.floating]]
-Kind = Literal["checkpoint", "built-in", "onnx", "callable"]
+Kind = Literal["checkpoint", "built-in", "onnx", "stable-baselines3", "callable"]
+_SUFFIXES: Mapping[str, Kind] = {".onnx": "onnx", ".zip": "stable-baselines3"}
 
 
 @dataclass(frozen=True)
@@ -39,17 +43,23 @@ class PolicySource:
     def file(self) -> Path | None:
         """The file of its weights; None where there is none."""
         if self.kind == "checkpoint":
-            return find_checkpoint_file(Path(self.location), BEST_POLICY_FILE, CHECKPOINT_FILE)
-        return Path(self.location) if self.kind == "onnx" else None
+            return find_checkpoint_file(Path(self.location), *POLICY_SOURCES)
+        return Path(self.location) if self.kind in _SUFFIXES.values() else None
 
     def plain(self) -> dict[str, str | None]:
-        """Plain data, with the SHA-256 of the file; raises ConfigError if that cannot be read."""
+        """Plain data, with the SHA-256 of the file, and which policy of its run that holds.
+
+        Raises ConfigError if that cannot be read.
+        """
         try:
             with open(self.file, "rb") if self.file is not None else _Nothing() as file:
                 sha256 = None if file is None else hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise ConfigError(f"{self.location} cannot be read: {error.strerror or error}") from None
-        return {**asdict(self), "sha256": sha256}
+        trained = None
+        if self.kind == "checkpoint" and self.file is not None:
+            trained = describe_selection(read_checkpoint_file(self.file, "policy", "checkpoint"))
+        return {**asdict(self), "sha256": sha256, "trained": trained}
 
     def load(self, env: EnvBase) -> Policy:
         """The policy for all groups of `env`; raises DuneError where it does not fit."""
@@ -62,6 +72,11 @@ class PolicySource:
                 return built_in_policy(self.location, env)
             case "onnx":
                 return UserPolicy(self.name, _onnx_function(Path(self.location)), env)
+            case "stable-baselines3":
+                policy = read_stable_baselines(Path(self.location))
+                for group in env.group_map:
+                    policy.require(PolicySpec.of(env, group))
+                return UserPolicy(self.name, policy, env)
             case "callable":
                 return UserPolicy(self.name, _import_function(self.location), env)
 
@@ -76,18 +91,13 @@ class _Nothing:
 
 def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
     """The policies of an evaluation, with different names; raises ConfigError for one that is no policy."""
-    found: list[PolicySource] = [
+    found = [
         PolicySource(_checkpoint_name(Path(location)), "checkpoint", location) for location in conf.checkpoint
     ]
     for location in (*conf.policy, *conf.against):
-        if location.endswith(".zip"):
-            raise ConfigError(
-                f"{location}: files of Stable-Baselines3 hold pickles, and loading one runs what is in it.\n"
-                "If you trust it, load it in a function of your own and give policy=MODULE:FUNCTION "
-                "(docs/how_to/evaluate.md)."
-            )
-        if location.endswith(".onnx"):
-            found.append(PolicySource(Path(location).stem, "onnx", location))
+        suffix = Path(location).suffix
+        if suffix in _SUFFIXES:
+            found.append(PolicySource(Path(location).stem, _SUFFIXES[suffix], location))
         elif ":" in location:
             found.append(PolicySource(location.partition(":")[2], "callable", location))
         else:
@@ -137,7 +147,7 @@ class UserPolicy:
     """A function from observations by sensor name, arrays (N, ...), to actions (N, A) in physical units.
 
     It is called for each group of agents; N are the agents of all scenes. Actions are clipped to their
-    bounds. Raises ConfigError for actions of another shape, or that are not finite.
+    bounds. Raises ConfigError for an error in it, and for actions of another shape or that are not finite.
     """
 
     def __init__(self, name: str, act: Act, env: EnvBase) -> None:
@@ -150,11 +160,23 @@ class UserPolicy:
             parts = observation.get((group, "observation"))
             shape = parts.batch_size
             rows = {key: value.flatten(0, 1).numpy().copy() for key, value in parts.items()}
-            actions = np.asarray(self._act(rows))
-            if actions.shape != (shape.numel(), spec.action_size) or not np.isfinite(actions).all():
+            try:
+                actions = np.asarray(self._act(rows))
+            except DuneError:
+                raise
+            except Exception as error:
+                raise ConfigError(f"policy {self._name} failed: {_describe(error)}") from error
+            expected = (shape.numel(), spec.action_size)
+            fault = ""
+            if actions.dtype.kind not in "fiu":
+                fault = f"got {actions.dtype}"
+            elif actions.shape != expected:
+                fault = f"got {actions.shape}"
+            elif not np.isfinite(actions).all():
+                fault = "some are not finite"
+            if fault:
                 raise ConfigError(
-                    f"policy {self._name}: actions must be finite numbers of shape "
-                    f"{(shape.numel(), spec.action_size)} (got {actions.shape})"
+                    f"policy {self._name}: actions must be finite numbers of shape {expected} ({fault})"
                 )
             clipped = np.clip(
                 actions.astype(np.float32),
@@ -168,21 +190,46 @@ class UserPolicy:
 
 def _import_function(location: str) -> Act:
     module, _, name = location.partition(":")
+    if not module or not name or module.endswith(".py") or "/" in module:
+        raise ConfigError(
+            f"policy={location}: write MODULE:FUNCTION, such as my_drivers:straight for the function "
+            "straight of my_drivers.py in this folder"
+        )
     try:
-        found = getattr(importlib.import_module(module), name)
-    except ImportError as error:
+        imported = importlib.import_module(module)
+    except ModuleNotFoundError as error:
         raise ConfigError(
             f"policy={location}: the module {module} cannot be imported ({error}); run the command in its "
             "folder, or set PYTHONPATH"
         ) from None
+    except Exception as error:
+        raise ConfigError(f"policy={location}: importing {module} failed: {_describe(error)}") from error
+    try:
+        found = getattr(imported, name)
     except AttributeError:
-        raise ConfigError(f"policy={location}: the module {module} has no {name}") from None
-    # A class is made once for each process.
-    act = found() if isinstance(found, type) else found
+        near = closest(name, vars(imported))
+        meant = f"; did you mean {module}:{near}?" if near else ""
+        raise ConfigError(f"policy={location}: the module {module} has no {name}{meant}") from None
+    try:
+        # A class is made once for each process.
+        act = found() if isinstance(found, type) else found
+    except DuneError:
+        raise
+    except Exception as error:
+        raise ConfigError(f"policy={location} cannot be made: {_describe(error)}") from error
     if not callable(act):
         raise ConfigError(f"policy={location} is no function, but {type(act).__name__}")
     function: Act = act
     return function
+
+
+def _describe(error: Exception) -> str:
+    """Kind, text and place of an error in a user's code."""
+    lines = str(error).splitlines()
+    text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+    frames = [each for each in traceback.extract_tb(error.__traceback__) if "importlib" not in each.filename]
+    last = frames[-1]
+    return text if last.filename == __file__ else f"{text} (line {last.lineno} of {last.filename})"
 
 
 def _onnx_function(path: Path) -> Act:

@@ -1,7 +1,9 @@
 """Runs blocks of episodes in several processes, which are started anew (spawned)."""
 
 import multiprocessing
+import os
 import signal
+import threading
 import traceback
 from collections.abc import Callable, Sequence
 from queue import Empty
@@ -78,6 +80,7 @@ def _collect(workers: Sequence[Any], results: Any, emit: Callable[[FinishedEpiso
 def _work(plan: EvaluationPlan, tasks: Any, results: Any) -> None:
     # Ctrl-C reaches all processes of a terminal; the parent ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         runner = BlockRunner(plan)
         while (block := tasks.get()) is not None:
@@ -88,3 +91,11 @@ def _work(plan: EvaluationPlan, tasks: Any, results: Any) -> None:
         results.put(("mend", str(error)))
     except Exception:
         results.put(("fault", traceback.format_exc()))
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, which may have been killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -9,7 +9,7 @@ from dune_rl.evaluation.folder import COMPARISON, SUMMARY, ResultsFolder, rows_o
 from dune_rl.evaluation.processes import run_in_processes
 from dune_rl.evaluation.recorder import START_COLUMNS
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
-from dune_rl.learning.measures import estimate_metrics, write_csv
+from dune_rl.learning.measures import cluster_rows, estimate_metrics, write_csv
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.run.progress import show_episodes
 from dune_rl.learning.table import comparison_table, paired_line, results_table
@@ -19,7 +19,9 @@ _TWO = 2
 
 def prepare_run(plan: EvaluationPlan) -> BlockRunner:
     """The environment and policies of a plan; raises DuneError where they do not fit."""
-    return BlockRunner(plan)
+    runner = BlockRunner(plan)
+    runner.try_policies()
+    return runner
 
 
 def run_plan(
@@ -49,8 +51,11 @@ def run_plan(
                 runner.close()
                 run_in_processes(plan, blocks, processes, keep)
     except BaseException:
-        folder.write(complete=False)
         done = len(folder.finished)
+        if not done and folder.is_new:
+            folder.discard()
+            raise
+        folder.write(complete=False)
         console.print(
             f"Cut off after {done} of {total} episodes; go on with python -m dune_rl.evaluate "
             f"resume={folder.path}",
@@ -85,7 +90,9 @@ def _report(
         estimates = {name: estimate_metrics(_numeric(found)) for name, found in results.items()}
         title = f"{_title(plan)}, {group}" if len(agents) > 1 else _title(plan)
         title += f": {plan.episodes} episodes of seed {plan.conf.seed}"
-        console.print(results_table(estimates, title, num_agents=len(names)))
+        clusters, kind = cluster_rows(of_group[: len(next(iter(results.values())))])
+        sites = int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
+        console.print(results_table(estimates, title, num_agents=len(names), sites=sites))
         compared = compare_policies({name: _numeric(found) for name, found in results.items()})
         if len(results) == _TWO and all("success" in found[0] for found in results.values()):
             console.print(paired_line(*results.items()))
@@ -108,8 +115,8 @@ def _title(plan: EvaluationPlan) -> str:
 
 
 def _numeric(rows: Sequence[Mapping[str, object]]) -> list[dict[str, float]]:
-    """The metrics of rows, without names, seeds and places."""
-    left_out = ("seed", "world_seed", *START_COLUMNS)
+    """The metrics of rows and the seeds of their worlds, without names, the episodes' seed and places."""
+    left_out = ("seed", *START_COLUMNS)
     return [
         {key: value for key, value in row.items() if isinstance(value, int | float) and key not in left_out}
         for row in rows

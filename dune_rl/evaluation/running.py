@@ -12,12 +12,13 @@ from dune_rl.config.schema import EvaluateConf
 from dune_rl.episode_sets import EpisodeSet, plan_of_set
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.policies import PolicySource
+from dune_rl.evaluation.policies import PolicySource, UserPolicy
 from dune_rl.evaluation.recorder import EpisodeRecorder, StepRow
 from dune_rl.evaluation.tables import plain_number
-from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.measures import MetricsRow
+from dune_rl.learning.random_state import preserve_random_state
 
 _SEED_COLUMN = "randomisation/world_seed"
 
@@ -67,9 +68,20 @@ class BlockRunner:
         self.agents: dict[str, list[str]] = self.env.group_map
         self._policies: list[Policy] = [source.load(self.env) for source in plan.sources]
 
+    def try_policies(self) -> None:
+        """Let users' own policies act once; raises ConfigError for one that cannot."""
+        for policy in self._policies:
+            if isinstance(policy, UserPolicy):
+                with preserve_random_state():
+                    self.env.set_seed(self.plan.conf.seed)
+                    policy(self.env.reset())
+
     def run(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
         """Run a block and `emit` its episodes, in the order in which they end."""
-        observer = _Emitter(self, block.policy, emit)
+        self.watch(block, _Emitter(self, block.policy, emit))
+
+    def watch(self, block: EpisodeBlock, observer: EpisodeObserver) -> None:
+        """Run a block, whose steps and ends `observer` is told."""
         try:
             evaluate(
                 self._policies[block.policy],

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.architecture import Architecture
@@ -66,6 +67,10 @@ class Algorithm(ABC):
     @abstractmethod
     def update(self) -> dict[str, float]:
         """Do the gradient updates that are due, counted in `updates`; returns scalars to log by name."""
+
+    def distributions(self) -> dict[str, Tensor]:
+        """Values to log as histograms by name, at each evaluation; changes no state, random ones included."""
+        return {}
 
     # -- acting ---------------------------------------------------------------------------------------
 

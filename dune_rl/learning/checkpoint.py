@@ -13,8 +13,12 @@ from dune_rl.learning.checkpoint_migration import MIGRATED_VERSION, migrate_chec
 FORMAT = "dune_rl"
 VERSION = 3
 CHECKPOINT_FILE = "checkpoint.pt"
-BEST_POLICY_FILE = "policy.pt"
+BEST_POLICY_FILE = "policy_best.pt"
 LAST_POLICY_FILE = "policy_last.pt"
+# A published policy; runs of earlier versions called their best one so, too.
+POLICY_FILE = "policy.pt"
+# What a folder is searched for, in this order, where it stands for a policy.
+POLICY_SOURCES = (BEST_POLICY_FILE, POLICY_FILE, CHECKPOINT_FILE)
 
 
 def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> None:

@@ -3,7 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
@@ -24,6 +26,13 @@ class EpisodeObserver(Protocol):
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
         """An episode has ended: its rows by group, one for each agent, which may be added to."""
+
+
+class EvaluationPictures(EpisodeObserver, Protocol):
+    """An observer that can draw what it saw of the last evaluation."""
+
+    def draw(self) -> NDArray[np.uint8]:
+        """RGB (height, width, 3)."""
 
 
 @torch.no_grad()

@@ -3,30 +3,39 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
-from dune_rl.learning.statistics import Estimate, estimate_mean, mcnemar_test
+from dune_rl.learning.measures import cluster_rows
+from dune_rl.learning.paired_tests import mcnemar_test, ratio_exchange_test, sign_flip_test
+from dune_rl.learning.statistics import (
+    Estimate,
+    estimate_difference,
+    estimate_ratio_difference,
+    estimate_share_difference,
+)
 from dune_rl.metrics.catalogue import Measure, measures_of
-from dune_rl.seeding import stream
 
 Array = NDArray[np.float64]
-Rows = Sequence[Mapping[str, float]]
+Rows = Sequence[Mapping[str, Any]]
 
-_RESAMPLES = 9_999
+# What tells the cases of two evaluations apart, where rows have it.
+_CASE = ("set", "world", "seed", "episode", "world_seed", "agent")
 
 
 @dataclass(frozen=True)
 class PairedComparison:
     """One measure of two policies on the same episodes.
 
-    `difference` is the mean of `first` minus `second` over the episodes in which both have a value, with a
-    95 % bootstrap interval of whole episodes. `p_value` is of the exact McNemar test for shares and of a
-    sign-flip permutation test for means, and `adjusted_p` the same by Holm's method over all pairs of
-    policies. `effect` is Cohen's d of paired samples (mean over standard deviation of the differences) for
-    means, and the share of discordant pairs that `first` wins for shares: 0.5 is no effect.
+    `difference` is that of `first` minus `second`, with a 95 % interval; of means over the episodes in which
+    both have a value. `p_value` is of the exact McNemar test for shares, and of a permutation test for the
+    rest. Where a site has several episodes, or an episode several agents, both are over whole sites or
+    episodes (`cluster_rows`), and shares have a permutation test too. `adjusted_p` is the same by Holm's
+    method over all pairs of policies, for this measure alone. `effect` is the share of discordant pairs that
+    `first` wins for shares (0.5: none), the quotient of both for ratios of sums (1: none), and for means
+    Cohen's d of paired samples (mean over standard deviation of the differences; 0: none).
     """
 
     measure: Measure
@@ -48,8 +57,6 @@ def compare_policies(results: Mapping[str, Rows]) -> list[PairedComparison]:
     ]
     found: list[PairedComparison] = []
     for measure in measures_of(names):
-        if measure.per is not None:
-            continue
         pairs = [
             _compare(measure, (first, results[first]), (second, results[second]))
             for first, second in combinations(results, 2)
@@ -71,41 +78,48 @@ def holm_adjusted(p_values: Sequence[float]) -> list[float]:
 
 
 def _compare(measure: Measure, first: tuple[str, Rows], second: tuple[str, Rows]) -> PairedComparison:
-    ids_a, ids_b = ([(row["episode"], row["agent"]) for row in rows] for rows in (first[1], second[1]))
-    if ids_a != ids_b:
+    if [_case(row) for row in first[1]] != [_case(row) for row in second[1]]:
         raise ValueError("the two evaluations ran different episodes, so they do not pair")
-    a, b = (np.array([row[measure.metric] for row in rows], float) for rows in (first[1], second[1]))
+    clusters, _ = cluster_rows(first[1])
+    a, b = (_column(rows, measure.metric) for rows in (first[1], second[1]))
+    if measure.per is not None:
+        one, other = (
+            (_column(rows, measure.metric), _column(rows, measure.per)) for rows in (first[1], second[1])
+        )
+        difference = estimate_ratio_difference(one, other, clusters)
+        p_value, effect = ratio_exchange_test(one, other, clusters), _quotient(one, other)
+        return PairedComparison(measure, first[0], second[0], difference, p_value, effect)
     both = ~(np.isnan(a) | np.isnan(b))
     a, b = a[both], b[both]
-    numbers = np.array([row["episode"] for row in first[1]])[both]
-    episodes = np.unique(numbers, return_inverse=True)[1]
-    clusters = None if len(np.unique(episodes)) == len(episodes) else episodes
-    difference = estimate_mean(a - b, clusters)
-    if measure.is_share and clusters is None:
-        test = mcnemar_test(a > 0, b > 0)
+    if clusters is not None:
+        clusters = np.unique(clusters[both], return_inverse=True)[1]
+    if measure.is_share:
+        test = mcnemar_test(a > 0, b > 0, clusters)
         discordant = test.only_a + test.only_b
-        effect = test.only_a / discordant if discordant else np.nan
-        p_value = test.p_value if len(a) else np.nan
+        difference = estimate_share_difference(a > 0, b > 0, clusters)
+        p_value, effect = test.p_value, test.only_a / discordant if discordant else np.nan
     else:
-        by_episode = np.bincount(episodes, a - b) / np.bincount(episodes) if len(a) else a
-        p_value, effect = _permutation_test(by_episode), _paired_d(by_episode)
+        difference = estimate_difference(a - b, clusters, are_counts=measure.are_counts)
+        p_value, effect = sign_flip_test(a - b, clusters), _paired_d(a - b)
+    if not len(a):
+        p_value = np.nan
     return PairedComparison(measure, first[0], second[0], difference, float(p_value), float(effect))
 
 
-def _permutation_test(differences: Array) -> float:
-    """p-value of the two-sided sign-flip test that the mean difference is 0."""
-    if len(differences) < 2 or not differences.any():
-        return 1.0 if len(differences) else float("nan")
-    test = stats.permutation_test(
-        (differences,),
-        lambda x, axis: np.mean(x, axis=axis),
-        permutation_type="samples",
-        vectorized=True,
-        n_resamples=_RESAMPLES,
-        batch=1_000,
-        rng=stream(0, "permutation", len(differences)),
-    )
-    return float(test.pvalue)
+def _case(row: Mapping[str, Any]) -> tuple[object, ...]:
+    # NaN, of an empty cell, is unequal to itself.
+    found = (row.get(name) for name in _CASE)
+    return tuple(None if value != value else value for value in found)
+
+
+def _column(rows: Rows, name: str) -> Array:
+    return np.array([row[name] for row in rows], float)
+
+
+def _quotient(first: tuple[Array, Array], second: tuple[Array, Array]) -> float:
+    (a, b), (c, d) = first, second
+    above, below = np.nansum(a) * np.nansum(d), np.nansum(b) * np.nansum(c)
+    return float(above / below) if below else float("nan")
 
 
 def _paired_d(differences: Array) -> float:

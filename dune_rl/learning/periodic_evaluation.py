@@ -7,7 +7,7 @@ from typing import Any
 from torchrl.envs import EnvBase
 
 from dune_rl.learning.algorithm import Algorithm
-from dune_rl.learning.evaluation import evaluate
+from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Deterministic, JointPolicy
 from dune_rl.learning.measures import MetricsRow, average_metrics, selection_score
 from dune_rl.learning.settings import EvaluationConf
@@ -60,7 +60,11 @@ class PeriodicEvaluation:
         return self._evaluated_at == frames
 
     def run(
-        self, frames: int, stop: Callable[[], bool], progress: Callable[[int], None] = lambda done: None
+        self,
+        frames: int,
+        stop: Callable[[], bool],
+        progress: Callable[[int], None] = lambda done: None,
+        observer: EpisodeObserver | None = None,
     ) -> bool:
         """Evaluate the policies after `frames` into `rows`; returns whether they are the best so far.
 
@@ -71,7 +75,13 @@ class PeriodicEvaluation:
         for group, learner in self._learners.items():
             self._policies[group].load_state_dict(learner.policy.state_dict())
         rows = evaluate(
-            self._policy, self._env, self._conf.episodes, self._seed, stop=stop, progress=progress
+            self._policy,
+            self._env,
+            self._conf.episodes,
+            self._seed,
+            observer=observer,
+            stop=stop,
+            progress=progress,
         )
         if stop():
             return False
@@ -85,6 +95,17 @@ class PeriodicEvaluation:
         if is_best:
             self._best_score = mean
         return is_best
+
+    def score(self) -> dict[str, Any]:
+        """How the last evaluation went, for the file of a policy that was chosen by it."""
+        statistics = [average_metrics(episodes) for episodes in self.rows.values()]
+        measures = ["SR" if "SR" in each else "return" for each in statistics]
+        return {
+            "measure": ", ".join(dict.fromkeys(measures)),
+            "score": sum(selection_score(each) for each in statistics) / len(statistics),
+            "episodes": self._conf.episodes,
+            "seed": self._seed,
+        }
 
     def state(self) -> dict[str, Any]:
         """Plain data for `restore`."""

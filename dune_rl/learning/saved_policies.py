@@ -10,14 +10,32 @@ from torchrl.envs import EnvBase
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
-    BEST_POLICY_FILE,
-    CHECKPOINT_FILE,
+    POLICY_SOURCES,
     find_checkpoint_file,
     read_checkpoint_file,
 )
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import algorithm_class
+
+# Values of "by" under "selection" in a policy's file.
+BEST_EVALUATION, LATEST = "best evaluation", "latest"
+
+
+def describe_selection(content: Mapping[str, Any]) -> str:
+    """Which policy of its run a file holds, in words; `content` is that of a policy or a checkpoint."""
+    frames = content["frames"] if "frames" in content else content["counters"]["frames"]
+    selection = content.get("selection")
+    if selection is None:
+        chosen = (
+            "a policy whose file does not say how it was chosen" if content["kind"] == "policy" else LATEST
+        )
+    elif selection["by"] == BEST_EVALUATION:
+        score = f"{selection['measure']} {selection['score']:.3g} of {selection['episodes']} episodes"
+        chosen = f"{BEST_EVALUATION} of its run ({score}, seed {selection['seed']})"
+    else:
+        chosen = f"{selection['by']} of its run"
+    return f"{chosen}, after {frames:,} frames"
 
 
 def policy_entry(learner: Algorithm) -> dict[str, Any]:
@@ -36,12 +54,12 @@ def load_group_policy(
 ) -> tuple[GroupPolicy, dict[str, Any]]:
     """The policy of a file or run folder for `group`, on the CPU, and the resolved settings that made it.
 
-    A folder gives its best policy. A file with one policy alone serves a group of
+    A folder gives its best policy, or its published one. A file with one policy alone serves a group of
     any name. Raises CheckpointError if the file is unreadable, has no policy for
     the group, or one for another spec than `here`, which with `allow_more` may
     have further parts in its observation.
     """
-    file = find_checkpoint_file(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    file = find_checkpoint_file(path, *POLICY_SOURCES)
     content = read_checkpoint_file(file, "policy", "checkpoint")
     return _group_policy(content, file, group, here, allow_more), content["config"]
 
@@ -50,7 +68,7 @@ def load_policy(
     path: Path, env: EnvBase, *, allow_more: bool = False
 ) -> tuple[Deterministic, dict[str, Any]]:
     """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
-    file = find_checkpoint_file(path, BEST_POLICY_FILE, CHECKPOINT_FILE)
+    file = find_checkpoint_file(path, *POLICY_SOURCES)
     content = read_checkpoint_file(file, "policy", "checkpoint")
     policies = [
         _group_policy(content, file, group, PolicySpec.of(env, group), allow_more) for group in env.group_map

@@ -1,6 +1,7 @@
 """Settings of a training run that every algorithm has. Importing them loads neither PyTorch nor TorchRL."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
@@ -34,6 +35,7 @@ class EvaluationConf(Settings):
     every_frames: int = Field(250_000, ge=1)
     episodes: int = Field(50, ge=1)
     scenes: int = Field(16, ge=1, description="episodes run side by side; no result depends on it")
+    tracks: int = Field(6, ge=0, description="first episodes whose tracks TensorBoard shows; 0: none")
     seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed; training never sees it")
 
 
@@ -54,3 +56,14 @@ class LearningConf(Settings):
     collector: CollectorConf = CollectorConf()
     evaluation: EvaluationConf = EvaluationConf()
     checkpoint: CheckpointConf = CheckpointConf()
+
+    def resolved(self, device: str) -> Self:
+        """These settings with what depends on the machine decided for this one and a learner on `device`.
+
+        A run uses and stores what comes out, so that it says what it did.
+        """
+        return self
+
+    def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
+        """What to tell the user of a run that was `saved` with other settings, or does not suit `device`."""
+        return []

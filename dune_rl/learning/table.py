@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from dune_rl.learning.measures import MetricsRow, compare_success
+from dune_rl.learning.measures import MetricsRow, cluster_rows, compare_success
 from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure
@@ -16,14 +16,20 @@ _WIDE_COLUMNS = 2
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
-def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1) -> Table:
+def results_table(
+    results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1, sites: int = 0
+) -> Table:
     """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
 
-    Measures that not all policies have are left out. Where episodes have `num_agents`, the title says so.
+    Measures that not all policies have are left out. Where episodes have `num_agents`, the title says so, and
+    where several share each of `sites` the caption does.
     """
     caption = "brackets: 95 % intervals"
     if num_agents > 1:
         title += f", {num_agents} agents each"
+    if sites:
+        caption += f", over {sites} whole sites"
+    elif num_agents > 1:
         caption += ", over whole episodes"
     table = Table(title=title, caption=caption, caption_justify="left", title_justify="left")
     many = len(results) > _WIDE_COLUMNS
@@ -45,16 +51,18 @@ def results_table(results: Mapping[str, Mapping[str, Estimate]], title: str, *, 
 def paired_line(first: tuple[str, Sequence[MetricsRow]], second: tuple[str, Sequence[MetricsRow]]) -> str:
     """One line on which of two policies, (name, episodes) each, succeeds more often on the same episodes."""
     test = compare_success(first[1], second[1])
+    clusters, units = cluster_rows(first[1])
+    name = "exact McNemar test" if clusters is None else f"sign-flip test of whole {units}"
     return (
         f"Paired: {first[0]} alone succeeds in {test.only_a} episodes, {second[0]} alone in {test.only_b}; "
-        f"exact McNemar test p = {test.p_value:.2g}"
+        f"{name}, p = {test.p_value:.2g}"
     )
 
 
 def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> Table:
     """One row for each pair of policies: by how much a measure differs, and how surely.
 
-    The last column is the share of discordant episodes that the first wins, or Cohen's d for means.
+    The last column is `PairedComparison.effect`.
     """
     chosen = [one for one in comparisons if one.measure.name == measure]
     caption = "brackets: 95 % intervals; p by Holm's method over all pairs"
@@ -69,9 +77,10 @@ def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> T
             scale * each for each in (one.difference.value, one.difference.low, one.difference.high)
         ]
         value, low, high = (f"{each:+.{decimals}f}" for each in difference)
+        interval = "" if math.isnan(one.difference.low) else f" ({low} to {high})"
         table.add_row(
             Text(f"{one.first} - {one.second}"),
-            f"{value}{unit} ({low} to {high})",
+            "-" if math.isnan(one.difference.value) else f"{value}{unit}{interval}",
             f"{one.adjusted_p:.2g}",
             "-" if math.isnan(one.effect) else f"{one.effect:.2f}",
         )

@@ -1,6 +1,7 @@
 """The training loop: collect, learn, evaluate and save, for every agent group that trains."""
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,11 +13,12 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import TrainingError
+from dune_rl.errors import DuneWarning, TrainingError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
+from dune_rl.learning.evaluation import EvaluationPictures
 from dune_rl.learning.group_batch import select_group
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.interrupts import StopRequest, stop_on_signals
@@ -25,6 +27,7 @@ from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.random_state import random_state, set_random_state
 from dune_rl.learning.registry import build_learner
+from dune_rl.learning.run.events import HParam
 from dune_rl.learning.run.folder import RunFolder, restore_learners
 from dune_rl.learning.run.log import RunLog
 from dune_rl.learning.run.progress import Reporter, SilentReporter
@@ -59,6 +62,8 @@ class Trainer:
     plain containers; it is stored with the weights. With a serial collector, a
     run that was stopped and resumed ends with the same weights as an
     uninterrupted one; with worker processes, a resumed run starts new episodes.
+    TensorBoard lists `hyperparameters` beside the results, and shows what `make_pictures(env, episodes)`
+    draws of the first episodes of each evaluation.
 
     Raises CheckpointError if the folder cannot be written, already holds a
     run, or the checkpoint does not fit. `train` may be called once.
@@ -77,10 +82,17 @@ class Trainer:
         resume: Path | None = None,
         reporter: Reporter | None = None,
         title: str = "",
+        hyperparameters: Mapping[str, HParam] | None = None,
+        make_pictures: Callable[[EnvBase, int], EvaluationPictures] | None = None,
     ) -> None:
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
         self._saved = read_checkpoint_file(source, "checkpoint") if source else None
-        self._folder = RunFolder(run_dir, config or {}, fresh=source is None)
+        learning = learning.resolved(device)
+        if self._saved is not None:
+            for note in learning.notes_on_resuming(self._saved["config"].get("learning") or {}, device):
+                warnings.warn(note, DuneWarning, stacklevel=2)
+        config = {**(config or {}), "learning": learning.model_dump(mode="json")}
+        self._folder = RunFolder(run_dir, config, fresh=source is None)
         self._make_env, self._conf = make_env, learning
         self._seed, self._total_frames = seed, total_frames
         self._reporter = reporter or SilentReporter()
@@ -103,9 +115,14 @@ class Trainer:
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]
             self._evaluation.restore(counters)
-        self._log = RunLog(run_dir, env.metric_names, frames=self.frames)
+        self._pictures = None
+        if make_pictures is not None and evaluation.tracks:
+            self._pictures = make_pictures(env, min(evaluation.tracks, evaluation.episodes))
+        resumed_at = None if self._saved is None else self.frames
+        self._log = RunLog(run_dir, env.metric_names, resumed_at=resumed_at)
         if self._saved is not None:
             self._log.restore(self._saved["log"])
+        self._log.begin_session(hyperparameters or {})
 
     def _make_learners(self, env: EnvBase, device: torch.device) -> dict[str, Algorithm]:
         return {
@@ -123,6 +140,11 @@ class Trainer:
             )
             for group, agents in env.group_map.items()
         }
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration as it is stored with the weights, with what the machine decided."""
+        return self._folder.config
 
     @property
     def updates(self) -> int:
@@ -156,6 +178,9 @@ class Trainer:
                 if finished and not self._evaluation.is_done(self.frames) and not stop():
                     self._evaluate(stop)
                 self._save(collector, with_experience=self._conf.checkpoint.replay or not finished)
+                if finished and self._evaluation.rows:
+                    objective = str(self.config.get("objective", ""))
+                    self._log.end_session(self._evaluation.rows, objective, self.frames)
                 self._log.write()
                 self._log.draw(self._title)
             except TrainingError as error:
@@ -269,14 +294,18 @@ class Trainer:
     def _evaluate(self, stop: StopRequest) -> None:
         self._status.begin_evaluation(self.frames)
         is_best = self._evaluation.run(
-            self.frames, stop, partial(self._status.report_evaluation, self.frames)
+            self.frames, stop, partial(self._status.report_evaluation, self.frames), self._pictures
         )
         self._status.end_evaluation()
         if not self._evaluation.is_done(self.frames):
             return
+        for group, learner in self._learners.items():
+            self._log.histograms(group, learner.distributions(), self.frames)
+        if self._pictures is not None:
+            self._log.picture("tracks", self._pictures.draw(), self.frames)
         self._log.log_evaluation(self._evaluation.rows, self.frames, self._updates)
         if is_best:
-            self._folder.save_policies(self._learners, self.frames, best=True)
+            self._folder.save_policies(self._learners, self.frames, self._evaluation.score())
 
     def _save(self, collector: TransitionCollector, *, with_experience: bool) -> None:
         conf = self._conf.collector

@@ -14,8 +14,9 @@ class Measure:
     """A measure over episodes, and how it is made of their metrics.
 
     `metric` is the metric whose mean over the episodes it is, or the share of them where it is a `share`.
-    `per` names another metric where the measure is a ratio of sums. `formula` is of one episode, `better` the
-    direction in which a policy is better, None where neither is. Tables multiply values by `scale`.
+    `per` names another metric where the measure is a ratio of sums; `are_counts` marks numbers of events.
+    `formula` is of one episode, `better` the direction in which a policy is better, None where neither is.
+    Tables multiply values by `scale`.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Measure:
     source: str = ""
     per: str | None = None
     is_share: bool = False
+    are_counts: bool = False
     scale: float = 1.0
     decimals: int = 2
 
@@ -64,6 +66,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "lower",
         "number of contacts that begin, one for each body",
         _PAPER,
+        are_counts=True,
     ),
     Measure(
         "MTT",
@@ -71,7 +74,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "mean time to traverse",
         "s",
         "lower",
-        "time from the start to the first goal; episodes that reach one",
+        "time from the start to the first goal, with or without collisions; episodes that reach one",
         _PAPER,
     ),
     Measure(
@@ -89,7 +92,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "vertical roughness",
         "m/s²",
         "lower",
-        "mean over time of |vertical acceleration|, without gravity",
+        "mean over time of |acceleration along the body's z| without gravity, of control steps",
         _PAPER,
     ),
     Measure(
@@ -107,7 +110,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "smoothness of route",
         "",
         "lower",
-        "mean over time of |acceleration| [m/s²] + |angular velocity| [rad/s]",
+        "mean over time of |acceleration| [m/s²], without gravity, + |angular velocity| [rad/s]",
         _PAPER,
     ),
     Measure(
@@ -116,7 +119,8 @@ CATALOGUE: tuple[Measure, ...] = (
         "success weighted by path length",
         "",
         "higher",
-        "SR x d / max(path, d), d the straight distance from start to goal",
+        "success x d / max(path, d), d the straight distance from start to goal: a lower bound of the SPL by "
+        "shortest paths",
         "Anderson et al. 2018",
     ),
     Measure(
@@ -133,7 +137,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "jerk",
         "m/s³",
         "lower",
-        "mean over time of |change of the acceleration between control steps| / step",
+        "mean over time of |change of the acceleration between control steps| / step, all axes",
         "Francis et al. 2023",
     ),
     Measure(
@@ -152,8 +156,9 @@ CATALOGUE: tuple[Measure, ...] = (
         "near misses per episode",
         "",
         "lower",
-        "spells with a time to contact below 1 s at constant velocities, without contact",
+        "spells with a time to contact below 1 s at constant velocities, in which nothing is touched",
         "Hayward 1972",
+        are_counts=True,
     ),
     Measure(
         "gap",
@@ -179,8 +184,8 @@ CATALOGUE: tuple[Measure, ...] = (
         "time in personal space",
         "s",
         "lower",
-        "time with an agent within 1.2 m",
-        "Francis et al. 2023",
+        "time with a gap below 1.2 m to an agent",
+        "Hall 1966; Francis et al. 2023",
     ),
     Measure(
         "s/goal",
@@ -195,20 +200,20 @@ CATALOGUE: tuple[Measure, ...] = (
     Measure(
         "risk/goal",
         "risk_seconds",
-        "risk-seconds per goal",
+        "seconds near agents by nearness, per goal",
         "s",
         "lower",
-        "sum over time of max(0, 1 - gap / 1 m) / goals reached",
-        "after the DUnE authors' later study",
+        "sum over time of max(0, 1 - gap / 1 m) / goals reached; not the risk-seconds of the later study",
+        "",
         per="goals",
     ),
     Measure(
         "at risk/goal",
         "seconds_at_risk",
-        "seconds within 0.5 m of an agent, per goal",
+        "risk-seconds per goal: within 0.5 m",
         "s",
         "lower",
-        "time with an agent within 0.5 m / goals reached",
+        "time with a gap below 0.5 m to an agent / goals reached",
         "the DUnE authors' later study",
         per="goals",
     ),
@@ -218,8 +223,9 @@ CATALOGUE: tuple[Measure, ...] = (
         "encounters closer than 0.5 m",
         "",
         "lower",
-        "spells within 1.2 m whose smallest gap is below 0.5 m",
+        "spells with a gap below 1.2 m whose smallest gap is below 0.5 m",
         "the DUnE authors' later study",
+        are_counts=True,
     ),
     Measure(
         "enc <0.8",
@@ -227,8 +233,9 @@ CATALOGUE: tuple[Measure, ...] = (
         "encounters of 0.5 to 0.8 m",
         "",
         None,
-        "spells within 1.2 m whose smallest gap is 0.5 to 0.8 m",
+        "spells with a gap below 1.2 m whose smallest gap is 0.5 to 0.8 m",
         "the DUnE authors' later study",
+        are_counts=True,
     ),
     Measure(
         "enc <1.2",
@@ -236,11 +243,28 @@ CATALOGUE: tuple[Measure, ...] = (
         "encounters of 0.8 to 1.2 m",
         "",
         None,
-        "spells within 1.2 m whose smallest gap is 0.8 to 1.2 m",
+        "spells with a gap below 1.2 m whose smallest gap is 0.8 to 1.2 m",
         "the DUnE authors' later study",
+        are_counts=True,
     ),
-    Measure("stuck", "stuck_count", "times stuck", "", "lower", "number of ends by the termination stuck"),
-    Measure("flips", "flip_count", "times flipped", "", "lower", "number of ends by the termination flipped"),
+    Measure(
+        "stuck",
+        "stuck_count",
+        "times stuck",
+        "",
+        "lower",
+        "number of ends by the termination stuck",
+        are_counts=True,
+    ),
+    Measure(
+        "flips",
+        "flip_count",
+        "times flipped",
+        "",
+        "lower",
+        "number of ends by the termination flipped",
+        are_counts=True,
+    ),
     Measure("energy", "energy_wh", "drawn from the battery", "W h", "lower", "motors' work and idling"),
     Measure(
         "battery", "battery_share", "share of a full battery", "%", "lower", "energy / capacity", scale=100.0
@@ -252,6 +276,8 @@ CATALOGUE: tuple[Measure, ...] = (
 _DETAILS = {
     "agent",
     *BUILT_IN,
+    "seed",
+    "world_seed",
     "goals",
     "min_clearance",
     "diverged",

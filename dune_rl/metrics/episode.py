@@ -121,6 +121,11 @@ class MetricSet:
         """Values (N, K) of the present episodes."""
         return self._values.T.copy()
 
+    @property
+    def term_values(self) -> Array:
+        """Values (K, N) of the terms alone, a row for each, without those that every set has."""
+        return self._values[len(BUILT_IN) :].copy()
+
 
 _REDUCTIONS: tuple[Reduction, ...] = ("mean", "sum", "min", "max", "last", "first")
 _MEAN, _SUM, _MIN, _MAX, _LAST, _FIRST = range(len(_REDUCTIONS))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.evaluation.columns import measured_columns
-from dune_rl.learning.measures import MetricsRow, estimate_metrics
+from dune_rl.learning.measures import MetricsRow, cluster_rows, estimate_metrics
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
@@ -20,6 +20,7 @@ from dune_rl.reporting.runs import EvaluationRun, Row
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
 _DECISIVE = ("world", "weather", "agents", "robots", "actors", "randomisation")
 _DECISIVE_IN_TASK = ("spawn", "terminations")
+_IDS = ("episode", "agent", "world_seed")
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
@@ -79,8 +80,7 @@ class Comparison:
         return compare_policies(
             {
                 name: [
-                    {key: value for key, value in row.items() if key in shared or key in ("episode", "agent")}
-                    for row in rows
+                    {key: value for key, value in row.items() if key in shared or key in _IDS} for row in rows
                 ]
                 for name, rows in results.items()
             }
@@ -91,6 +91,11 @@ class Comparison:
         return set.intersection(
             *({(row["episode"], row["agent"]) for row in method.rows} for method in self.methods)
         )
+
+    @property
+    def samples(self) -> str:
+        """What intervals are over: "episodes", or "sites" where several episodes share one."""
+        return cluster_rows(self.methods[0].rows)[1]
 
     @property
     def files(self) -> list[Path]:
@@ -266,6 +271,8 @@ def _numeric(rows: Sequence[Row], names: Sequence[str]) -> list[MetricsRow]:
         {
             "episode": row["episode"],
             "agent": agents[row["agent"]],
+            # By which whole sites are one sample.
+            "world_seed": row.get("world_seed", math.nan),
             **{name: row[name] if is_number(row.get(name)) else math.nan for name in names},
         }
         for row in rows

@@ -17,11 +17,10 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.episode_start import EpisodeStart
 from dune_rl.env.goals import PathGoals, RegionGoals
 from dune_rl.env.scene_manager import SceneManager
-from dune_rl.env.simulation import VectorSimulation
 from dune_rl.files import write_atomically
 from dune_rl.tasks.spawn import Placement, SpawnConf
-from dune_rl.view.endings import EndingRecorder, finite_points
 from dune_rl.view.policies import SENSORS_OF_POLICIES, policy_factory
+from dune_rl.view.tracks import TrackRecorder
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
 from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import choose_spread_episodes, prop_footprints
@@ -134,7 +133,7 @@ def drive_episodes(conf: ViewConf, console: Console) -> list[Track]:
             task = bar.add_task("driving", total=conf.episodes)
             env.set_seed(conf.seed)
             observation = env.reset()
-            recorder = _TrackRecorder(simulation)
+            recorder = TrackRecorder(simulation)
             while len(tracks) < conf.episodes:
                 after = env.step(policy(observation))
                 recorder.update()
@@ -158,45 +157,6 @@ def _with_needed_sensors(conf: ViewConf) -> ViewConf:
         return conf
     needed = SENSORS_OF_POLICIES.get(conf.policy or "", ("goal",))
     return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": needed})})
-
-
-class _TrackRecorder:
-    """Positions of all agents from the start of their episodes."""
-
-    def __init__(self, simulation: VectorSimulation) -> None:
-        self._simulation = simulation
-        self._endings = EndingRecorder(simulation)
-        self._points: dict[tuple[str, int], list[NDArray[np.float64]]] = {}
-        for scene in range(simulation.num_scenes):
-            self.reset(scene)
-
-    def reset(self, scene: int) -> None:
-        """Begin new tracks in a scene, at the agents' present positions."""
-        self._endings.reset(scene)
-        for group in self._simulation.groups:
-            for row in range(scene * group.count, (scene + 1) * group.count):
-                self._points[group.name, row] = [group.body.motion.position_w[row, :2].copy()]
-
-    def update(self) -> None:
-        """Add the agents' positions after a step; call it before scenes are reset."""
-        self._endings.update()
-        for group in self._simulation.groups:
-            for row, position in enumerate(group.body.motion.position_w[:, :2].copy()):
-                self._points[group.name, row].append(position)
-
-    def tracks(self, scene: int) -> list[Track]:
-        """The tracks of a scene's agents."""
-        episode = int(self._simulation.episodes[scene])
-        return [
-            Track(
-                name,
-                episode,
-                finite_points(self._points[group.name, scene * group.count + agent]),
-                self._endings.ending(group.name, scene * group.count + agent) if group.is_external else None,
-            )
-            for group in self._simulation.groups
-            for agent, name in enumerate(group.names)
-        ]
 
 
 def title(conf: ViewConf) -> str:

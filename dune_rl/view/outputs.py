@@ -1,7 +1,10 @@
 """Files of a view: a contact sheet, a video, a picture of the world."""
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -42,8 +45,13 @@ def write_sheet(view: EpisodeView, path: Path) -> Path:
     return path
 
 
-def write_video(view: EpisodeView, path: Path, console: Console) -> Path:
-    """A video of an episode (MP4)."""
+def write_video(
+    view: EpisodeView,
+    path: Path,
+    console: Console,
+    also: Callable[[NDArray[np.uint8]], None] = lambda picture: None,
+) -> Path:
+    """A video of an episode (MP4); `also` is called with each of its pictures, RGB (height, width, 3)."""
     conf = view.conf
     every = max(1, round(conf.physics.control_hz / conf.frames_per_s))
     rate = conf.physics.control_hz / every
@@ -64,6 +72,7 @@ def write_video(view: EpisodeView, path: Path, console: Console) -> Path:
             frame = view.render_from_behind(conf.width, conf.height)
             picture = draw_overlays(frame, view.readings(), view.sensors.lidar, lines, view.ending())
             add_frame(picture)
+            also(picture)
             bar.update(task, completed=steps, state=lines[0])
             if done or steps >= longest:
                 for _ in range(round(_LAST_PICTURE_S * rate)):

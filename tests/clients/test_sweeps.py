@@ -51,7 +51,7 @@ def test_launchers_run_the_jobs(launcher: list[str], tmp_path: Path) -> None:
     train(tmp_path, "seed=1,2", *launcher)
     for number, seed in enumerate((1, 2)):
         folder = tmp_path / "sweep" / f"{number}_flat_seed{seed}"
-        assert (folder / "policy.pt").exists()
+        assert (folder / "policy_best.pt").exists()
         assert yaml.safe_load((folder / "config.yaml").read_text())["seed"] == seed
 
 

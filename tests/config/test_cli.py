@@ -43,9 +43,14 @@ Call = Callable[..., int]
 def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(train.main, "+world=flat", "run_dir=run", "seed=3", *TINY) == 0
     run = folder / "run"
-    assert {"checkpoint.pt", "policy.pt", "policy_last.pt", "metrics.csv", "curve.png", "config.yaml"} <= {
-        path.name for path in run.iterdir()
-    }
+    assert {
+        "checkpoint.pt",
+        "policy_best.pt",
+        "policy_last.pt",
+        "metrics.csv",
+        "curve.png",
+        "config.yaml",
+    } <= {path.name for path in run.iterdir()}
     assert list(run.glob("events.out.tfevents.*"))
     assert (run / ".hydra" / "config.yaml").exists()
     resolved = yaml.safe_load((run / "config.yaml").read_text())
@@ -73,7 +78,7 @@ def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.Capt
     assert call(evaluate.main, "checkpoint=run", "sensors.lidar.n_segments=16", "episodes=1") == 2
     assert "lidar has 32 values there, 16 values here" in capsys.readouterr().err
 
-    (folder / "short.pt").write_bytes((run / "policy.pt").read_bytes()[:3000])
+    (folder / "short.pt").write_bytes((run / "policy_best.pt").read_bytes()[:3000])
     assert call(evaluate.main, "checkpoint=short.pt") == 2
     message = capsys.readouterr().err
     assert "short.pt is truncated" in message
@@ -174,7 +179,7 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
     assert "Traceback" not in error
     done = folder / "sweep" / "1_flat_seed1"
     assert yaml.safe_load((done / ".hydra" / "config.yaml").read_text())["task"]["spawn"]["region"] == "world"
-    assert (done / "policy.pt").exists()
+    assert (done / "policy_best.pt").exists()
     assert list(done.glob("events.out.tfevents.*"))
 
 
@@ -205,9 +210,9 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (evaluate, ["policy=random", "set=flat-v1", "episodes=201"],
          "set=flat-v1 has 200 episodes, fewer than episodes=201\n"),
         (evaluate, ["policy=model.zip", "+world=flat"],
-         "model.zip: files of Stable-Baselines3 hold pickles, and loading one runs what is in it.\n"
-         "If you trust it, load it in a function of your own and give policy=MODULE:FUNCTION "
-         "(docs/how_to/evaluate.md).\n"),
+         "model.zip cannot be read: No such file or directory\n"),
+        (evaluate, ["policy=runs/mine", "+world=flat"],
+         "policy: runs/mine is no policy; did you mean checkpoint=runs/mine?\n"),
         (evaluate, ["verify=file"],
          "file holds no results of an evaluation (provenance.json is missing or damaged); give a folder "
          "that python -m dune_rl.evaluate wrote\n"),
@@ -215,7 +220,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "resume=FOLDER has the settings of its folder; leave seed=3 out (it takes processes=N)\n"),
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
-         "choose one policy: checkpoint=PATH, policy=go_to_goal or policy=random\n"),
+         "choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal, mppi, planner, random, "
+         "FILE.onnx, FILE.zip or MODULE:FUNCTION\n"),
     ],
 )  # fmt: skip
 def test_bad_input(
@@ -233,7 +239,7 @@ def test_bad_input(
     assert (folder / "file").read_text() == "kept"
 
 
-@pytest.mark.parametrize("words", [["resume=nowhere"], ["resume=empty"], ["resume=empty/policy.pt"]])
+@pytest.mark.parametrize("words", [["resume=nowhere"], ["resume=empty"], ["resume=empty/policy_best.pt"]])
 def test_nothing_to_resume(
     words: list[str], call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -307,7 +313,13 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert [line["benchmark"] for line in lines] == [
         *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
     ]
-    ratios = ("overhead_ratio", "torchrl_ratio", "pettingzoo_ratio", "gymnasium_vector_ratio")
+    ratios = (
+        "overhead_ratio",
+        "torchrl_ratio",
+        "metrics_ratio",
+        "pettingzoo_ratio",
+        "gymnasium_vector_ratio",
+    )
     for name in (*ratios, "core_steps_per_s", "reset_ms"):
         assert alone[name] > 0
     # Two steps say nothing of how long a step takes.

@@ -54,7 +54,7 @@ def test_examples_run_from_the_command_line(
     told = capsys.readouterr()
     assert told.err == ""
     if program == "train":
-        assert {"policy.pt", "metrics.csv"} <= {path.name for path in (package / "run").iterdir()}
+        assert {"policy_best.pt", "metrics.csv"} <= {path.name for path in (package / "run").iterdir()}
         assert call(evaluate.main, "checkpoint=run", "episodes=1") == 0
         return
     (file,) = package.glob("evaluations/*/episodes.csv")

@@ -29,7 +29,7 @@ def bodies(*poses: tuple[float, float, float], world: World | None = None) -> Ki
 
 def walk(body: KinematicBody, speed: float, heading: float, steps: int = 1) -> None:
     for _ in range(steps):
-        body.apply_actions(np.tile([speed, heading], (len(body.poses), 1)))
+        body.command(np.tile([speed, heading], (len(body.poses), 1)), body.motion)
         body.read()
 
 
@@ -47,7 +47,7 @@ def test_an_agent_goes_where_it_turns() -> None:
 
 def test_agents_move_by_their_own_actions() -> None:
     body = bodies((0.0, 0.0, 0.0), (0.0, 5.0, 0.0))
-    body.apply_actions(np.array([[1.0, 0.0], [0.5, np.pi]]))
+    body.command(np.array([[1.0, 0.0], [0.5, np.pi]]), body.motion)
     np.testing.assert_allclose(body.poses[0], [0.05, 0.0, 0.0, 0.0], atol=1e-12)
     turned = 3.0 * STEP_S
     x, y = 0.025 * np.cos(turned), 5.0 + 0.025 * np.sin(turned)
@@ -113,7 +113,7 @@ def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> Non
     body = bodies((0.0, 0.0, 0.0), (0.0, 3.0, 0.0), world=world)
     walk(body, 1.0, 0.0)
     before = body.poses.copy()
-    body.apply_actions(np.tile([1.0, 0.0], (2, 1)))
+    body.command(np.tile([1.0, 0.0], (2, 1)), body.motion)
     commanded = body.poses.copy()
     reached = commanded.copy()
     reached[0, :2] = before[0, :2] + [0.01, -0.02]
@@ -133,7 +133,7 @@ def test_motion_is_the_change_of_the_pose() -> None:
     body = bodies((0.0, 0.0, 3.1), world=World("slope", slope, region=(-9.0, 9.0, -9.0, 9.0)))
     poses, velocities = [body.poses[0]], [np.zeros(3)]
     for speed in (0.4, 1.0, 1.0, 0.7):
-        body.apply_actions(np.array([[speed, 0.1]]))
+        body.command(np.array([[speed, 0.1]]), body.motion)
         if speed == 0.7:
             body.hold_back(np.array([0]), body.poses[None] + np.array([0.01, 0.02, 0.0, 0.0]))
         body.read()

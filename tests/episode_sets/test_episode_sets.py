@@ -1,8 +1,10 @@
 """The episode sets of the package: unchanged, free, apart as stated, and the same in any simulation."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import yaml
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.episode_plan import EpisodePlan, PlannedEpisode
+from dune_rl.episode_sets import __main__ as episode_sets
 from dune_rl.episode_sets import plan_of_set, read_episode_set, set_names, settings_on_set, write_episode_set
 from dune_rl.episode_sets.apply import check_set_overrides
 from dune_rl.episode_sets.check import faulty_episodes
@@ -34,7 +37,7 @@ def test_a_set_is_as_its_recipe_says(name: str) -> None:
     episode_set, recipe = read_episode_set(name), RECIPES[name]
     rows, seeds = episode_set.episodes, [one.world_seed for one in episode_set.episodes]
     assert len(rows) == EPISODES
-    if recipe.family == "flat":
+    if recipe.world == "flat":
         assert set(seeds) == {None}
     else:
         drawn = yaml.safe_load((conf_folder() / "randomisation" / "worlds.yaml").read_text())["world_seed"]
@@ -45,7 +48,7 @@ def test_a_set_is_as_its_recipe_says(name: str) -> None:
     assert {key: stated[key] for key in header} == header
     starts, goals = (np.array([getattr(one, end)[:2] for one in rows]) for end in ("start", "goal"))
     apart = np.hypot(*(goals - starts).T)
-    low, high = recipe.variant.goal_distance_m
+    low, high = recipe.goal_distance_m
     assert apart.min() >= low and apart.max() <= (high or np.inf)
     # No two rows are the same case.
     assert len({row.line().partition(",")[2] for row in rows}) == EPISODES
@@ -155,6 +158,66 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
     assert written.header.sha256 != read_episode_set("flat-v1").header.sha256
 
 
+def make_own(*words: str) -> None:
+    with patch("sys.argv", ["episode_sets", "make", *words]):
+        episode_sets.main()
+
+
+def test_the_command_makes_a_set_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.save("hills.npy", np.random.default_rng(1).uniform(0.0, 0.1, (40, 40)))
+    heights = ["+world=heightmap", "world.path=hills.npy", "world.size_m=[40,40]"]
+    make_own("hills-v1", *heights, "robot=hyperdog", "--episodes", "3", "--farthest=6", "actors=none")
+    made = read_episode_set("episode_sets/hills-v1.json")
+    assert made.header.sha256 in capsys.readouterr().out
+    assert made.header.robot == "hyperdog" and len(made.episodes) == 3
+    for row in made.episodes:
+        assert 2.0 <= np.hypot(*np.subtract(row.goal, row.start[:2])) <= 6.0
+    with patch("sys.argv", ["episode_sets", "check", "episode_sets/hills-v1.json"]):
+        episode_sets.main()
+    assert "0 faults" in capsys.readouterr().out
+    # What made it is in the file, and makes it again.
+    words = shlex.split(made.header.command)[4:]
+    make_own(*words, "--out", "again")
+    assert read_episode_set("again/hills-v1.json") == made
+    make_own("mine-v1", "+world=island", "--sites=2", "--episodes=4", "--seed=8")
+    seeds = [one.world_seed for one in read_episode_set("episode_sets/mine-v1.json").episodes]
+    assert seeds == [500, 500, 501, 501]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("flat-v2", "there is no recipe 'flat-v2'; did you mean flat-v1? For one of your own give settings"),
+        ("robot=leo_rover", "settings are for one set: make NAME robot=leo_rover"),
+        ("mine-v1 robot=leo_rover", "the set mine-v1 needs a world: +world=NAME"),
+        ("flat-v1 +world=flat", "flat-v1 is a set of the package; give yours another name"),
+        ("../x +world=flat", "a set's name has letters, digits, '-' and '_' alone, such as mine-v1"),
+        ("x +world=flat robots=[leo_rover,leo_rover]", "set=x is for one robot"),
+        ("x +world=flat --sites 2", "the world flat has no seed, and so one site; leave --sites out"),
+        ("x +world=island --sites 3", "--episodes 100 must be a multiple of --sites 3"),
+        ("x +world=island randomisation=worlds", "leave randomisation.world_seed out, and take --sites N"),
+        ("x +world=flat --farthest 1", "--farthest 1 must be more than task.spawn.min_goal_distance_m=2"),
+        ("x +world=flat --seed=-1", "--seed must be at least 0 (got -1)"),
+        ("x +world=flat robot=dog", "there is no robot 'dog'"),
+    ],
+)
+def test_a_set_that_cannot_be_made(
+    words: str,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        make_own(*words.split())
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_a_set_determines_is_not_set_beside_it() -> None:
     check_set_overrides("flat-v1", ["task=paper", "sensors=all", "physics=dart", "episodes=3"])
     for word, message in (
@@ -184,3 +247,11 @@ def test_plans_that_are_none() -> None:
         EpisodePlan([])
     with pytest.raises(ValueError, match="in all of them or in none"):
         EpisodePlan([PlannedEpisode(), PlannedEpisode(world_seed=3)])
+
+
+def test_limits_in_steps_hold_for_one_control_rate() -> None:
+    conf = compose_environment(
+        "flat", ["robot=rover_zero", "sensors.enabled=[goal]", "physics.control_hz=10"]
+    )
+    with pytest.raises(ConfigError, match=r"leave physics\.control_hz=10 out"):
+        settings_on_set(conf, read_episode_set("flat-v1"))

@@ -4,6 +4,9 @@ import csv
 import hashlib
 import json
 import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -95,10 +98,16 @@ def test_results_are_never_replaced_unasked(
     assert call(evaluate.main, *words, "episodes=2") == 0
     kept = (folder / "results" / "episodes.csv").read_bytes()
     assert call(evaluate.main, *words) == 2
-    assert "out=results holds results already; choose another folder" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "out=results holds results already; choose another folder, or replace them with over" in error
     assert (folder / "results" / "episodes.csv").read_bytes() == kept
     assert call(evaluate.main, *words, "overwrite=true") == 0
     assert len(read_rows(folder / "results")) == EPISODES
+    # As a process that is killed while it writes leaves it.
+    left = folder / "results" / ".episodes.csv.x1.tmp"
+    left.write_text("x")
+    assert call(evaluate.main, *words, "overwrite=true") == 0
+    assert not left.exists()
     (folder / "mine").mkdir()
     (folder / "mine" / "thesis.tex").write_text("x")
     assert call(evaluate.main, *words[:-1], "out=mine", "overwrite=true") == 2
@@ -135,12 +144,52 @@ def test_an_evaluation_that_was_cut_off_goes_on(
         capsys.readouterr().out.replace("\n", " ")
     )
     assert len(read_rows(folder / "cut")) == 3
+    assert call(evaluate.main, *words, "out=cut") == 2
+    assert "choose another folder, go on with resume=cut, or replace" in capsys.readouterr().err
     # As a process that is killed leaves it.
+    for suffix in ("csv", "parquet"):
+        (folder / "cut" / f"episodes.{suffix}").unlink()
+    assert call(evaluate.main, "verify=cut") == 2
+    assert "cut has no tables yet; go on with resume=cut first" in capsys.readouterr().err
     part = folder / "cut" / "episodes.part.jsonl"
     part.write_text(part.read_text()[:-30])
     assert call(evaluate.main, "resume=cut") == 0
     assert read_rows(folder / "cut") == read_rows(folder / "whole")
     assert not part.exists()
+
+
+def test_what_ends_before_an_episode_leaves_nothing(
+    call: Call, folder: Path, short_set: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(self: BlockRunner, block: EpisodeBlock, emit: Callable[..., None]) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_plan.BlockRunner, "run", interrupted)
+    assert call(evaluate.main, "policy=random", short_set, "out=results") == 130
+    assert not (folder / "results").exists()
+
+
+def _is_alive(pid: int) -> bool:
+    state = Path(f"/proc/{pid}/stat")
+    return state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
+def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_set: str) -> None:
+    words = ["policy=random", short_set, "scenes=1", "processes=2", "out=results"]
+    parent = subprocess.Popen([sys.executable, "-m", "dune_rl.evaluate", *words])
+    children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+    workers: list[int] = []
+    while len(workers) < 2 and parent.poll() is None:
+        found = [int(pid) for pid in children.read_text().split()]
+        workers = [pid for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        time.sleep(0.05)
+    assert len(workers) >= 2
+    parent.kill()
+    parent.wait()
+    # Without an end of their own, they wait forever, and so does this test.
+    while any(_is_alive(pid) for pid in workers):
+        time.sleep(0.05)
 
 
 def test_rows_do_not_depend_on_processes(call: Call, folder: Path, short_set: str) -> None:
@@ -163,6 +212,7 @@ def test_a_sample_is_repeated(
     assert call(evaluate.main, "verify=results", "sample=3") == 0
     assert "of 10 rows were repeated and came out the same." in capsys.readouterr().out
     file = folder / "results" / "episodes.csv"
+    kept = file.read_bytes()
     rows = read_rows(folder / "results")
     rows[0]["return"] = "99.5"
     with file.open("w", newline="") as opened:
@@ -172,6 +222,13 @@ def test_a_sample_is_repeated(
     assert call(evaluate.main, "verify=results", "sample=10") == 2
     error = capsys.readouterr().err
     assert "results: 1 of 10 repeated rows differ." in error and "return: 99.5 stored" in error
+    assert "episodes.csv changed since the evaluation wrote them." in error
+    file.write_bytes(kept)
+    assert call(evaluate.main, "verify=results", "sample=2") == 0
+    (folder / "results" / "episodes.parquet").write_bytes(b"")
+    assert call(evaluate.main, "verify=results", "sample=2") == 2
+    error = capsys.readouterr().err
+    assert "results: episodes.parquet changed since" in error and "came out the same; others may not" in error
     shutil.copy(POLICY.parents[1] / "seed2" / "policy.pt", policy)
     assert call(evaluate.main, "verify=results") == 2
     assert "was made with other weights than those now in" in capsys.readouterr().err

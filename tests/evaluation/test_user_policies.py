@@ -30,6 +30,16 @@ def short(observation):
 def undefined(observation):
     return np.full((len(observation["goal"]), 2), np.nan)
 
+def misspelt(observation):
+    return observation["gaol"]
+
+def words(observation):
+    return "left"
+
+class Unmade:
+    def __init__(self, file):
+        pass
+
 number = 3
 """
 
@@ -37,6 +47,7 @@ number = 3
 @pytest.fixture
 def module(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (folder / "my_drivers.py").write_text(CODE)
+    (folder / "broken_drivers.py").write_text("1 / 0")
     monkeypatch.syspath_prepend(folder)
     return "my_drivers"
 
@@ -64,8 +75,18 @@ def test_a_function_and_a_class_drive(call: Call, folder: Path, module: str) -> 
     ("policy", "message"),
     [
         ("my_drivers:short", r"actions must be finite numbers of shape (2, 2) (got (2, 1))"),
-        ("my_drivers:undefined", "actions must be finite numbers of shape (2, 2)"),
+        ("my_drivers:undefined", "actions must be finite numbers of shape (2, 2) (some are not finite)"),
+        ("my_drivers:words", "actions must be finite numbers of shape (2, 2) (got <U4)"),
+        ("my_drivers:misspelt", "policy misspelt failed: KeyError: 'gaol' (line 21 of "),
+        ("my_drivers:Unmade", "my_drivers:Unmade cannot be made: TypeError: Unmade.__init__() missing 1"),
+        ("my_drivers:strait", "has no strait; did you mean my_drivers:straight?"),
         ("my_drivers:missing", "the module my_drivers has no missing"),
+        (
+            "broken_drivers:f",
+            "importing broken_drivers failed: ZeroDivisionError: division by zero (line 1",
+        ),
+        (":f", "policy=:f: write MODULE:FUNCTION, such as my_drivers:straight"),
+        ("my_drivers.py:straight", "write MODULE:FUNCTION, such as my_drivers:straight"),
         ("my_drivers:number", "policy=my_drivers:number is no function, but int"),
         ("no_such_module:f", "the module no_such_module cannot be imported"),
         pytest.param(
@@ -80,6 +101,7 @@ def test_what_is_no_policy_is_named(
     assert call(evaluate.main, f"policy={policy}", *WORDS, "out=results") == 2
     error = capsys.readouterr().err
     assert message in error and "Traceback" not in error and error.count("\n") <= 2
+    assert not (folder / "results").exists()
 
 
 def test_an_onnx_file_drives(call: Call, folder: Path) -> None:

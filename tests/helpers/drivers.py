@@ -101,3 +101,17 @@ class DrivenBodies:
         if discs is None:
             return DriverContext("rover", self.vehicle, None, dict)
         return DriverContext("rover", self.vehicle, LIDAR, lambda: self.readings(discs))
+
+
+def drive(driver, bodies: DrivenBodies, steps: int, discs: np.ndarray | None = None) -> np.ndarray:
+    """Poses (steps + 1, N, 3) under a driver until all have arrived."""
+    driver.bind(bodies.context(discs))
+    _, group = bodies.state()
+    driver.reset(np.ones(len(bodies.poses), bool), group)
+    poses = [bodies.poses.copy()]
+    for _ in range(steps):
+        bodies.move(driver.act(*bodies.state()))
+        poses.append(bodies.poses.copy())
+        if (np.hypot(*(bodies.goals - bodies.poses[:, :2]).T) < 0.5).all():
+            break
+    return np.array(poses)

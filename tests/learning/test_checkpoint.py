@@ -1,5 +1,6 @@
 """Checkpoints: whole or untouched, harmless to read, and refused in words that help."""
 
+import os
 import pickle
 from pathlib import Path
 
@@ -86,6 +87,22 @@ def test_damaged_inside(saved: Path) -> None:
     saved.write_bytes(bytes(data))
     with pytest.raises(CheckpointError, match="damaged"):
         load_policy(saved, make_point_mass(1, 0))
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "result"
+    abandoned, strange = tmp_path / ".result.abc.tmp", tmp_path / ".other.abc.tmp"
+    for file in (abandoned, strange):
+        file.write_text("half")
+        os.utime(file, (0, 0))
+    with write_atomically(path) as first:
+        first.write_text("first")
+        os.utime(first, (0, 0))
+        with write_atomically(path) as second:
+            # The first is being written.
+            assert first.exists() and not abandoned.exists()
+            second.write_text("second")
+    assert path.read_text() == "first" and sorted(tmp_path.iterdir()) == [strange, path]
 
 
 def test_missing(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dune_rl.learning.paired_comparison import compare_policies, holm_adjusted
+from dune_rl.learning.paired_tests import ratio_exchange_test, sign_flip_test
 
 
 def _rows(success: list[int], clearance: list[float]) -> list[dict[str, float]]:
@@ -65,4 +66,44 @@ def test_the_permutation_test_holds_its_level() -> None:
         ]
         rejected += one.p_value <= 0.05
     # 200 draws of 0.05: 3 to 19 with a probability of 0.999.
+    assert 2 <= rejected <= 20
+
+
+def test_sign_flips_by_hand() -> None:
+    # Of the 8 sums of +-1 +-2 +-3, two are as large as 6.
+    assert sign_flip_test([1.0, 2.0, 3.0]) == pytest.approx(2 / 8)
+    # Zeros have no part in it; of sums by cluster, 3 and 3, two of four are as large as 6.
+    assert sign_flip_test([1.0, 2.0, 3.0, 0.0, 0.0]) == pytest.approx(2 / 8)
+    assert sign_flip_test([1.0, 2.0, 3.0], [0, 0, 1]) == pytest.approx(2 / 4)
+    assert sign_flip_test([0.0, 0.0]) == 1.0 and math.isnan(sign_flip_test([]))
+
+
+def test_exchanges_of_ratios_by_hand() -> None:
+    # Episodes of 4 and 6 s against 1 and 2 s, with a goal each: 5 - 1.5. Exchanging either gives 2.5 - 4 or
+    # 4 - 2.5; exchanging both 1.5 - 5.
+    one, other = ([4.0, 6.0], [1.0, 1.0]), ([1.0, 2.0], [1.0, 1.0])
+    assert ratio_exchange_test(one, other) == pytest.approx(2 / 4)
+    assert ratio_exchange_test(one, one) == 1.0
+    assert math.isnan(ratio_exchange_test(one, ([1.0, 2.0], [0.0, 0.0])))
+
+
+def test_ratios_of_sums_are_compared() -> None:
+    def rows(seconds: list[float], goals: list[float]) -> list[dict[str, float]]:
+        return [
+            {"agent": 0.0, "episode": float(index), "duration": a, "goals": b}
+            for index, (a, b) in enumerate(zip(seconds, goals, strict=True))
+        ]
+
+    (one,) = compare_policies({"a": rows([4.0, 6.0], [1.0, 1.0]), "b": rows([3.0, 2.0], [1.0, 1.0])})
+    assert one.measure.name == "s/goal" and one.effect == pytest.approx(2.0)
+    assert one.difference.value == pytest.approx(2.5) and one.difference.low < 2.5 < one.difference.high
+
+
+def test_the_exchange_of_ratios_holds_its_level() -> None:
+    draws = np.random.default_rng(8)
+    rejected = 0
+    for _ in range(200):
+        goals = (draws.random((2, 30)) < 0.7).astype(float)
+        times = np.where(goals > 0, draws.gamma(4.0, 1.5, (2, 30)), 30.0)
+        rejected += ratio_exchange_test((times[0], goals[0]), (times[1], goals[1])) <= 0.05
     assert 2 <= rejected <= 20

@@ -6,7 +6,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dune_rl.learning.statistics import Estimate, estimate_mean, estimate_proportion, estimate_ratio
+from dune_rl.learning.statistics import (
+    Estimate,
+    estimate_difference,
+    estimate_mean,
+    estimate_proportion,
+    estimate_ratio,
+    estimate_ratio_difference,
+    estimate_share_difference,
+)
 
 EPISODES, TRIALS = 100, 1000
 
@@ -43,6 +51,30 @@ def of_agents_of_an_episode(random: np.random.Generator) -> Estimate:
     return estimate_mean(common + random.normal(0.0, 0.3, 200), episodes)
 
 
+def rare_collisions(random: np.random.Generator) -> np.ndarray:
+    """Collisions in one episode of twenty, two in the mean; 0.1 over all."""
+    return (random.random(EPISODES) < 0.05) * (1.0 + random.poisson(1.0, EPISODES))
+
+
+def of_rare_collisions(random: np.random.Generator) -> Estimate:
+    return estimate_mean(rare_collisions(random), are_counts=True)
+
+
+def of_differences_of_rare_collisions(random: np.random.Generator) -> Estimate:
+    return estimate_difference(rare_collisions(random) - rare_collisions(random), are_counts=True)
+
+
+def of_differences_of_seconds_per_goal(random: np.random.Generator) -> Estimate:
+    goals = random.integers(0, 4, (2, EPISODES))
+    times = [10.0, 12.0] * goals.T + random.gamma(2.0, 2.5, (EPISODES, 2))
+    return estimate_ratio_difference((times[:, 0], goals[0]), (times[:, 1], goals[1]))
+
+
+def of_differences_of_shares(random: np.random.Generator) -> Estimate:
+    draws = random.random(EPISODES)
+    return estimate_share_difference(draws < 0.85, (draws + 0.2 * random.random(EPISODES)) < 0.85)
+
+
 def of_shares(random: np.random.Generator) -> Estimate:
     return estimate_proportion(random.random(EPISODES) < 0.85)
 
@@ -56,6 +88,11 @@ def of_shares(random: np.random.Generator) -> Estimate:
         ((15.0 + 5.0) / 1.5, of_seconds_per_goal),
         (3.0, of_agents_of_an_episode),
         (0.85, of_shares),
+        (0.1, of_rare_collisions),
+        (0.0, of_differences_of_rare_collisions),
+        (-2.0, of_differences_of_seconds_per_goal),
+        # Of draws between 0.65 and 0.85, half are pushed above 0.85.
+        (0.1, of_differences_of_shares),
     ],
 )
 def test_an_interval_covers_as_often_as_it_says(
@@ -95,3 +132,40 @@ def test_what_is_never_negative_has_no_negative_end() -> None:
 def test_one_cluster_has_no_interval() -> None:
     estimate = estimate_mean([1.0, 2.0, 3.0], [0, 0, 0])
     assert estimate.value == pytest.approx(2.0) and math.isnan(estimate.low) and estimate.count == 3
+
+
+def test_without_an_event_the_interval_reaches_to_four_events_in_all() -> None:
+    # -ln(0.025) = 3.689 events among 200 episodes.
+    estimate = estimate_mean([0.0] * 200, are_counts=True)
+    assert (estimate.value, estimate.low) == (0.0, 0.0)
+    assert estimate.high == pytest.approx(3.6889 / 200, rel=1e-4)
+    difference = estimate_difference([0.0] * 200, are_counts=True)
+    assert (difference.low, difference.high) == pytest.approx((-3.6889 / 200, 3.6889 / 200), rel=1e-4)
+
+
+def test_without_an_event_times_have_no_interval() -> None:
+    estimate = estimate_mean([0.0] * 200)
+    assert estimate.value == 0.0 and math.isnan(estimate.low) and math.isnan(estimate.high)
+
+
+def test_rare_single_events_have_the_poisson_interval() -> None:
+    # Garwood's exact interval for 3 events: 0.6187 to 8.7673.
+    estimate = estimate_mean([1.0] * 3 + [0.0] * 97, are_counts=True)
+    assert (estimate.low, estimate.high) == pytest.approx((0.006187, 0.087673), rel=1e-3)
+
+
+def test_a_difference_of_few_may_be_of_either_sign() -> None:
+    estimate = estimate_difference([1.0] * 3 + [0.0] * 97)
+    assert estimate.value == pytest.approx(0.03) and estimate.low < 0.0 < estimate.high - 0.03
+
+
+def test_a_difference_of_shares_without_discordant_pairs_has_an_interval() -> None:
+    estimate = estimate_share_difference([1, 1, 0, 1], [1, 1, 0, 1])
+    # Each side gets one pair of 4 + 2: 1.96 sqrt((1 / 6 + 1 / 6) / 6).
+    assert (estimate.low, estimate.high) == pytest.approx((-0.46195, 0.46195), abs=1e-4)
+
+
+def test_a_difference_of_ratios_is_that_of_both_sums() -> None:
+    estimate = estimate_ratio_difference(([10.0, 30.0], [1.0, 3.0]), ([8.0, 4.0], [1.0, 2.0]))
+    assert estimate.value == pytest.approx(10.0 - 4.0)
+    assert math.isnan(estimate_ratio_difference(([1.0, 2.0], [0.0, 0.0]), ([1.0, 2.0], [1.0, 1.0])).value)

@@ -48,9 +48,9 @@ def test_a_run_stopped_during_its_warm_up_goes_on_as_if_it_had_not_been(tmp_path
 def test_a_finished_run_keeps_its_files(tmp_path: Path) -> None:
     result = trainer(tmp_path / "run").train()
     assert [row["episode"] for row in result.evaluation["rover"]] == list(range(10))
-    for name in ("policy.pt", "policy_last.pt", "metrics.csv", "curve.png", CHECKPOINT_FILE):
+    for name in ("policy_best.pt", "policy_last.pt", "metrics.csv", "curve.png", CHECKPOINT_FILE):
         assert (tmp_path / "run" / name).stat().st_size > 0
-    assert (tmp_path / "run" / "policy.pt").stat().st_size < 2_000_000
+    assert (tmp_path / "run" / "policy_best.pt").stat().st_size < 2_000_000
     lines = (tmp_path / "run" / "metrics.csv").read_text().splitlines()
     assert lines[0] == "kind,frames,updates,episodes,SR,TR,TC,MTT,OC,VR,VORT,TSR,return,steps"
     # 512 frames of random actions; the batch that completes them is learned from already.

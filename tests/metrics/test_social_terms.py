@@ -60,10 +60,10 @@ def moving(gap: float, speed: float, **rover: Any) -> tuple[State, GroupState]:
     return beside(gap, velocity_w=(speed, 0.0, 0.0), **rover)
 
 
-def near_misses(*steps: tuple[State, GroupState]) -> list[bool]:
+def near_misses(*steps: tuple[State, GroupState]) -> list[float]:
     term = NearMisses(1)
     term.reset(EVERYONE, agents())
-    return [bool(term(*step)[0]) for step in steps]
+    return [float(term(*step)[0]) for step in steps]
 
 
 def test_a_near_miss_is_counted_when_it_begins() -> None:
@@ -78,6 +78,15 @@ def test_no_near_miss_of_what_is_touched_passed_or_left_behind() -> None:
     walker = agents(1, name="walker", position=(0.5, 3.0, 0.0), radius_m=0.3)
     rover = agents(radius_m=0.2, velocity_w=(1.0, 0.0, 0.0))
     assert near_misses((state_of(rover, walker), rover)) == [False]
+
+
+def test_a_near_miss_that_ends_in_contact_is_a_collision() -> None:
+    # 0.5 s away, on contact, bounced back, and driving on: only the last approach is without contact.
+    steps = [moving(0.5, 1.0), moving(0.0, 1.0, touching=True), moving(0.1, -1.0), moving(0.5, 1.0)]
+    assert near_misses(*steps) == [1.0, -1.0, 0.0, 1.0]
+    # Further contact takes no more away, and what begins on contact is no near miss.
+    steps = [moving(0.0, 1.0, touching=True), moving(0.1, 1.0), moving(0.0, 1.0, touching=True)]
+    assert near_misses(*steps) == [0.0, 0.0, 0.0]
 
 
 def test_both_velocities_count() -> None:

@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import DriverContext
+from dune_rl.behaviours.drivers.local_map import LocalMap
 from dune_rl.behaviours.drivers.path_integral_loops import update_controls
+from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
+from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
 from dune_rl.errors import ConfigError
 from dune_rl.seeding import stream
 from dune_rl.sensors.lidar import beam_angles
@@ -15,6 +18,7 @@ from dune_rl.sensors.sensor import mount_position
 from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 _STEP_S = 0.1
 _LAG_S = 0.15
@@ -25,7 +29,12 @@ _KNOTS = 6
 # Points on each segment of the scan, so that no body slips between two.
 _POINTS_PER_SEGMENT = 2
 # End, way, contact, nearness, backwards, turning: see `path_integral_loops`.
-_WEIGHTS = (3.0, 0.5, 100.0, 4.0, 0.5, 0.02)
+_WEIGHTS = (3.0, 0.5, 100.0, 8.0, 5.0, 0.02)
+# Backwards where the LiDAR does not see.
+_BLIND_REVERSE_COST_PER_M = 10.0
+# Radius of the disc that stands for what moves, and room that it should have.
+_MOVER_M = 0.33
+_MOVER_MARGIN_M = 0.9
 _READINGS = ("goal", "lidar", "velocity")
 
 
@@ -64,6 +73,7 @@ class Mppi:
         self._temperature, self._margin_m = temperature, margin_m
         self._nominal = np.zeros((num_rows, self._horizon, 2))
         self._steps = np.zeros(num_rows, np.int64)
+        self._watch = ProgressWatch(num_rows)
         self._context: DriverContext | None = None
 
     def bind(self, context: DriverContext) -> None:
@@ -84,6 +94,16 @@ class Mppi:
         # Unit vectors (n_segments, points, 2) in the vehicle's frame.
         self._directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
         self._mount = mount_position(lidar.mount_b)[:2]
+        self._ahead = np.stack([np.cos(middle), np.sin(middle)], axis=-1)
+        self._tracker = ScanTracker(self._num_rows, lidar.n_segments)
+        self._map = LocalMap(self._num_rows, middle, self._mount)
+        # Whether the scan covers what is behind.
+        sees_behind = np.abs(np.abs(of_beams) - np.pi).min() < np.deg2rad(20.0)
+        self._weights = (
+            *_WEIGHTS[:4],
+            _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M,
+            _WEIGHTS[5],
+        )
         self._noise = self._sample_noise(context)
 
     def _sample_noise(self, context: DriverContext) -> Array:
@@ -103,6 +123,10 @@ class Mppi:
         """Forget the plans of the bodies in `mask` (N,)."""
         self._nominal[mask] = 0.0
         self._steps[mask] = 0
+        self._watch.forget(mask)
+        if self._context is not None:
+            self._tracker.forget(mask)
+            self._map.forget(mask)
 
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad], by the readings alone."""
@@ -113,7 +137,9 @@ class Mppi:
         distance, bearing = np.asarray(readings["goal"], np.float64).T
         goals = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
         twists = np.ascontiguousarray(readings["velocity"][:, :2], np.float64)
-        points, counts = self._obstacles(readings["lidar"].astype(np.float64))
+        points, counts, movers = self._obstacles(
+            readings["lidar"].astype(np.float64), twists, goals, group.episode.step_s
+        )
         limits = (
             vehicle.min_speed_mps,
             vehicle.max_speed_mps,
@@ -125,24 +151,48 @@ class Mppi:
         noise = self._noise[self._steps % _NOISE_SETS]
         model = (_STEP_S, _LAG_S)
         update_controls(
-            self._nominal, noise, twists, goals, points, counts, limits, _WEIGHTS, self._margin_m, model,
-            self._temperature,
+            self._nominal, noise, twists, goals, points, counts, movers, self._tracker.moving_counts,
+            (self._tracker.poses, self._map.ways, self._map.origins), limits, self._weights,
+            (self._margin_m, _MOVER_MARGIN_M), model, self._temperature,
         )  # fmt: skip
         chosen = self._nominal[:, 0].copy()
+        self._watch.note(chosen[:, 0])
         self._shift(group.episode.step_s)
         self._steps = self._steps + 1
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
 
-    def _obstacles(self, ranges: Array) -> tuple[Array, NDArray[np.int64]]:
-        """Points (N, P, 2) [m] in the vehicles' frames that count within the horizon, first, and how many."""
+    def _obstacles(
+        self, ranges: Array, twists: Array, goals: Array, step_s: float
+    ) -> tuple[Array, Counts, Array]:
+        """Points (N, P, 2) [m] at rest that count within the horizon, first, and how many; and what moves,
+        (N, K, 5): x, y, velocity and radius. All in the vehicles' frames.
+        """
         assert self._context is not None and self._context.lidar is not None
         vehicle, lidar = self._context.vehicle, self._context.lidar
         reach = vehicle.max_speed_mps * self._horizon * _STEP_S + vehicle.footprint_radius_m + self._margin_m
+        sees = ranges < lidar.range_m - 1e-3
+        middles = ranges[:, :, None] * self._ahead + self._mount
+        tracker = self._tracker
+        tracker.update(ranges, middles, sees, twists, step_s)
+        movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
-        seen = np.repeat((ranges < lidar.range_m - 1e-3) & (ranges < reach), _POINTS_PER_SEGMENT, axis=1)
+        moves = tracker.velocities.any(axis=2)
+        self._note_blockages(step_s)
+        self._map.update(tracker.poses, ranges, sees, moves, goals)
+        rests = sees & (ranges < reach) & ~moves
+        seen = np.repeat(rests, _POINTS_PER_SEGMENT, axis=1)
         order = np.argsort(~seen, axis=1, kind="stable")
-        return np.take_along_axis(points, order[:, :, None], axis=1), seen.sum(axis=1)
+        return np.take_along_axis(points, order[:, :, None], axis=1), seen.sum(axis=1), movers
+
+    def _note_blockages(self, step_s: float) -> None:
+        """Enter what keeps bodies from moving into their maps, and forget the plans that led there."""
+        assert self._context is not None
+        poses, nobody = self._tracker.poses, np.zeros(self._num_rows, bool)
+        blocked = self._watch.update(poses, nobody, self._context.vehicle.length_m, step_s)
+        for row in np.flatnonzero(blocked).tolist():
+            self._map.block(row, self._watch.blocked[row][-1])
+        self._nominal[blocked] = 0.0
 
     def _shift(self, step_s: float) -> None:
         """Move the plans on by a control step; the last control is kept."""

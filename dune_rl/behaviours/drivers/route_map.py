@@ -1,5 +1,7 @@
 """Global planning: Dijkstra's algorithm on a grid of the true slopes and obstacles of a world."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
@@ -22,31 +24,65 @@ _MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (2, -1), (1, -2))
 _SLOPE_COST = 2.0
 _NEAR_COST = 3.0
 _NEAR_M = 0.6
+# Where the robot fits only lengthwise, at the narrowest.
+_TIGHT_COST = 8.0
 # Cost of a metre in cells that are not traversable, from the nearest that is.
 _OFF_COST = 10.0
 # Cost of places from which no route leads to the goal, beside the straight distance.
 _NO_ROUTE_COST = 1_000.0
 _REACH = 4.0
+# Room that steep ground counts for in the follower, over the footprint's radius.
+_STEEP_ROOM = 0.68
+# A waypoint lies 2 to this power steps of a route ahead.
+_DOUBLINGS = 2
+
+
+class Routes(NamedTuple):
+    """The cheapest routes to a goal from everywhere, (rows, columns) each.
+
+    `cost` is that to go, `waypoint` the number of the cell four steps ahead. `clearance` [m] is that of
+    obstacles and of what was blocked besides; on ground that is too steep it is at most 0.68 times the
+    footprint's radius, and grows with the distance from there.
+    """
+
+    cost: Floats
+    waypoint: NDArray[np.int32]
+    clearance: Floats
 
 
 class RouteMap:
     """Costs of travel of a round robot of `footprint_radius_m` in a world; see `FreeSpace` for what is free.
 
-    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle.
+    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle, and
+    up to 12 where the clearance is below the footprint's radius but not below `narrowest_m`.
     Cells are 0.2 m wide, larger in worlds of more than 80 by 80 m. It keeps no reference to the world.
     """
 
-    def __init__(self, world: World, footprint_radius_m: float, max_slope_deg: float) -> None:
+    def __init__(
+        self, world: World, footprint_radius_m: float, max_slope_deg: float, narrowest_m: float | None = None
+    ) -> None:
+        narrowest = footprint_radius_m if narrowest_m is None else min(narrowest_m, footprint_radius_m)
         xmin, xmax, ymin, ymax = world.extent
         cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
-        space = FreeSpace(world, footprint_radius_m, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
+        space = FreeSpace(world, narrowest, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
+        self._narrowest_m = narrowest
         self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
         self.traversable = space.traversable
         self.clearance: Floats = space.clearance.astype(np.float32)
+        off_steep = (
+            distance_transform_edt(~space.steep, sampling=self.cell_m) if space.steep.any() else np.inf
+        )
+        self._beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(off_steep, np.float32)
         slope = world.terrain.slope(np.stack(np.meshgrid(self.x, self.y), axis=-1))
         near = np.clip(1.0 - (space.clearance - footprint_radius_m) / _NEAR_M, 0.0, 1.0)
+        tight = np.clip(
+            (footprint_radius_m - space.clearance) / max(footprint_radius_m - narrowest, 1e-9), 0, 1
+        )
         self.cost: Array = (
-            1.0 + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2 + _NEAR_COST * near * near
+            1.0
+            + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2
+            + _NEAR_COST * near * near
+            + _TIGHT_COST * tight
         )
         self._graph = self._edges()
         self._off_m, self._nearest = self._nearest_traversable()
@@ -97,24 +133,56 @@ class RouteMap:
         row = int(np.clip(np.floor((y - self.y[0]) / self.cell_m + 0.5), 0, len(self.y) - 1))
         return row * len(self.x) + column
 
-    def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
-        """Cost of the cheapest route to a goal from each cell, (rows, columns).
+    def routes_to(self, goal_xy: ArrayLike, start_xy: ArrayLike, blocked: ArrayLike = ()) -> Routes:
+        """The cheapest routes to a goal; `blocked` (B, 3: x, y, radius) [m] are discs to avoid besides.
 
-        It is exact from where the route costs up to four times the straight distance between both points, or
-        from everywhere if the start is farther. Cells that are not traversable lead to the nearest that is.
-        Without any route a cell costs 1,000 and its straight distance from the goal.
+        Costs are exact from where the route costs up to four times the straight distance between both points,
+        or from everywhere if the start is farther. Cells that are not traversable lead to the nearest that
+        is. Without any route a cell costs 1,000 and its straight distance from the goal, which is its
+        waypoint.
         """
         goal, start = np.asarray(goal_xy, np.float64), np.asarray(start_xy, np.float64)
+        discs = np.asarray(blocked, np.float64).reshape(-1, 3)
+        graph, clearance = self._graph, self.clearance
+        if len(discs):
+            clearance = self._clearance_beside(discs)
+            graph = self._graph_without((clearance < self._narrowest_m).ravel())
         source = int(self._nearest[self.cell_number(goal)])
         begin = int(self._nearest[self.cell_number(start)])
         limit = _REACH * (float(np.hypot(*(goal - start))) + 3.0)
-        found = dijkstra(self._graph, indices=source, limit=limit)
+        found, before = dijkstra(graph, indices=source, limit=limit, return_predecessors=True)
         if not np.isfinite(found[begin]):
-            found = dijkstra(self._graph, indices=source)
-        cost = found[self._nearest].reshape(self.traversable.shape) + _OFF_COST * self._off_m
+            found, before = dijkstra(graph, indices=source, return_predecessors=True)
+        waypoint = np.where(before < 0, source, before)
+        for _ in range(_DOUBLINGS):
+            waypoint = waypoint[waypoint]
+        shape = self.traversable.shape
+        cost = found[self._nearest].reshape(shape) + _OFF_COST * self._off_m
         straight = np.hypot(self.x - goal[0], self.y[:, None] - goal[1])
-        result: Floats = np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32)
-        return result
+        return Routes(
+            np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32),
+            waypoint[self._nearest].astype(np.int32).reshape(shape),
+            np.minimum(clearance, self._beside_steep).astype(np.float32),
+        )
+
+    def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
+        """Cost of the cheapest route to a goal from each cell, (rows, columns); see `routes_to`."""
+        return self.routes_to(goal_xy, start_xy).cost
+
+    def _clearance_beside(self, discs: Array) -> Floats:
+        """The clearance, with `discs` (B, 3: x, y, radius) as further obstacles."""
+        found = self.clearance.copy()
+        for x, y, radius in discs:
+            apart = np.hypot(self.x - x, self.y[:, None] - y) - radius
+            found = np.minimum(found, np.maximum(apart, 0.0).astype(np.float32))
+        return found
+
+    def _graph_without(self, cells: NDArray[np.bool_]) -> csr_matrix:
+        """The graph without the edges at `cells` (C,)."""
+        graph = self._graph
+        starts = np.repeat(cells, np.diff(graph.indptr))
+        lengths = np.where(starts | cells[graph.indices], np.inf, graph.data)
+        return csr_matrix((lengths, graph.indices, graph.indptr), shape=graph.shape)
 
     def route(self, start_xy: ArrayLike, goal_xy: ArrayLike) -> Array:
         """Centres (P, 2) [m] of the cells of the cheapest route; empty without any."""
@@ -140,9 +208,9 @@ def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, i
     )
 
 
-def shared_route_map(world: World, footprint_radius_m: float, max_slope_deg: float) -> RouteMap:
+def shared_route_map(
+    world: World, footprint_radius_m: float, max_slope_deg: float, narrowest_m: float | None = None
+) -> RouteMap:
     """The route map of a world, made once and kept with it."""
-    return world.memoize(
-        ("route map", footprint_radius_m, max_slope_deg),
-        lambda: RouteMap(world, footprint_radius_m, max_slope_deg),
-    )
+    settings = footprint_radius_m, max_slope_deg, narrowest_m
+    return world.memoize(("route map", *settings), lambda: RouteMap(world, *settings))

@@ -1,9 +1,10 @@
-"""The dynamic-window follower's loops over rows, arcs and times, compiled.
+"""The dynamic-window follower's loops over rows, commands and times, compiled.
 
 `vehicle` is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning radius [m], distance
-[m] of the front and the rear disc from the origin, their radius [m]). `window` is (largest acceleration
-[m/s²], largest yaw acceleration [rad/s²], time [s] in which they act). A grid is (x [m] and y of its first
-cell's centre, cells per metre, number of rows, number of columns), its values row after row.
+[m] of the outer discs from the origin, the discs' radius [m], radius of the circle round all [m], margin
+[m] beside static obstacles).
+`response` is (largest acceleration [m/s²], largest yaw acceleration [rad/s²]). A grid is (x [m] and y of its
+first cell's centre, cells per metre, number of rows, number of columns), its values row after row.
 """
 
 from typing import Any
@@ -13,18 +14,29 @@ import numpy as np
 from dune_rl.compiled import compile_function
 
 _SPEEDS = 9
-_YAW_RATES = 17
-_STEP_S = 0.1
-_STEPS = 20
-# Costs are in metres of level way.
-_HIT_COST = 100.0
-_NEAR_COST_PER_S = 1.5
-_NEAR_STATIC_M = 0.25
-_NEAR_ACTOR_M = 0.7
-_REVERSE_COST_PER_M = 0.5
+_REVERSE_SPEEDS = 4
+_YAW_RATES = 15
+STEP_S = 0.1
+STEPS = 25
+# A command turns for this long, and then goes on turning or straight on.
+_TURN_STEPS = 7
+# Costs are in metres of level way. That of a contact with a moving body falls with its time, as actors turn.
+_HIT_COST = 60.0
+_HIT_DECAY_S = 1.5
+# A contact with an obstacle that comes later than this can be avoided by braking: the way ends before it.
+_BRAKE_S = 0.6
+_BLOCKED_COST = 0.5
+_NEAR_COST_PER_S = 2.5
+_MARGIN_COST_PER_S = 4.0
+_TOUCHING_COST_PER_S = 6.0
+_MARGIN_M = 0.05
+_DEEPER_M = 0.03
+_NEAR_STATIC_M = 0.45
+_NEAR_ACTOR_M = 0.9
+_REVERSE_COST_PER_M = 1.0
 _TURN_COST = 0.05
-# Turning on the spot is worth what lies ahead.
-_AHEAD_M = 0.5
+# Facing away from the route is worth twice this.
+_FACING_M = 0.7
 _ARRIVED_M = 0.3
 
 
@@ -44,80 +56,189 @@ def interpolate_grid(grid: Any, values: Any, x: float, y: float) -> float:
 
 
 @compile_function
-def _arc_cost(
-    pose: Any, speed: float, yaw_rate: float, maps: Any, actors: Any, goal: Any, vehicle: Any
-) -> float:
-    """Cost of driving with a constant speed and yaw rate for 2 s."""
-    grid, field, clearance = maps
-    x, y, yaw = pose[0], pose[1], pose[2]
-    reach, radius = vehicle[4], vehicle[5]
-    near = 0.0
-    for step in range(1, _STEPS + 1):
-        yaw += 0.5 * yaw_rate * _STEP_S
-        x += speed * _STEP_S * np.cos(yaw)
-        y += speed * _STEP_S * np.sin(yaw)
-        yaw += 0.5 * yaw_rate * _STEP_S
-        time = step * _STEP_S
-        static, moving = np.inf, np.inf
-        for side in (-1.0, 1.0):
-            disc_x, disc_y = x + side * reach * np.cos(yaw), y + side * reach * np.sin(yaw)
-            static = min(static, interpolate_grid(grid, clearance, disc_x, disc_y) - radius)
-            for actor in actors:
-                apart_x, apart_y = actor[0] + actor[2] * time - disc_x, actor[1] + actor[3] * time - disc_y
-                moving = min(moving, np.hypot(apart_x, apart_y) - radius - actor[4])
-        if min(static, moving) <= 0.0:
-            # The later the better: there is time left to change course.
-            return _HIT_COST * (2.0 - time / (_STEPS * _STEP_S)) + near
-        near += _NEAR_COST_PER_S * _STEP_S * max(0.0, 1.0 - static / _NEAR_STATIC_M) ** 2
-        near += _NEAR_COST_PER_S * _STEP_S * max(0.0, 1.0 - moving / _NEAR_ACTOR_M) ** 2
-        if np.hypot(goal[0] - x, goal[1] - y) < _ARRIVED_M:
-            return near + 0.1 * time
-    # Ahead of the nose, also in reverse: it turns round rather than drive backwards for long.
-    left = interpolate_grid(grid, field, x + _AHEAD_M * np.cos(yaw), y + _AHEAD_M * np.sin(yaw))
-    left += 0.2 * interpolate_grid(grid, field, x, y)
-    backwards = _REVERSE_COST_PER_M * max(0.0, -speed) * _STEPS * _STEP_S
-    return left + near + backwards + _TURN_COST * abs(yaw_rate)
+def _misalignment(grid: Any, waypoints: Any, x: float, y: float, yaw: float) -> float:
+    """1 - cos of the angle between a yaw and the route's direction at a point: from 0 to 2."""
+    rows, columns = np.int64(grid[3]), np.int64(grid[4])
+    column = np.int64(min(max((x - grid[0]) * grid[2] + 0.5, 0.0), columns - 1.0))
+    row = np.int64(min(max((y - grid[1]) * grid[2] + 0.5, 0.0), rows - 1.0))
+    waypoint = waypoints[row * columns + column]
+    ahead_x = grid[0] + (waypoint % columns) / grid[2] - x
+    ahead_y = grid[1] + (waypoint // columns) / grid[2] - y
+    distance = np.hypot(ahead_x, ahead_y)
+    if distance < 1e-6:
+        return 0.0
+    result: float = 1.0 - (ahead_x * np.cos(yaw) + ahead_y * np.sin(yaw)) / distance
+    return result
 
 
 @compile_function
-def choose_arcs(
+def predict_actors(actors: Any, places: Any) -> None:
+    """Where `actors` (K, 6: x, y, velocity, yaw rate, radius) will be: `places` (T, K, 2), turning for 1 s."""
+    for number in range(len(actors)):
+        x, y = actors[number, 0], actors[number, 1]
+        speed = np.hypot(actors[number, 2], actors[number, 3])
+        course = np.arctan2(actors[number, 3], actors[number, 2])
+        for step in range(len(places)):
+            if step * STEP_S < 1.0:
+                course += actors[number, 4] * STEP_S
+            x += speed * STEP_S * np.cos(course)
+            y += speed * STEP_S * np.sin(course)
+            places[step, number, 0], places[step, number, 1] = x, y
+
+
+@compile_function
+def _gaps(
+    x: float, y: float, yaw: float, grid: Any, clearance: Any, places: Any, actors: Any, vehicle: Any
+) -> Any:
+    """Distances [m] of the vehicle's three discs from obstacles and from actors; bounds where these are far."""
+    reach, radius, around = vehicle[4], vehicle[5], vehicle[6]
+    static, moving = interpolate_grid(grid, clearance, x, y) - around, np.inf
+    for number in range(len(places)):
+        apart = np.hypot(places[number, 0] - x, places[number, 1] - y) - actors[number, 5] - around
+        moving = min(moving, apart)
+    if static > _NEAR_STATIC_M and moving > _NEAR_ACTOR_M:
+        return static, moving
+    static, moving = np.inf, np.inf
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    for side in (-1.0, 0.0, 1.0):
+        disc_x, disc_y = x + side * reach * cos, y + side * reach * sin
+        static = min(static, interpolate_grid(grid, clearance, disc_x, disc_y) - radius)
+        for number in range(len(places)):
+            apart = np.hypot(places[number, 0] - disc_x, places[number, 1] - disc_y)
+            moving = min(moving, apart - actors[number, 5] - radius)
+    return static, moving
+
+
+@compile_function
+def _wait_cost(
+    x: float, y: float, yaw: float, since: int, maps: Any, places: Any, actors: Any, vehicle: Any
+) -> float:
+    """Cost of standing at a pose from a step on: actors may come."""
+    for step in range(since, STEPS):
+        _, moving = _gaps(x, y, yaw, maps[0], maps[3], places[step], actors, vehicle)
+        if moving <= 0.0:
+            cost: float = _HIT_COST * np.exp(-(step + 1) * STEP_S / _HIT_DECAY_S)
+            return cost
+    return 0.0
+
+
+@compile_function
+def _command_cost(
+    pose: Any,
+    twist: Any,
+    command: Any,
+    maps: Any,
+    places: Any,
+    actors: Any,
+    goal: Any,
+    vehicle: Any,
+    response: Any,
+    recovers: bool,
+    best: float,
+) -> float:
+    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for 2.5 s; inf where it exceeds `best`."""
+    grid, field, waypoints, clearance = maps
+    x, y, yaw = pose[0], pose[1], pose[2]
+    speed, turn = twist[0], twist[1]
+    static, moving = _gaps(x, y, yaw, grid, clearance, places[0], actors, vehicle)
+    # Who touches already pays for the time until it is out, but hits only what it goes deeper into.
+    static_limit = static - _DEEPER_M if static <= 0.0 else 0.0
+    moving_limit = moving - _DEEPER_M if moving <= 0.0 else 0.0
+    near, travelled = 0.0, 0.0
+    for step in range(STEPS):
+        wanted_turn = command[1] if step < _TURN_STEPS else command[2]
+        change, turn_change = response[0] * STEP_S, response[1] * STEP_S
+        speed += min(max(command[0] - speed, -change), change)
+        turn += min(max(wanted_turn - turn, -turn_change), turn_change)
+        last_x, last_y, last_yaw = x, y, yaw
+        yaw += 0.5 * turn * STEP_S
+        x += speed * STEP_S * np.cos(yaw)
+        y += speed * STEP_S * np.sin(yaw)
+        yaw += 0.5 * turn * STEP_S
+        travelled += abs(speed) * STEP_S
+        time = (step + 1) * STEP_S
+        static, moving = _gaps(x, y, yaw, grid, clearance, places[step], actors, vehicle)
+        if moving <= 0.0:
+            if moving <= moving_limit:
+                near += _HIT_COST * np.exp(-time / _HIT_DECAY_S)
+                break
+            near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - moving / _MARGIN_M)
+        if static <= 0.0:
+            if static <= static_limit:
+                if time < _BRAKE_S:
+                    near += _HIT_COST * (2.0 - time / _BRAKE_S)
+                else:
+                    near += _BLOCKED_COST + _wait_cost(
+                        last_x, last_y, last_yaw, step, maps, places, actors, vehicle
+                    )
+                x, y, yaw = last_x, last_y, last_yaw
+                break
+            near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - static / _MARGIN_M)
+        pace = 0.3 + abs(speed)
+        near += _NEAR_COST_PER_S * pace * STEP_S * max(0.0, 1.0 - max(static, 0.0) / _NEAR_STATIC_M) ** 2
+        near += _MARGIN_COST_PER_S * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
+        near += _NEAR_COST_PER_S * STEP_S * max(0.0, 1.0 - max(moving, 0.0) / _NEAR_ACTOR_M) ** 2
+        if near > best and not recovers:
+            return np.inf
+        if not recovers and np.hypot(goal[0] - x, goal[1] - y) < _ARRIVED_M:
+            return near + 0.1 * time
+    near += _TURN_COST * abs(command[1])
+    if recovers:
+        return near - np.hypot(x - pose[0], y - pose[1])
+    near += interpolate_grid(grid, field, x, y) + _FACING_M * _misalignment(grid, waypoints, x, y, yaw)
+    return near + (_REVERSE_COST_PER_M * travelled if command[0] < 0.0 else 0.0)
+
+
+@compile_function
+def choose_commands(
     poses: Any,
     twists: Any,
     grids: Any,
     fields: Any,
+    waypoints: Any,
     clearances: Any,
     actors: Any,
     goals: Any,
     vehicle: Any,
-    window: Any,
+    response: Any,
+    recovering: Any,
     found: Any,
 ) -> None:
     """The cheapest speed [m/s] and yaw rate [rad/s] of each row, `found` (N, 2).
 
-    `poses` (N, 3: x, y, yaw), `twists` (N, 2: speed, yaw rate), `grids` (N, 5), cost-to-go `fields` and
-    `clearances` (N, C), `actors` (N, K, 5: x, y, their velocities, radius), `goals` (N, 2).
+    `poses` (N, 3: x, y, yaw), `twists` (N, 2: speed, yaw rate), `grids` (N, 5), cost-to-go `fields`, next
+    `waypoints` (numbers of cells) and `clearances` (N, C), `actors` (N, K, 6: x, y, their velocities, yaw
+    rates, radius), `goals` (N, 2). Rows that are `recovering` (N,) get away from where they are instead.
     """
-    gain, turn_gain = window[0] * window[2], window[1] * window[2]
+    places = np.empty((STEPS, actors.shape[1], 2))
+    command = np.empty(3)
     for row in range(len(poses)):
         best = np.inf
-        slowest = max(vehicle[0], min(twists[row, 0] - gain, vehicle[1]))
-        fastest = min(vehicle[1], max(twists[row, 0] + gain, vehicle[0]))
-        rightmost = max(-vehicle[2], min(twists[row, 1] - turn_gain, 0.0))
-        leftmost = min(vehicle[2], max(twists[row, 1] + turn_gain, 0.0))
-        for speed_number in range(_SPEEDS + 1):
-            # The last one is to stop.
-            speed = slowest + (fastest - slowest) * speed_number / (_SPEEDS - 1)
-            if speed_number == _SPEEDS:
-                speed = min(max(0.0, slowest), fastest)
-            for turn_number in range(_YAW_RATES + 1):
-                turn = rightmost + (leftmost - rightmost) * turn_number / (_YAW_RATES - 1)
-                if turn_number == _YAW_RATES:
-                    turn = 0.0
+        predict_actors(actors[row], places)
+        maps = grids[row], fields[row], waypoints[row], clearances[row]
+        for speed_number in range(-_REVERSE_SPEEDS, _SPEEDS):
+            if speed_number < 0:
+                speed = vehicle[0] * -speed_number / _REVERSE_SPEEDS
+            else:
+                speed = vehicle[1] * speed_number / (_SPEEDS - 1)
+            if speed_number < 0 and speed >= 0.0:
+                continue
+            for turn_number in range(_YAW_RATES):
+                share = 2.0 * turn_number / (_YAW_RATES - 1) - 1.0
+                # Finer near 0.
+                turn = vehicle[2] * share * abs(share)
                 if vehicle[3] > 0.0:
                     tightest = abs(speed) / vehicle[3]
                     turn = min(max(turn, -tightest), tightest)
-                maps = grids[row], fields[row], clearances[row]
-                cost = _arc_cost(poses[row], speed, turn, maps, actors[row], goals[row], vehicle)
-                if cost < best:
-                    best = cost
-                    found[row, 0], found[row, 1] = speed, turn
+                for then in range(2):
+                    if then == 1 and turn == 0.0:
+                        continue
+                    command[0], command[1] = speed, turn
+                    command[2] = 0.0 if then == 0 else turn
+                    cost = _command_cost(
+                        poses[row], twists[row], command, maps, places, actors[row], goals[row], vehicle,
+                        response, recovering[row], best,
+                    )  # fmt: skip
+                    if cost < best:
+                        best = cost
+                        found[row, 0], found[row, 1] = speed, turn

@@ -15,7 +15,7 @@ from dune_rl.learning.checkpoint import (
 )
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.lock import RunLock
-from dune_rl.learning.saved_policies import policy_entry
+from dune_rl.learning.saved_policies import BEST_EVALUATION, LATEST, policy_entry
 
 _EXPERIENCE = "replay"
 
@@ -29,7 +29,7 @@ class RunFolder:
 
     def __init__(self, path: Path, config: Mapping[str, Any], *, fresh: bool) -> None:
         self.path = path
-        self._config = dict(config)
+        self.config = dict(config)
         if fresh and (path / CHECKPOINT_FILE).exists():
             raise CheckpointError(
                 f"{path} already holds a run.\nContinue it with resume={path}, or name another folder."
@@ -50,11 +50,18 @@ class RunFolder:
         """Let other runs write to the folder."""
         self._lock.release()
 
-    def save_policies(self, learners: Mapping[str, Algorithm], frames: int, *, best: bool) -> None:
-        """Write the policies of all groups: as the best ones so far, or as the latest."""
+    def save_policies(
+        self, learners: Mapping[str, Algorithm], frames: int, score: Mapping[str, Any] | None = None
+    ) -> None:
+        """Write the policies of all groups as the latest or, with the `score` of an evaluation, as the best.
+
+        The file says which it is, under "selection".
+        """
         groups = {group: policy_entry(learner) for group, learner in learners.items()}
-        content = {"groups": groups, "config": self._config, "frames": frames}
-        write_checkpoint_file(self.path / (BEST_POLICY_FILE if best else LAST_POLICY_FILE), "policy", content)
+        selection = {"by": LATEST} if score is None else {"by": BEST_EVALUATION, **score}
+        content = {"groups": groups, "config": self.config, "frames": frames, "selection": selection}
+        name = LAST_POLICY_FILE if score is None else BEST_POLICY_FILE
+        write_checkpoint_file(self.path / name, "policy", content)
 
     def save(
         self,
@@ -75,9 +82,9 @@ class RunFolder:
             del entry["policy"]
             experience = learner.save_experience(path) if with_experience else None
             groups[group] = {**entry, "learner": learner.state_dict(), "experience": experience}
-        content = {"groups": groups, "config": self._config, **progress}
+        content = {"groups": groups, "config": self.config, **progress}
         write_checkpoint_file(self.path / CHECKPOINT_FILE, "checkpoint", content)
-        self.save_policies(learners, frames, best=False)
+        self.save_policies(learners, frames)
         named = {entry["experience"]["file"] for entry in groups.values() if entry["experience"]}
         for file in self.path.glob(f"{_EXPERIENCE}-*.*"):
             if file.name not in named:

@@ -1,86 +1,44 @@
 """What a run records: TensorBoard events, the recent episodes of each group, and metrics.csv."""
 
 import math
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
 
 from dune_rl.learning.curve import draw_curve
 from dune_rl.learning.measures import MetricsRow, average_metrics, write_csv
+from dune_rl.learning.objective import measure_objective
+from dune_rl.learning.run.events import EventFile, HParam, Picture
+from dune_rl.learning.run.recent_episodes import RecentEpisodes
+from dune_rl.metrics.catalogue import measures_of
 
 METRICS_FILE = "metrics.csv"
 CURVE_FILE = "curve.png"
-_WINDOW = 100
-
-
-class RecentEpisodes:
-    """The last hundred training episodes of a group's agents, with metrics of these `names`."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self.names = tuple(names)
-        self._rows: deque[list[float]] = deque(maxlen=_WINDOW)
-        self._uncounted = 0
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def extend(self, rows: Sequence[list[float]]) -> bool:
-        """Add rows of metrics; returns whether a hundred have come in since it last did."""
-        self._rows.extend(rows)
-        self._uncounted += len(rows)
-        full = self._uncounted >= _WINDOW
-        if full:
-            self._uncounted = 0
-        return full
-
-    def clear(self) -> None:
-        """Forget the episodes: another policy drives from now on."""
-        self._rows.clear()
-        self._uncounted = 0
-
-    def average_metrics(self) -> MetricsRow:
-        """Means over the recent episodes."""
-        return average_metrics([dict(zip(self.names, row, strict=True)) for row in self._rows])
-
-    @property
-    def success_rate(self) -> float:
-        """Share of successes; NaN before the first episode, and where success is no metric."""
-        if not self._rows or "success" not in self.names:
-            return math.nan
-        column = self.names.index("success")
-        return sum(row[column] for row in self._rows) / len(self._rows)
-
-    def state(self) -> dict[str, Any]:
-        """Plain data for `restore`."""
-        window = torch.tensor(list(self._rows), dtype=torch.float64).reshape(-1, len(self.names))
-        return {"names": list(self.names), "window": window, "unrecorded": self._uncounted}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """The inverse of `state`; rows of other metrics (of an older version) are dropped."""
-        self._uncounted = state["unrecorded"]
-        if tuple(state["names"]) == self.names:
-            self._rows.extend(state["window"].tolist())
+_SAMPLED = ("reward/", "randomisation/")
 
 
 class RunLog:
     """Logs of a run in `folder`, by group; where there are several, names begin with the group's.
 
-    `metric_names` are the metrics of each group. `state` and `restore` carry what a resumed run needs.
+    `metric_names` are the metrics of each group. `state` and `restore` carry what a resumed run needs;
+    `resumed_at` are the frames that such a run begins with.
     """
 
-    def __init__(self, folder: Path, metric_names: Mapping[str, Sequence[str]], *, frames: int = 0) -> None:
+    def __init__(
+        self, folder: Path, metric_names: Mapping[str, Sequence[str]], *, resumed_at: int | None = None
+    ) -> None:
         self._folder = folder
         self._recent = {group: RecentEpisodes(names) for group, names in metric_names.items()}
+        self._distributed = {group: _distributed(names) for group, names in metric_names.items()}
         self._several = len(metric_names) > 1
+        self._has_session = False
         self.history: list[dict[str, Any]] = []
-        # A resumed run repeats the steps after its checkpoint; their first version is dropped.
-        self._events = SummaryWriter(str(folder), purge_step=frames or None)
+        self._events = EventFile(folder, resumed_at=resumed_at)
+
+    # -- training -------------------------------------------------------------------------------------
 
     def log_batch(
         self, batch: TensorDictBase, frames: int, updates: Mapping[str, int], kind: str = "train"
@@ -96,12 +54,16 @@ class RunLog:
             rows: Tensor = batch["next", group, "metrics"][finished].flatten(0, 1)
             complete = recent.extend(rows.tolist())
             for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
-                if name.startswith(("reward/", "randomisation/")):
+                if name.startswith(_SAMPLED):
                     self.scalars(group, {name: value}, frames)
             statistics = recent.average_metrics()
             self._log_statistics(group, kind, statistics, frames)
             if complete:
                 self._record(group, kind, len(recent), statistics, frames, updates[group])
+                self._log_distributions(group, f"{kind} episodes", recent.columns(), frames)
+                actions: Tensor = batch[group, "action"].flatten(0, -2)
+                parts = enumerate(actions.T.numpy())
+                self.histograms(group, {f"actions/{part}": values for part, values in parts}, frames)
 
     @property
     def success_rate(self) -> float:
@@ -115,11 +77,31 @@ class RunLog:
         for recent in self._recent.values():
             recent.clear()
 
+    # -- names ----------------------------------------------------------------------------------------
+
     def scalars(self, group: str | None, values: Mapping[str, float], frames: int) -> None:
         """Log statistics of a group, or with None of the whole run, under their names."""
+        self._events.scalars(self._named(group, values), frames)
+
+    def histograms(self, group: str, values: Mapping[str, Iterable[float]], frames: int) -> None:
+        """Log distributions of a group under their names."""
+        self._events.histograms(self._named(group, values), frames)
+
+    def _named(self, group: str | None, values: Mapping[str, Any]) -> dict[str, Any]:
         prefix = f"{group}/" if group is not None and self._several else ""
-        for name, value in values.items():
-            self._events.add_scalar(prefix + name, value, frames)
+        return {prefix + name: value for name, value in values.items()}
+
+    def _log_statistics(self, group: str, kind: str, statistics: MetricsRow, frames: int) -> None:
+        known = {f"{kind}/{name}": value for name, value in statistics.items() if not math.isnan(value)}
+        self.scalars(group, known, frames)
+
+    def _log_distributions(
+        self, group: str, kind: str, columns: Mapping[str, Iterable[float]], frames: int
+    ) -> None:
+        chosen = {f"{kind}/{name}": columns[name] for name in self._distributed[group] if name in columns}
+        self.histograms(group, chosen, frames)
+
+    # -- evaluations ----------------------------------------------------------------------------------
 
     def log_evaluation(
         self, rows: Mapping[str, Sequence[MetricsRow]], frames: int, updates: Mapping[str, int]
@@ -128,8 +110,45 @@ class RunLog:
         for group, episodes in rows.items():
             statistics = average_metrics(episodes)
             self._log_statistics(group, "eval", statistics, frames)
+            columns = {name: [row[name] for row in episodes] for name in self._distributed[group]}
+            self._log_distributions(group, "eval episodes", columns, frames)
             self._record(group, "eval", len(episodes), statistics, frames, updates[group])
         self.write()
+
+    def picture(self, name: str, picture: Picture, frames: int) -> None:
+        """Log a picture, RGB (height, width, 3)."""
+        self._events.picture(name, picture, frames)
+
+    # -- hyperparameters ------------------------------------------------------------------------------
+
+    def begin_session(self, settings: Mapping[str, HParam]) -> None:
+        """Declare the run's hyperparameters and the names of its results, once in its life."""
+        if self._has_session or not settings:
+            return
+        results = {group: self._results(group, [], "") for group in self._recent}
+        names = [name for group, values in results.items() for name in self._named(group, values)]
+        self._events.begin_session(settings, names)
+        self._has_session = True
+
+    def end_session(self, rows: Mapping[str, Sequence[MetricsRow]], objective: str, frames: int) -> None:
+        """Log the results of a finished run, of its last evaluation's `rows`; `objective` is a metric."""
+        results: dict[str, float] = {}
+        for group, episodes in rows.items():
+            results |= self._named(group, self._results(group, episodes, objective))
+        self._events.end_session(results, frames)
+
+    def _results(self, group: str, episodes: Sequence[MetricsRow], objective: str) -> dict[str, float]:
+        """Final results by their names in TensorBoard: the same names for every run of a task."""
+        names = [measure.name for measure in measures_of(self._recent[group].names)]
+        found = average_metrics(episodes)
+        values = {name: found.get(name, math.nan) for name in (*names, "return", "steps")}
+        if episodes and objective in episodes[0]:
+            values["objective"] = measure_objective(objective, episodes)
+        else:
+            values["objective"] = math.nan
+        return {f"final/{name}": value for name, value in values.items()}
+
+    # -- files ----------------------------------------------------------------------------------------
 
     def write(self) -> None:
         """Bring metrics.csv and the TensorBoard file up to date."""
@@ -149,18 +168,15 @@ class RunLog:
         if self.history:
             draw_curve(self.history, self._folder / CURVE_FILE, title)
 
-    def _log_statistics(self, group: str, kind: str, statistics: MetricsRow, frames: int) -> None:
-        known = {f"{kind}/{name}": value for name, value in statistics.items() if not math.isnan(value)}
-        self.scalars(group, known, frames)
-
     def state(self) -> dict[str, Any]:
         """Plain data for `restore`."""
         recent = {group: recent.state() for group, recent in self._recent.items()}
-        return {"recent": recent, "history": self.history}
+        return {"recent": recent, "history": self.history, "has_session": self._has_session}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """The inverse of `state`."""
         self.history = list(state["history"])
+        self._has_session = state.get("has_session", False)
         for group, recent in state["recent"].items():
             if group in self._recent:
                 self._recent[group].restore(recent)
@@ -168,3 +184,9 @@ class RunLog:
     def close(self) -> None:
         """Write out what is pending."""
         self._events.close()
+
+
+def _distributed(names: Sequence[str]) -> list[str]:
+    """The metrics whose distributions are logged: those of measures that are no shares, return and steps."""
+    measured = [measure.metric for measure in measures_of(list(names)) if not measure.is_share]
+    return [name for name in ("return", "steps", *dict.fromkeys(measured)) if name in names]

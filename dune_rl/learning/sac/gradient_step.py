@@ -18,13 +18,6 @@ from dune_rl.learning.sac.settings import SacConf
 MakeBatch = Callable[[Callable[[PackedObservation], Tensor]], TensorDict]
 
 
-def has_bfloat16(device: torch.device) -> bool:
-    """Whether `device` multiplies bfloat16 matrices itself, which halves the time of an update."""
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
-
-
 class GradientStep:
     """Twin action values, their targets, the entropy coefficient, and the optimiser of these and of a policy.
 
@@ -36,7 +29,7 @@ class GradientStep:
     ) -> None:
         self._conf = conf
         self._device = device
-        self._reduced = conf.precision == "bfloat16" or (conf.precision == "auto" and has_bfloat16(device))
+        self._reduced = conf.resolved(str(device)).precision == "bfloat16"
         self._features: Features = network[0].module
         # The loss wants the entropy of actions in physical units, which the scaling shifts.
         entropy = -float(spec.action_size) if conf.target_entropy is None else conf.target_entropy
@@ -100,6 +93,16 @@ class GradientStep:
             "sac/alpha": losses["alpha"].detach(),
             "sac/entropy": losses["entropy"].detach(),
         }
+
+    @torch.no_grad()
+    def action_values(self, make_batch: MakeBatch) -> Tensor:
+        """The smaller of both action values (k,) of the transitions of `make_batch`, on the CPU."""
+        batch = make_batch(self._features.encode)
+        found = []
+        for number in range(2):
+            with self.loss.qvalue_network_params[number].to_module(self.loss.qvalue_network):
+                found.append(self.loss.qvalue_network(batch.clone(recurse=False))["state_action_value"])
+        return torch.minimum(*found).squeeze(-1).float().cpu()
 
     def state_dict(self) -> dict[str, Any]:
         """Parameters of the loss, targets included, and the optimiser's state."""

@@ -15,10 +15,14 @@ from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_batch import agent_sequences
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.policies import WarmupPolicy
+from dune_rl.learning.random_state import preserve_random_state
 from dune_rl.learning.sac.gradient_step import GradientStep
 from dune_rl.learning.sac.replay import Replay, check_memory
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.learning.sac.transitions import TransitionCodec
+
+# Transitions whose action values are logged at each evaluation.
+_SAMPLE = 2048
 
 
 class Sac(Algorithm):
@@ -79,6 +83,15 @@ class Sac(Algorithm):
                 totals[key] = totals[key] + value if key in totals else value
             count += 1
         return {key: float(value) / count for key, value in totals.items()}
+
+    def distributions(self) -> dict[str, Tensor]:
+        """The action values of a sample of the replay buffer."""
+        if not len(self._replay):
+            return {}
+        with preserve_random_state():
+            (rows,) = self._replay.minibatches(1, _SAMPLE)
+        make_batch = partial(self._codec.decode, rows, reward_scale=self._conf.reward_scale)
+        return {"sac/action_value": self._step.action_values(make_batch)}
 
     # -- acting ---------------------------------------------------------------------------------------
 

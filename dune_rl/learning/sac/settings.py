@@ -1,6 +1,7 @@
 """Hyperparameters of soft actor-critic. Importing them loads neither PyTorch nor TorchRL."""
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -44,9 +45,29 @@ class SacConf(LearningConf):
     reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
-        "auto", description="of the networks' products; auto: bfloat16 where the processor has it built in"
+        "auto",
+        description="of the networks' products; auto: bfloat16 where the processor has it built in",
     )
     replay: ReplayConf = ReplayConf()
+
+    def resolved(self, device: str) -> Self:
+        """These settings with the `precision` that `auto` comes to on `device` of this machine."""
+        if self.precision != "auto":
+            return self
+        precision = "bfloat16" if _has_bfloat16(device) else "float32"
+        return self.model_copy(update={"precision": precision})
+
+    def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
+        """A note where the precision changes, or is one that `device` is slow at."""
+        before = saved.get("precision", "auto")
+        if before not in ("auto", self.precision):
+            return [f"the run goes on with learning.precision={self.precision}; before, it was {before}"]
+        if self.precision == "bfloat16" and not _has_bfloat16(device):
+            return [
+                "the run began with learning.precision=bfloat16, which this processor has not built in: "
+                "it goes on so, but slowly; learning.precision=auto or float32 changes it"
+            ]
+        return []
 
     @model_validator(mode="after")
     def _replay_holds_a_batch(self) -> Self:
@@ -56,3 +77,10 @@ class SacConf(LearningConf):
                 f"(got {self.replay.capacity} and {self.batch_size})"
             )
         return self
+
+
+def _has_bfloat16(device: str) -> bool:
+    # Imported here: the command lines import this module, and many of them do not need PyTorch.
+    from dune_rl.learning.sac.precision import has_bfloat16
+
+    return has_bfloat16(device)

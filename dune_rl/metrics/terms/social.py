@@ -49,11 +49,10 @@ def risk_seconds(
 
 
 class NearMisses:
-    """1 in a step in which a near miss begins.
+    """1 in a step in which a near miss begins, -1 in one in which it turns out to be a collision.
 
-    It is a spell in which the agent would touch another within `time_s` if both kept their velocities; it is
-    counted once, and a step in which something is touched is a collision, not a near miss. Time to contact as
-    in Hayward 1972.
+    It is a spell in which the agent would touch another within `time_s` if both kept their velocities, and in
+    which it touches nothing; the sum over an episode is their number. Time to contact as in Hayward 1972.
     """
 
     def __init__(
@@ -65,17 +64,23 @@ class NearMisses:
     ) -> None:
         self._groups, self._time_s = groups, time_s
         self._was_near = np.zeros(num_rows, bool)
+        self._counted = np.zeros(num_rows, bool)
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """No spell goes on in the episodes of the agents in `mask` (N,)."""
         self._was_near[mask] = False
+        self._counted[mask] = False
 
-    def __call__(self, state: State, group: GroupState) -> Flags:
-        """Flags (N,); to be called once a control step."""
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Changes (N,) of the number; to be called once a control step."""
+        touching = group.contacts.touching
         near = _times_to_contact(state, group, self._groups) < self._time_s
-        begins: Flags = near & ~self._was_near & ~group.contacts.touching
+        begins = near & ~self._was_near & ~touching
+        # On contact bodies bounce off, and may part in the very step: what was a spell until now counts too.
+        spoilt = self._counted & self._was_near & touching
+        self._counted = (self._counted | begins) & near & ~touching
         self._was_near = near
-        return begins
+        return begins.astype(float) - spoilt
 
 
 class Encounters:

@@ -6,8 +6,7 @@ gives the methods the names that its tables have, and `collect_results(evaluatio
 within `rc_context(style.RC)`, so that PDFs embed fonts as outlines. Nothing to draw gives a small figure that
 says why.
 
-    training.group_runs(runs) -> dict[str, list[TrainingRun]]           runs that differ in the seed alone
-    training.by_world(groups) -> dict[str, groups]                      a figure for each world
+    training.by_world(groups) -> dict[str, groups]        groups: runs by name; a figure for each world
     training.draw_training_curves(groups) -> Figure                     SR and return; evaluation and training
     training.draw_learning_curve(groups, metric="SR") -> Figure         evaluation alone, at column width
     results.collect_results(evaluations) -> Results
@@ -18,4 +17,9 @@ says why.
     aggregates.draw_aggregates(scores) -> Figure                        IQM, median, mean, optimality gap
     aggregates.draw_profiles(scores) -> Figure
     aggregates.draw_improvements(scores) -> Figure                      probability of improvement, all pairs
+    results.collect_methods(evaluations) -> list[MethodRun]             cases, name, policy, run, rows
+    track_data.collect_tracks(methods, most_sites=3, most_episodes=4) -> list[TrackSite]
+    tracks.draw_tracks(sites) -> Figure                                 needs steps; for one cases a figure
+    failures.collect_failures(methods, each=1, most=12, progress, simulate=True) -> FailureGallery
+    failures.draw_failures(gallery) -> Figure                           gallery.left_out: what is not, and why
 """

@@ -80,7 +80,10 @@ def draw_distributions(results: Results, metric: str) -> Figure:
         for axes in grid[::across]:
             axes.set_yticks(range(len(names)), short_names(names))
         grid[0].set_ylim(len(names) - 0.45, -0.55)
-        figure.supxlabel(f"{axis_label(metric)};  {count_text(results)}", fontsize=RC["axes.labelsize"])
+        separator = ";  " if across > 1 else "\n"
+        figure.supxlabel(
+            f"{axis_label(metric)}{separator}{count_text(results)}", fontsize=RC["axes.labelsize"]
+        )
     return figure
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +15,37 @@ Results = Mapping[str, Mapping[str, Sequence[Row]]]
 _MEASURES = {measure.metric: measure for measure in CATALOGUE}
 
 
-def collect_results(evaluations: Sequence[EvaluationRun]) -> dict[str, dict[str, list[Row]]]:
-    """The rows by cases and method: policies are called after their folder too where rows differ."""
-    found: dict[str, dict[str, list[Row]]] = {}
+@dataclass(frozen=True)
+class MethodRun:
+    """A method on some cases: the names of both, and its policy, its evaluation and its rows of episodes."""
+
+    cases: str
+    name: str
+    policy: str
+    run: EvaluationRun
+    rows: Sequence[Row]
+
+
+def collect_methods(evaluations: Sequence[EvaluationRun]) -> list[MethodRun]:
+    """The methods of evaluations: policies are called after their folder too where a name has other rows."""
+    found: dict[tuple[str, str], MethodRun] = {}
     for run in evaluations:
         by_policy: dict[str, list[Row]] = {}
         for row in run.episodes:
             by_policy.setdefault(str(row["policy"]), []).append(row)
         for policy, rows in by_policy.items():
-            methods = found.setdefault(cases_title(rows[0]), {})
-            known = methods.get(policy)
-            name = policy if known is None or known == rows else f"{policy} ({run.name})"
-            methods[name] = rows
+            cases = cases_title(rows[0])
+            known = found.get((cases, policy))
+            name = policy if known is None or known.rows == rows else f"{policy} ({run.name})"
+            found[cases, name] = MethodRun(cases, name, policy, run, rows)
+    return list(found.values())
+
+
+def collect_results(evaluations: Sequence[EvaluationRun]) -> dict[str, dict[str, Sequence[Row]]]:
+    """The rows by cases and method, as `collect_methods` calls them."""
+    found: dict[str, dict[str, Sequence[Row]]] = {}
+    for one in collect_methods(evaluations):
+        found.setdefault(one.cases, {})[one.name] = one.rows
     return found
 
 

@@ -124,7 +124,8 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
             axes.set_ylabel("success rate")
         if len(styles) > 1:
             draw_legend(figure, styles)
-        figure.supxlabel(f"{label};  {count_text(shown)}", fontsize=RC["axes.labelsize"])
+        separator = ";  " if across > 1 else "\n"
+        figure.supxlabel(f"{label}{separator}{count_text(shown)}", fontsize=RC["axes.labelsize"])
     return figure
 
 

@@ -1,10 +1,7 @@
 """Training curves: success and return over frames, as means and bands over the seeds of a group of runs."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -34,9 +31,6 @@ Array = NDArray[np.float64]
 SEEDS_FOR_INTERVAL = 5
 _ROWS = (("SR", "success rate"), ("return", "return per episode"))
 _KINDS = (("eval", "evaluation"), ("train", "training"))
-# Settings that do not change what is learnt, apart from chance.
-_OWN = ("seed", "run_dir", "name", "resume", "overwrite")
-_SEED_WORD = re.compile(r"[-_/. ]*(seed[-_ ]?)?\d+$")
 
 
 @dataclass(frozen=True)
@@ -54,24 +48,6 @@ class Band:
     is_interval: bool
 
 
-def group_runs(runs: Sequence[TrainingRun]) -> dict[str, list[TrainingRun]]:
-    """Runs whose settings differ in the seed alone, by a name for all of them."""
-    groups: list[tuple[Mapping[str, Any], list[TrainingRun]]] = []
-    for run in runs:
-        settings = {key: value for key, value in run.config.items() if key not in _OWN}
-        for known, members in groups:
-            if known == settings:
-                members.append(run)
-                break
-        else:
-            groups.append((settings, [run]))
-    found: dict[str, list[TrainingRun]] = {}
-    for _, members in groups:
-        name = _common_name(members)
-        found[name if name not in found else f"{name} ({members[0].name})"] = members
-    return found
-
-
 def by_world(groups: Mapping[str, Sequence[TrainingRun]]) -> dict[str, dict[str, Sequence[TrainingRun]]]:
     """Groups of runs by the world that they train in: trainings in different worlds are no comparison."""
     found: dict[str, dict[str, Sequence[TrainingRun]]] = {}
@@ -80,16 +56,6 @@ def by_world(groups: Mapping[str, Sequence[TrainingRun]]) -> dict[str, dict[str,
         title = str(world.get("name", "unknown world")) if isinstance(world, Mapping) else "unknown world"
         found.setdefault(title, {})[name] = runs
     return found
-
-
-def _common_name(runs: Sequence[TrainingRun]) -> str:
-    if len(runs) == 1:
-        return runs[0].name
-    same = takewhile(lambda chars: len(set(chars)) == 1, zip(*(run.name for run in runs), strict=False))
-    common = "".join(chars[0] for chars in same)
-    if not all(run.name[len(common) :].isdigit() for run in runs):
-        common = common.rpartition("/")[0] if "/" in common else common
-    return _SEED_WORD.sub("", f"{common}0").strip("-_/. ") or f"{runs[0].name} and {len(runs) - 1} more"
 
 
 def training_band(runs: Sequence[TrainingRun], kind: str, metric: str, group: str = "") -> Band:
@@ -130,7 +96,7 @@ def _curve(history: Sequence[Row], kind: str, metric: str, group: str) -> tuple[
 def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
     """Success rate and return over frames: evaluation on the left, training on the right.
 
-    `groups` are runs that differ in the seed alone, by name (`group_runs`). Lines are means over the seeds;
+    `groups` are runs that differ in the seed alone, by name. Lines are means over the seeds;
     bands are 95 % t intervals of the mean from 5 seeds on, and the smallest and largest value of fewer.
     Groups of agents have rows of their own.
     """

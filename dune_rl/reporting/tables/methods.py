@@ -8,6 +8,8 @@ from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
 from dune_rl.reporting.comparisons import Comparison, measure_of
+from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.figures.endings import COLLISION, FAILURES
 from dune_rl.reporting.tables.table import (
     MINUS,
     NOTHING,
@@ -135,10 +137,11 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
         for one in pairs
     ]
     caption = (
-        "Mean differences with 95 % intervals of a paired bootstrap; p of the exact McNemar test for shares "
-        "and of a sign-flip permutation test for means, and by Holm's method over all pairs of one measure; "
+        f"Differences with 95 % intervals, over whole {comparison.samples}; p of the exact McNemar test for "
+        "shares and of a permutation test for the rest, and by Holm's method over all pairs of one measure; "
         "effect: for shares the part of the discordant episodes that the first wins (0.5: none), for means "
-        "Cohen's d of paired samples. Times are compared on the episodes in which both arrive."
+        "Cohen's d of paired samples, for ratios their quotient. Times are compared on the episodes in which "
+        "both arrive."
     )
     return Table(
         f"{name}_pairs",
@@ -176,6 +179,35 @@ def overview_table(comparisons: Sequence[Comparison], estimates: Sequence[Estima
     )
 
 
+def endings_table(comparisons: Sequence[Comparison]) -> Table:
+    """How the episodes of each method ended, in numbers: with success, or with which failures."""
+    kinds = {
+        "success": "success",
+        "collisions": COLLISION.name,
+        **{key: one.name for key, one in FAILURES.items()},
+    }
+    data: list[Mapping[str, object]] = []
+    for one in comparisons:
+        for method in one.methods:
+            counts = {
+                name: sum(is_number(row.get(metric)) and row[metric] > 0 for row in method.rows)
+                for metric, name in kinds.items()
+            }
+            data.append({"cases": one.cases.title, "method": method.name, "of": len(method.rows), **counts})
+    shown = [name for name in kinds.values() if any(row[name] for row in data)]
+    header = ["cases", "method", *shown, "of"]
+    return Table(
+        "endings",
+        "How episodes ended",
+        "Numbers of episodes (of several agents: of each); one with a collision may also have another ending.",
+        header,
+        [[Cell(str(row[name])) for name in header] for row in data],
+        data,
+        list(dict.fromkeys(file for one in comparisons for file in one.files)),
+        heads=2,
+    )
+
+
 def vort_note(comparison: Comparison) -> str:
     """From which tilt on ground counts as uneven."""
     if not comparison.thresholds:
@@ -192,6 +224,8 @@ def format_p(value: float) -> str:
 
 def _intervals(comparison: Comparison) -> str:
     several = any(method.agents > 1 for method in comparison.methods)
+    if comparison.samples == "sites":
+        return "In brackets: 95 % intervals, over whole sites."
     return "In brackets: 95 % intervals" + (", over whole episodes." if several else ".")
 
 

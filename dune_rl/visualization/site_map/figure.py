@@ -58,7 +58,7 @@ def draw_site_map(content: MapContent, title: str, settings: str, dpi: int) -> F
     wide = (extent[1] - extent[0]) / (extent[3] - extent[2]) > _WIDE_SHAPE
     whole = _fit(extent, PageRectangle(_LEFT, _BOTTOM, _WIDE_SITE_IN if wide else _SITE_IN, _TOP - _BOTTOM))
     closer = _enlarged_area(content) if _area(content.spawner.region) < _LARGE_SHARE * _area(extent) else None
-    tints = _tints(content)
+    tints = obstacle_tints(content)
     _panel(figure, content, extent, whole, tints, dpi, "the world", closer)
     slopes, props, episodes = slope_legend(content), prop_legend(content, tints), episode_legend(content)
     left, below = whole.left + whole.width + _GAP, _TOP
@@ -117,7 +117,7 @@ def _enlarged_area(content: MapContent) -> Rectangle:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _tints(content: MapContent) -> dict[str, str]:
+def obstacle_tints(content: MapContent) -> dict[str, str]:
     """The colour of each kind of obstacle."""
     kinds = [each.kind for each in content.footprints if not each.drivable]
     return dict(zip(kinds, colours.OBSTACLES, strict=False))

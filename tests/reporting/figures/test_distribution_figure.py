@@ -26,7 +26,7 @@ def test_points_are_the_values_and_what_has_none_is_counted(make_rows: Callable)
 
 def test_units_and_numbers_are_told(make_rows: Callable) -> None:
     figure = draw_distributions({"inspection-v1": {"planner": make_rows(12, 5)}}, "time_to_goal")
-    assert figure.get_supxlabel() == "time to traverse [s];  12 episodes on 3 sites"
+    assert figure.get_supxlabel() == "time to traverse [s]\n12 episodes on 3 sites"
     assert figure.axes[0].get_title(loc="left") == "inspection-v1"
 
 

@@ -11,7 +11,6 @@ from dune_rl.reporting.figures.training import (
     by_world,
     draw_learning_curve,
     draw_training_curves,
-    group_runs,
     training_band,
 )
 from dune_rl.reporting.runs import TrainingRun
@@ -63,15 +62,17 @@ def test_rows_without_a_value_are_left_out() -> None:
     assert not len(training_band([make_run("a", [(0.0, 0.1)])], "train", "SR").frames)
 
 
-def test_runs_that_differ_in_the_seed_alone_are_one_group() -> None:
-    runs = [make_run(f"flat/seed{i}", [(1.0, 0.0)], seed=i, run_dir=f"runs/{i}") for i in (1, 2)]
-    other = make_run("fast", [(1.0, 0.0)], learning={"batch_size": 8})
-    groups = group_runs([runs[0], other, runs[1]])
-    assert {name: [run.name for run in members] for name, members in groups.items()} == {
-        "flat": ["flat/seed1", "flat/seed2"],
-        "fast": ["fast"],
+def test_trainings_in_other_worlds_are_apart() -> None:
+    groups = {
+        "a": [make_run("a", [(1.0, 0.0)])],
+        "b": [make_run("b", [(1.0, 0.0)], world={"name": "island"})],
+        "c": [make_run("c", [(1.0, 0.0)], world=None)],
     }
-    assert list(by_world(groups)) == ["flat"]
+    assert {world: list(each) for world, each in by_world(groups).items()} == {
+        "flat": ["a"],
+        "island": ["b"],
+        "unknown world": ["c"],
+    }
 
 
 def test_lines_and_bands_of_the_figure_are_those_of_the_runs() -> None:

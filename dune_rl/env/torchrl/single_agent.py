@@ -1,57 +1,12 @@
-"""Transforms of the TorchRL environment: running metrics, and flat keys for one agent."""
+"""A transform of the TorchRL environment: flat keys for one agent."""
 
 from typing import Any
 
-import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.data import Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
-from dune_rl.env.simulation import VectorSimulation
-
 _ENDS = ("done", "terminated", "truncated")
-
-
-class EpisodeMetrics(Transform):
-    """Transform that adds the metrics of the present episodes so far; final for agents that are done.
-
-    Each group with metrics gets (`group`, `metrics`) of shape (M, G, n); `metric_names[group]` names
-    the n columns. It must wrap a `DuneEnv` directly.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-
-    @property
-    def _simulation(self) -> VectorSimulation:
-        parent = self.parent
-        if parent is None:
-            raise RuntimeError("EpisodeMetrics needs an environment: TransformedEnv(env, EpisodeMetrics())")
-        return parent.base_env.simulation
-
-    @property
-    def metric_names(self) -> dict[str, tuple[str, ...]]:
-        """Column names of the metrics, by group; only groups with metrics."""
-        names: dict[str, tuple[str, ...]] = self.parent.base_env.metric_names
-        return names
-
-    def _add(self, tensordict: TensorDictBase) -> TensorDictBase:
-        for name in self.metric_names:
-            tensordict.set((name, "metrics"), torch.from_numpy(self._simulation.metrics(name)))
-        return tensordict
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._add(next_tensordict)
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._add(tensordict_reset)
-
-    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Add the specs of the metrics."""
-        for name, columns in self.metric_names.items():
-            group: Composite = observation_spec[name]
-            group["metrics"] = Unbounded((*group.shape, len(columns)), dtype=torch.float32)
-        return observation_spec
 
 
 class SingleAgent(Transform):

@@ -1,0 +1,197 @@
+"""A map of what a LiDAR has seen around a moving body, and the ways to its goal through it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.compiled import compile_function
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+CELL_M = 0.25
+CELLS = 128
+# The map moves along when the body is this many cells from its middle.
+_ROOM = 32
+# Returns from farther are not entered, since a segment is wide there.
+_FARTHEST_M = 5.0
+# Evidence of an obstacle in a cell: by a return, by a beam that passes, at most, and from where on it is one.
+_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 6.0, 3.0
+# That of what the body has met, which no beam takes back.
+_MET = 100.0
+# A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
+_AT_COST, _BESIDE_COST = 20.0, 2.0
+_REPLAN_STEPS = 10
+_MOST_ROUNDS = 8
+_FAR = 1e6
+
+
+@compile_function
+def _recentre(pose: Any, origin: Any, evidence: Any) -> bool:
+    """Move a map (CELLS, CELLS) along if the body is far from its middle; whether it has moved."""
+    column = np.int64(np.floor(pose[0] / CELL_M)) - CELLS // 2
+    row = np.int64(np.floor(pose[1] / CELL_M)) - CELLS // 2
+    right, up = column - origin[0], row - origin[1]
+    if abs(right) <= _ROOM and abs(up) <= _ROOM:
+        return False
+    old = evidence.copy()
+    evidence[:] = 0.0
+    for y in range(max(0, -up), min(CELLS, CELLS - up)):
+        for x in range(max(0, -right), min(CELLS, CELLS - right)):
+            evidence[y, x] = old[y + up, x + right]
+    origin[0], origin[1] = column, row
+    return True
+
+
+@compile_function
+def _enter_scan(
+    pose: Any, mount: Any, bearings: Any, ranges: Any, rests: Any, moves: Any, origin: Any, evidence: Any
+) -> None:
+    """Enter a scan of S segments into a map."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    x = pose[0] + cos * mount[0] - sin * mount[1]
+    y = pose[1] + sin * mount[0] + cos * mount[1]
+    for segment in range(len(ranges)):
+        along_x, along_y = np.cos(pose[2] + bearings[segment]), np.sin(pose[2] + bearings[segment])
+        free = min(ranges[segment], _FARTHEST_M) - 1.2 * CELL_M
+        step = 0.5 * CELL_M
+        while step < free:
+            column = np.int64(np.floor((x + step * along_x) / CELL_M)) - origin[0]
+            row = np.int64(np.floor((y + step * along_y) / CELL_M)) - origin[1]
+            if 0 <= column < CELLS and 0 <= row < CELLS and evidence[row, column] <= _MOST:
+                evidence[row, column] = max(evidence[row, column] - _PASS, 0.0)
+            step += CELL_M
+        if rests[segment] and not moves[segment] and ranges[segment] < _FARTHEST_M:
+            column = np.int64(np.floor((x + ranges[segment] * along_x) / CELL_M)) - origin[0]
+            row = np.int64(np.floor((y + ranges[segment] * along_y) / CELL_M)) - origin[1]
+            if 0 <= column < CELLS and 0 <= row < CELLS:
+                evidence[row, column] = max(evidence[row, column], min(evidence[row, column] + _HIT, _MOST))
+
+
+@compile_function
+def _costs_of_cells(evidence: Any, costs: Any) -> None:
+    """Cost of a metre in each cell."""
+    costs[:] = 1.0
+    for row in range(CELLS):
+        for column in range(CELLS):
+            if evidence[row, column] < _OCCUPIED:
+                continue
+            for up in range(-2, 3):
+                for right in range(-2, 3):
+                    apart = up * up + right * right
+                    y, x = row + up, column + right
+                    if apart > 6 or not (0 <= y < CELLS and 0 <= x < CELLS):
+                        continue
+                    costs[y, x] = max(costs[y, x], 1.0 + (_AT_COST if apart <= 2 else _BESIDE_COST))
+
+
+@compile_function
+def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any) -> None:
+    """Cost of the cheapest way from every cell to a goal [cells], by fast sweeping (Zhao, 2005).
+
+    A goal outside is reached from the map's edge, straight on.
+    """
+    ways[:] = _FAR
+    column, row = np.int64(np.floor(goal_x)), np.int64(np.floor(goal_y))
+    if 0 <= column < CELLS and 0 <= row < CELLS:
+        ways[row, column] = 0.0
+    else:
+        for edge in range(CELLS):
+            for y, x in ((0, edge), (CELLS - 1, edge), (edge, 0), (edge, CELLS - 1)):
+                ways[y, x] = CELL_M * np.hypot(x + 0.5 - goal_x, y + 0.5 - goal_y)
+    for _ in range(_MOST_ROUNDS):
+        change = 0.0
+        for sweep in range(4):
+            for i in range(CELLS):
+                y = i if sweep < 2 else CELLS - 1 - i
+                for j in range(CELLS):
+                    x = j if sweep % 2 == 0 else CELLS - 1 - j
+                    beside = min(ways[y, max(x - 1, 0)], ways[y, min(x + 1, CELLS - 1)])
+                    above = min(ways[max(y - 1, 0), x], ways[min(y + 1, CELLS - 1), x])
+                    cost = costs[y, x] * CELL_M
+                    if abs(beside - above) >= cost:
+                        new = min(beside, above) + cost
+                    else:
+                        apart = beside - above
+                        new = 0.5 * (beside + above + np.sqrt(2.0 * cost * cost - apart * apart))
+                    if new < ways[y, x]:
+                        change = max(change, min(ways[y, x], _FAR) - new)
+                        ways[y, x] = new
+        if change < 0.05:
+            break
+
+
+@compile_function
+def update_maps(
+    poses: Any, mount: Any, bearings: Any, ranges: Any, sees: Any, moves: Any, goals: Any, origins: Any,
+    evidence: Any, ways: Any, planned: Any, ages: Any,
+) -> None:  # fmt: skip
+    """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved."""
+    costs = np.empty((CELLS, CELLS))
+    for row in range(len(poses)):
+        pose, origin = poses[row], origins[row]
+        moved = _recentre(pose, origin, evidence[row])
+        _enter_scan(pose, mount, bearings, ranges[row], sees[row], moves[row], origin, evidence[row])
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        goal_x = pose[0] + cos * goals[row, 0] - sin * goals[row, 1]
+        goal_y = pose[1] + sin * goals[row, 0] + cos * goals[row, 1]
+        apart = np.hypot(goal_x - planned[row, 0], goal_y - planned[row, 1])
+        ages[row] += 1
+        if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
+            _costs_of_cells(evidence[row], costs)
+            solve_ways(goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1], costs, ways[row])
+            planned[row, 0], planned[row, 1] = goal_x, goal_y
+            ages[row] = 0
+
+
+@compile_function
+def way_left(ways: Any, origin: Any, x: float, y: float) -> float:
+    """Cost of the cheapest way to the goal from a point [m] of the odometry's frame."""
+    right = min(max(x / CELL_M - origin[0] - 0.5, 0.0), CELLS - 1.001)
+    up = min(max(y / CELL_M - origin[1] - 0.5, 0.0), CELLS - 1.001)
+    column, row = np.int64(right), np.int64(up)
+    right, up = right - column, up - row
+    low = ways[row, column] * (1.0 - right) + ways[row, column + 1] * right
+    high = ways[row + 1, column] * (1.0 - right) + ways[row + 1, column + 1] * right
+    result: float = low * (1.0 - up) + high * up
+    return result
+
+
+class LocalMap:
+    """Maps (N, cells, cells) of 32 by 32 m that move along with N bodies, in the frames of their odometry.
+
+    A cell is an obstacle after two returns; beams that pass it take that back. What moves is left out.
+    `ways` are the costs to the goals, `origins` (N, 2) the numbers of the maps' first columns and rows.
+    """
+
+    def __init__(self, num_rows: int, bearings: Array, mount: Array) -> None:
+        self._bearings, self._mount = np.ascontiguousarray(bearings), np.ascontiguousarray(mount)
+        self._evidence = np.zeros((num_rows, CELLS, CELLS), np.float32)
+        self.ways = np.zeros((num_rows, CELLS, CELLS), np.float32)
+        self.origins = np.full((num_rows, 2), -(CELLS // 2), np.int64)
+        self._planned = np.full((num_rows, 2), np.nan)
+        self._ages = np.zeros(num_rows, np.int64)
+
+    def forget(self, mask: Flags) -> None:
+        """Empty the maps of the rows in `mask` (N,), whose odometry begins anew."""
+        self._evidence[mask] = 0.0
+        self.origins[mask] = -(CELLS // 2)
+        self._planned[mask] = np.nan
+        self._ages[mask] = 0
+
+    def block(self, row: int, disc: Array) -> None:
+        """Enter a disc (3,: x, y, radius) [m] that the body of a row has met."""
+        column, line = np.floor(disc[:2] / CELL_M).astype(int) - self.origins[row]
+        if 0 <= column < CELLS and 0 <= line < CELLS:
+            self._evidence[row, line, column] = _MET
+            self._planned[row] = np.nan
+
+    def update(self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array) -> None:
+        """Take a scan: `ranges` (N, S) [m], which segments have a return and which of them move (N, S), at
+        `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames.
+        """
+        update_maps(
+            poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
+            self.ways, self._planned, self._ages,
+        )  # fmt: skip

@@ -1,0 +1,100 @@
+"""The TensorBoard file of a run: scalars, histograms, pictures, films, and hyperparameters."""
+
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from tensorboard.compat.proto.summary_pb2 import Summary
+from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
+
+HParam = bool | int | float | str
+Picture = NDArray[np.uint8]
+_COLOURS = 128
+_RGB = 3
+
+
+class EventFile:
+    """Writes TensorBoard's events of the run in `folder`, which is one run of TensorBoard.
+
+    `resumed_at` are the frames of the checkpoint that the run goes on from: what was written after these
+    before is dropped where TensorBoard reads it.
+    """
+
+    def __init__(self, folder: Path, *, resumed_at: int | None = None) -> None:
+        # TensorBoard drops the step given and all later ones; that of the checkpoint is not written again.
+        purge = None if resumed_at is None else resumed_at + 1
+        self._writer = SummaryWriter(str(folder), purge_step=purge)
+
+    def scalars(self, values: Mapping[str, float], frames: int) -> None:
+        """Log numbers by name."""
+        for name, value in values.items():
+            self._writer.add_scalar(name, value, frames)
+
+    def histograms(self, values: Mapping[str, Iterable[float]], frames: int) -> None:
+        """Log distributions by name; values that are not finite are left out, and so are empty ones."""
+        for name, found in values.items():
+            numbers = np.asarray(found, float).ravel()
+            numbers = numbers[np.isfinite(numbers)]
+            if len(numbers):
+                self._writer.add_histogram(name, numbers, frames)
+
+    def picture(self, name: str, picture: Picture, frames: int) -> None:
+        """Log a picture, RGB (height, width, 3)."""
+        encoded = io.BytesIO()
+        Image.fromarray(picture).save(encoded, format="png")
+        self._image(name, encoded.getvalue(), picture, frames)
+
+    def film(self, name: str, pictures: Sequence[Picture], rate_hz: float, frames: int) -> None:
+        """Log `pictures`, RGB (height, width, 3) each, as an animated image."""
+        if pictures:
+            self._image(name, encode_film(pictures, rate_hz), pictures[0], frames)
+
+    def _image(self, name: str, encoded: bytes, picture: Picture, frames: int) -> None:
+        height, width = picture.shape[:2]
+        image = Summary.Image(height=height, width=width, colorspace=_RGB, encoded_image_string=encoded)
+        self._add(Summary(value=[Summary.Value(tag=name, image=image)]), frames)
+
+    def begin_session(self, settings: Mapping[str, HParam], results: Sequence[str]) -> None:
+        """Declare the run's row in the table of hyperparameters, with columns for scalars named `results`.
+
+        TensorBoard takes the first declaration of a run, so this is called once in its life.
+        """
+        experiment, start, _ = hparams(dict(settings), dict.fromkeys(results, 0.0))
+        for summary in (experiment, start):
+            self._add(summary)
+
+    def end_session(self, results: Mapping[str, float], frames: int) -> None:
+        """Log the results of a finished run, and that it is finished."""
+        self.scalars({name: value for name, value in results.items() if not math.isnan(value)}, frames)
+        self._add(hparams({}, {})[2])
+
+    def _add(self, summary: Summary, frames: int | None = None) -> None:
+        assert self._writer.file_writer is not None
+        self._writer.file_writer.add_summary(summary, frames)
+
+    def flush(self) -> None:
+        """Write out what is pending."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write out what is pending, and close the file."""
+        self._writer.close()
+
+
+def encode_film(pictures: Sequence[Picture], rate_hz: float) -> bytes:
+    """A GIF that repeats for ever; `pictures` are RGB (height, width, 3)."""
+    # One palette for all, so that the ground does not flicker.
+    palette = Image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 8)])).quantize(_COLOURS)
+    first, *rest = (
+        Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures
+    )
+    encoded = io.BytesIO()
+    first.save(
+        encoded, format="gif", save_all=True, append_images=rest, duration=round(1000 / rate_hz), loop=0
+    )
+    return encoded.getvalue()

@@ -1,0 +1,200 @@
+"""Runs episodes of an evaluation again, to take pictures of the last seconds before they failed."""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+
+from dune_rl.env.pictures import Moment, Pictures
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.episode_sets import read_episode_set
+from dune_rl.errors import DuneError
+from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.folder import read_provenance, read_settings
+from dune_rl.evaluation.policies import PolicySource, policy_sources
+from dune_rl.evaluation.provenance import check_same_sources
+from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
+from dune_rl.learning.measures import MetricsRow
+from dune_rl.reporting.figures.endings import failures_of
+from dune_rl.reporting.figures.results import MethodRun
+from dune_rl.reporting.runs import Row
+
+Picture = NDArray[np.uint8]
+# Pictures are of these instants before a failure, and of the failure itself [s].
+BEFORE_S = (3.0, 2.0, 1.0, 0.0)
+_EVERY_S = 0.25
+# A row that was repeated is the same if these are.
+_COMPARED = ("steps", "collisions", "success")
+
+
+@dataclass(frozen=True)
+class WantedFailure:
+    """A failure to be shown: its kind ("collision", or the metric of an ending) and the episode's row."""
+
+    kind: str
+    row: Row
+
+    @property
+    def key(self) -> tuple[int, str]:
+        """Number of the episode, and agent."""
+        return int(self.row["episode"]), str(self.row["agent"])
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Pictures (H, W, 3) of a failure at `before_s` [s] before it, which was `time_s` [s] after the start."""
+
+    pictures: list[Picture]
+    before_s: list[float]
+    time_s: float
+
+
+@dataclass
+class _Watched:
+    """A wanted failure while its episode runs."""
+
+    wanted: WantedFailure
+    moments: deque[tuple[int, Moment]] = field(default_factory=deque)
+    replay: Replay | None = None
+    row: MetricsRow | None = None
+
+
+def replay_failures(
+    method: MethodRun,
+    wanted: Sequence[WantedFailure],
+    size: tuple[int, int],
+    progress: Callable[[], None] = lambda: None,
+) -> dict[tuple[int, str], Replay | str]:
+    """The pictures of each of `wanted`, or why there are none, by episode and agent; `size` is in pixels.
+
+    The episodes run as their evaluation ran them. A built-in policy drives each by itself; others, whose
+    last bits depend on how many episodes run side by side, in the same batches. An episode that comes out
+    otherwise than its row says gives no pictures. `progress` is called after each of `wanted`.
+    """
+    try:
+        plan, source = _plan(method)
+    except DuneError as error:
+        return _for_all(wanted, str(error), progress)
+    if source.kind == "callable":
+        # A report must not run code that a folder names.
+        return _for_all(wanted, "its policy is a function of a user's, which reports do not run", progress)
+    found: dict[tuple[int, str], Replay | str] = {}
+    alone = source.kind == "built-in"
+    plan = replace(plan, sources=(source,))
+    if alone:
+        plan = replace(plan, conf=plan.conf.model_copy(update={"scenes": 1}))
+    try:
+        runner = BlockRunner(plan)
+    except (DuneError, OSError, ValueError) as error:
+        return _for_all(wanted, f"its episodes cannot be run: {error}", progress)
+    try:
+        for first in sorted({one.key[0] // plan.scenes * plan.scenes for one in wanted}):
+            count = min(plan.scenes, plan.episodes - first)
+            watched = [_Watched(one) for one in wanted if first <= one.key[0] < first + count]
+            try:
+                runner.watch(EpisodeBlock(0, first, count), _Watcher(runner, watched, size))
+            except (DuneError, OSError, ValueError) as error:
+                found |= {each.wanted.key: f"its episode cannot be run: {error}" for each in watched}
+            for each in watched:
+                found.setdefault(each.wanted.key, _outcome(each))
+                progress()
+    finally:
+        runner.close()
+    return found
+
+
+def _for_all(
+    wanted: Sequence[WantedFailure], reason: str, progress: Callable[[], None]
+) -> dict[tuple[int, str], Replay | str]:
+    for _ in wanted:
+        progress()
+    return {one.key: reason.splitlines()[0] for one in wanted}
+
+
+def _plan(method: MethodRun) -> tuple[EvaluationPlan, PolicySource]:
+    """The plan of a method's evaluation, and its policy; DuneError where these are not there any more."""
+    conf = read_settings(method.run.path)
+    episode_set = None if conf.set is None else read_episode_set(conf.set)
+    plan = EvaluationPlan(conf, policy_sources(conf), episode_set)
+    source = next((each for each in plan.sources if each.name == method.policy), None)
+    if source is None:
+        raise DuneError("its policy is not among those of the settings")
+    check_same_sources(replace(plan, sources=(source,)), read_provenance(method.run.path), method.run.path)
+    return plan, source
+
+
+def _outcome(watched: _Watched) -> Replay | str:
+    if watched.row is None:
+        return "its episode did not end"
+    stored = watched.wanted.row
+    same = failures_of(watched.row) == failures_of(stored) and all(
+        float(watched.row[name]) == float(stored[name])
+        for name in _COMPARED
+        if name in stored and name in watched.row
+    )
+    if not same:
+        return "its episode came out differently on this machine"
+    return watched.replay or "its failure was not met again"
+
+
+class _Watcher:
+    """Takes the pictures of watched failures as their episodes run; an `EpisodeObserver`."""
+
+    def __init__(self, runner: BlockRunner, watched: Sequence[_Watched], size: tuple[int, int]) -> None:
+        self._simulation: VectorSimulation = runner.env.base_env.simulation
+        self._agents = runner.agents
+        self._pictures = Pictures(self._simulation)
+        self._watched, self._size = watched, size
+        self._step_s = self._simulation.physics.control_step_s
+        self._every = max(1, round(_EVERY_S / self._step_s))
+        self._kept = 1 + round(max(BEFORE_S) / self._step_s / self._every)
+
+    def begin(self) -> None:
+        """Nothing is known of an episode before its first step."""
+
+    def step(self, after: TensorDictBase) -> None:
+        """Note where everybody is, and render what was noted if a failure has happened."""
+        for each in self._watched:
+            if each.replay is None:
+                self._look(each)
+
+    def _look(self, watched: _Watched) -> None:
+        episode, agent = watched.wanted.key
+        scenes = np.flatnonzero(self._simulation.episodes == episode)
+        if not len(scenes):
+            return
+        scene = int(scenes[0])
+        step = int(self._simulation.steps[scene])
+        group = next(each for each in self._simulation.groups if agent in each.names)
+        row = scene * group.count + group.names.index(agent)
+        state = self._simulation.state.groups[group.name]
+        failed = (
+            bool(state.contacts.total[row]) if watched.wanted.kind == "collision" else bool(group.done[row])
+        )
+        if failed or step % self._every == 0:
+            watched.moments.append((step, self._pictures.moment(scene, agent)))
+            if len(watched.moments) > self._kept + 1:
+                watched.moments.popleft()
+        if failed:
+            watched.replay = self._render(watched.moments, scene, step)
+
+    def _render(self, moments: Sequence[tuple[int, Moment]], scene: int, last: int) -> Replay:
+        steps = np.array([step for step, _ in moments])
+        wanted = last - np.array(BEFORE_S) / self._step_s
+        # Before the start there is nothing to show.
+        chosen = np.unique(np.abs(steps[:, None] - wanted[wanted > 0]).argmin(axis=0))
+        width, height = self._size
+        pictures = [self._pictures.of_moment(moments[at][1], scene, width, height) for at in chosen.tolist()]
+        before = [(last - int(steps[at])) * self._step_s for at in chosen.tolist()]
+        return Replay(pictures, before, last * self._step_s)
+
+    def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
+        """Keep the rows of watched episodes."""
+        for group, agents in rows.items():
+            for name, row in zip(self._agents[group], agents, strict=True):
+                for each in self._watched:
+                    if each.wanted.key == (int(row["episode"]), name):
+                        each.row = dict(row)

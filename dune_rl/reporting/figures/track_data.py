@@ -1,0 +1,194 @@
+"""The tracks of episodes by site, and the worlds that they are in."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.config.build import build_world
+from dune_rl.config.checks import validate
+from dune_rl.config.schema import EnvConf
+from dune_rl.errors import DuneError
+from dune_rl.reporting.figures.endings import Ending, ending_of
+from dune_rl.reporting.figures.results import MethodRun, column
+from dune_rl.reporting.runs import Row
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+MOST_SITES, MOST_EPISODES = 3, 4
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeTrack:
+    """The way of an agent in an episode: `points` (T, 2) [m] from its start on, at `times_s` (T,) [s].
+
+    `speeds` (T - 1,) [m/s] are those at the ends of the pieces of the way. `collisions` (K, 2) [m] are where
+    new ones are first seen, at `collision_s` (K,) [s]; `walkers` (T, 2) [m] each are the ways of others.
+    """
+
+    episode: int
+    agent: str
+    points: Array
+    times_s: Array
+    speeds: Array
+    goal: Array
+    collisions: Array
+    collision_s: Array
+    ending: Ending | None
+    success: bool
+    walkers: list[Array] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSite:
+    """Tracks on a site by method; `world` is None where it cannot be built, and `reason` says why."""
+
+    cases: str
+    world_seed: int | None
+    world: World | None
+    reason: str
+    tracks: dict[str, list[EpisodeTrack]]
+
+    @property
+    def title(self) -> str:
+        """The cases and the site."""
+        return self.cases if self.world_seed is None else f"{self.cases}, site {self.world_seed}"
+
+
+def collect_tracks(
+    methods: Sequence[MethodRun], most_sites: int = MOST_SITES, most_episodes: int = MOST_EPISODES
+) -> list[TrackSite]:
+    """The tracks of methods with steps: of each cases the first `most_sites` sites, in the order of episodes.
+
+    Of each site they are those of the first `most_episodes` episodes. Methods without steps are left out.
+    """
+    by_cases: dict[str, list[MethodRun]] = {}
+    for method in methods:
+        if method.run.steps:
+            by_cases.setdefault(method.cases, []).append(method)
+    found = []
+    for cases, members in by_cases.items():
+        sites = list(dict.fromkeys(_site(row) for method in members for row in method.rows))
+        for site in sites[:most_sites]:
+            rows = [row for method in members for row in method.rows if _site(row) == site]
+            episodes = sorted({row["episode"] for row in rows})[:most_episodes]
+            world, reason = _world(members[0].run.config, rows[0])
+            tracks = {method.name: _tracks(method, site, episodes) for method in members}
+            found.append(TrackSite(cases, site, world, reason, tracks))
+    return found
+
+
+def track_of(method: MethodRun, row: Row, kind: str, seconds: float) -> TrackSite | None:
+    """The last `seconds` [s] before a failure in the episode of `row`, on its site; None without steps."""
+    tracks = [
+        track
+        for track in _tracks(method, _site(row), [row["episode"]])
+        if len(track.points) > 1 and track.agent == str(row["agent"])
+    ]
+    if not tracks:
+        return None
+    world, reason = _world(method.run.config, row)
+    ends = [until_failure(track, kind, seconds) for track in tracks]
+    return TrackSite(method.cases, _site(row), world, reason, {method.name: ends})
+
+
+def until_failure(track: EpisodeTrack, kind: str, seconds: float) -> EpisodeTrack:
+    """The `seconds` [s] of a track before its failure: its first collision, or its end for other kinds."""
+    last = track.times_s[-1]
+    if kind == "collision" and len(track.collision_s):
+        last = track.collision_s[0]
+    kept = (track.times_s <= last) & (track.times_s >= last - seconds)
+    numbers = np.flatnonzero(kept)
+    first, end = int(numbers[0]), int(numbers[-1]) + 1
+    # Others have a row for each of the agent's, apart from its start.
+    behind = len(track.times_s) - end
+    seen = (track.collision_s <= last) & (track.collision_s >= last - seconds)
+    return replace(
+        track,
+        points=track.points[first:end],
+        times_s=track.times_s[first:end],
+        speeds=track.speeds[first : end - 1],
+        collisions=track.collisions[seen],
+        collision_s=track.collision_s[seen],
+        ending=track.ending if not behind else None,
+        walkers=[way[: len(way) - behind][-(end - first) :] for way in track.walkers],
+    )
+
+
+def _site(row: Row) -> int | None:
+    seed = row.get("world_seed", math.nan)
+    return int(seed) if isinstance(seed, int | float) and math.isfinite(seed) else None
+
+
+def _world(config: Mapping[str, Any], row: Row) -> tuple[World | None, str]:
+    """The world of an episode, or why it cannot be built."""
+    try:
+        known = {key: value for key, value in config.items() if key in EnvConf.model_fields}
+        world = validate(EnvConf, known).world
+        changed: dict[str, int] = {}
+        for name, key in (("seed", "world_seed"), ("layout_seed", "randomisation/layout_seed")):
+            value = row.get(key, math.nan)
+            if name in type(world).model_fields and isinstance(value, int | float) and math.isfinite(value):
+                changed[name] = int(value)
+        return build_world(world.model_copy(update=changed)), ""
+    except (DuneError, OSError, ValueError) as error:
+        return None, str(error).splitlines()[0]
+
+
+def _tracks(method: MethodRun, site: int | None, episodes: Sequence[float]) -> list[EpisodeTrack]:
+    chosen = {row["episode"]: None for row in method.rows if row["episode"] in episodes}
+    steps: dict[tuple[float, str], list[Row]] = {}
+    for step in method.run.steps:
+        if step["policy"] == method.policy and step["episode"] in chosen:
+            steps.setdefault((step["episode"], str(step["agent"])), []).append(step)
+    agents = {str(row["agent"]) for row in method.rows}
+    found = []
+    for row in method.rows:
+        mine = steps.get((row["episode"], str(row["agent"])))
+        if _site(row) != site or not mine:
+            continue
+        others = [
+            each
+            for (episode, agent), each in steps.items()
+            if episode == row["episode"] and agent not in agents
+        ]
+        found.append(_track(row, mine, others))
+    return found
+
+
+def _track(row: Row, steps: Sequence[Row], others: Sequence[Sequence[Row]]) -> EpisodeTrack:
+    names = ("x_m", "y_m", "speed_mps", "time_s")
+    points = _finite(np.column_stack([column(steps, name) for name in names]))
+    places, speeds, times = points[:, :2], np.abs(points[:, 2]), points[:, 3]
+    start = np.array([[_number(row, "start_x_m"), _number(row, "start_y_m")]])
+    if np.isfinite(start).all():
+        places, times = np.concatenate([start, places]), np.append(0.0, times)
+    else:
+        speeds = speeds[1:]
+    total = np.nan_to_num(column(steps, "collisions_so_far"))
+    new = np.diff(total, prepend=0.0) > 0
+    where = _finite(np.column_stack([column(steps, name) for name in ("x_m", "y_m", "time_s")])[new])
+    return EpisodeTrack(
+        int(row["episode"]),
+        str(row["agent"]),
+        places,
+        times,
+        speeds,
+        np.array([_number(row, "goal_x_m"), _number(row, "goal_y_m")]),
+        where[:, :2],
+        where[:, 2],
+        ending_of(row),
+        _number(row, "success") > 0,
+        [_finite(np.column_stack([column(each, "x_m"), column(each, "y_m")])) for each in others],
+    )
+
+
+def _finite(points: Array) -> Array:
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _number(row: Row, name: str) -> float:
+    return float(column([row], name)[0])

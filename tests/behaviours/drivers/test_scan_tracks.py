@@ -1,0 +1,66 @@
+"""Tracks of discs that a LiDAR sees, beside where they truly are."""
+
+import numpy as np
+from drivers import LIDAR, DrivenBodies
+from yards import yard
+
+from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
+from dune_rl.sensors.lidar import beam_angles
+
+STEP_S = 0.05
+BEARINGS = beam_angles(LIDAR).reshape(LIDAR.n_segments, -1).mean(axis=1)
+ALONG = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)], axis=-1)
+
+
+def track(bodies: DrivenBodies, discs: np.ndarray, velocity: np.ndarray, action: np.ndarray, steps: int):
+    """The tracker after `steps`, in which `discs` (D, 3) move with `velocity` (D, 2); and the discs."""
+    tracker = ScanTracker(1, LIDAR.n_segments)
+    for _ in range(steps):
+        readings = bodies.readings(discs)
+        ranges = readings["lidar"].astype(float)
+        twists = readings["velocity"].astype(float)
+        sees = ranges < LIDAR.range_m - 1e-3
+        tracker.update(ranges, ranges[:, :, None] * ALONG, sees, twists, STEP_S)
+        last = discs
+        bodies.move(action)
+        discs = discs + np.column_stack([velocity * STEP_S, np.zeros(len(discs))])
+    return tracker, last
+
+
+def test_a_walker_has_its_place_and_velocity() -> None:
+    walker = np.array([[3.0, -1.5, 0.25]])
+    bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [8.0, 0.0], np.zeros((0, 4)))
+    tracker, discs = track(bodies, walker, np.array([[0.0, 1.0]]), np.zeros((1, 2)), 50)
+    assert tracker.moving_counts[0] == 1
+    x, y, vx, vy = tracker.moving[0, 0]
+    assert np.hypot(x - discs[0, 0], y - discs[0, 1]) < 0.3
+    assert np.hypot(vx, vy - 1.0) < 0.35
+    # The segments that see it have its velocity, the others none.
+    moves = tracker.velocities[0].any(axis=1)
+    assert moves.any() and np.abs(np.rad2deg(BEARINGS[moves])).max() < 40.0
+
+
+def test_a_walker_is_seen_from_a_moving_body_too() -> None:
+    walker = np.array([[5.0, -1.0, 0.25]])
+    bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [8.0, 0.0], np.zeros((0, 4)))
+    start = bodies.poses.copy()
+    tracker, _ = track(bodies, walker, np.array([[0.0, 0.8]]), np.array([[0.8, 0.0]]), 40)
+    _, _, vx, vy = tracker.moving[0, 0]
+    assert tracker.moving_counts[0] == 1 and np.hypot(vx, vy - 0.8) < 0.35
+    assert bodies.poses[0, 0] > start[0, 0] + 1.5
+
+
+def test_posts_do_not_move_however_the_body_turns() -> None:
+    posts = np.array([[2.5, 0.5, 0.2], [-1.5, 2.0, 0.1], [0.0, -3.0, 0.3]])
+    bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [8.0, 0.0], np.zeros((0, 4)))
+    wrong = 0
+    tracker = ScanTracker(1, LIDAR.n_segments)
+    for step in range(200):
+        readings = bodies.readings(posts)
+        ranges, twists = readings["lidar"].astype(float), readings["velocity"].astype(float)
+        sees = ranges < LIDAR.range_m - 1e-3
+        tracker.update(ranges, ranges[:, :, None] * ALONG, sees, twists, STEP_S)
+        wrong += int(tracker.moving_counts[0])
+        bodies.move(np.array([[0.2, 0.5 * np.sin(0.05 * step)]]))
+    # Segments are wide: a jump between two of them may pass for motion for a moment.
+    assert wrong < 30
