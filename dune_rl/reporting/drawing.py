@@ -178,8 +178,8 @@ def _failures(findings: Findings, most: int) -> Iterator[FigurePlan]:
         "failures",
         "failures",
         "How episodes failed",
-        "The last seconds before a failure of each kind and method, from left to right; where an episode could "
-        "not be run again, its recorded track.",
+        "The last seconds before a failure of each kind and method, from left to right; where an episode "
+        "could not be run again, its recorded track.",
         _files(findings.comparisons),
         gallery.draw,
     )

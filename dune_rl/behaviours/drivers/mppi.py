@@ -99,11 +99,7 @@ class Mppi:
         self._map = LocalMap(self._num_rows, middle, self._mount)
         # Whether the scan covers what is behind.
         sees_behind = np.abs(np.abs(of_beams) - np.pi).min() < np.deg2rad(20.0)
-        self._weights = (
-            *_WEIGHTS[:4],
-            _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M,
-            _WEIGHTS[5],
-        )
+        self._weights = (*_WEIGHTS[:4], _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M, _WEIGHTS[5])
         self._noise = self._sample_noise(context)
 
     def _sample_noise(self, context: DriverContext) -> Array:
@@ -162,9 +158,7 @@ class Mppi:
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
 
-    def _obstacles(
-        self, ranges: Array, twists: Array, goals: Array, step_s: float
-    ) -> tuple[Array, Counts, Array]:
+    def _obstacles(self, ranges: Array, twists: Array, goals: Array, step_s: float) -> tuple[Array, Counts, Array]:
         """Points (N, P, 2) [m] at rest that count within the horizon, first, and how many; and what moves,
         (N, K, 5): x, y, velocity and radius. All in the vehicles' frames.
         """

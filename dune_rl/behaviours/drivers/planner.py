@@ -57,8 +57,7 @@ class Planner:
             float, Field(ge=0.0, le=5.0, description="radius of the circle that stands for a moving body [m]")
         ] = 0.35,
         margin_m: Annotated[
-            float,
-            Field(gt=0.0, le=2.0, description="room beside obstacles that the follower should keep [m]"),
+            float, Field(gt=0.0, le=2.0, description="room beside obstacles that the follower should keep [m]")
         ] = 0.1,
     ) -> None:
         self._num_rows, self._speed_mps = num_rows, speed_mps
@@ -134,9 +133,7 @@ class Planner:
         vehicle = self._context.vehicle
         radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
-            known = shared_route_map(
-                worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest
-            )
+            known = shared_route_map(worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest)
             routes = known.routes_to(goals[row], group.motion.position_w[row, :2], self._watch.blocked[row])
             size = routes.cost.size
             self._make_room(size)

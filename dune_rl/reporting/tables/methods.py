@@ -199,7 +199,7 @@ def endings_table(comparisons: Sequence[Comparison]) -> Table:
     return Table(
         "endings",
         "How episodes ended",
-        "Numbers of episodes (of several agents: of each); one with a collision may also have another ending.",
+        "Numbers of episodes, of each agent; one with a collision may also have another ending.",
         header,
         [[Cell(str(row[name])) for name in header] for row in data],
         data,
