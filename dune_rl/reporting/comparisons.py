@@ -7,8 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+from dune_rl.config.schema import BuiltInPolicy
 from dune_rl.evaluation.columns import measured_columns
 from dune_rl.learning.measures import MetricsRow, cluster_rows, estimate_metrics
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
@@ -225,12 +226,30 @@ def _oddities(comparison: Comparison) -> list[str]:
     for method in comparison.methods:
         if method.episodes == 1:
             notes.append(f"{method.name} has one episode, which has no interval.")
+    trained = [method.name for method in comparison.methods if _is_at_home(comparison.cases, method)]
+    if trained:
+        notes.append(
+            f"{', '.join(trained)}: measured on the site that it was trained on; on others it may do worse."
+        )
     robots = {
         str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs
     }
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes
+
+
+def _is_at_home(cases: Cases, method: Method) -> bool:
+    """Whether a policy was measured on the one site of its training, as far as its folder tells."""
+    if cases.set_name or method.policy in get_args(BuiltInPolicy):
+        return False
+    for run in method.runs:
+        world, drawn = run.config.get("world"), run.config.get("randomisation")
+        # Beside a training, the settings are those of the training.
+        has_site = isinstance(world, dict) and world.get("seed") is not None and "total_frames" in run.config
+        if has_site and not (isinstance(drawn, dict) and drawn.get("world_seed")):
+            return True
+    return False
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
