@@ -87,7 +87,7 @@ def test_actors_have_rows_with_a_pose_by_option(call: Call, folder: Path) -> Non
 def test_other_thinnings_are_refused(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str], word: str
 ) -> None:
-    assert call(evaluate.main, *WORDS, word) == 1
+    assert call(evaluate.main, *WORDS, word) == 2
     told = capsys.readouterr().err
     assert "steps" in told and "a whole number N of at least 1 each N-th" in told
 
@@ -95,5 +95,5 @@ def test_other_thinnings_are_refused(
 def test_actors_without_steps_are_refused(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(evaluate.main, *WORDS, "actor_steps=true") == 1
+    assert call(evaluate.main, *WORDS, "actor_steps=true") == 2
     assert "give steps=true or steps=N" in capsys.readouterr().err

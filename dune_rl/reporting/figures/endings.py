@@ -18,7 +18,7 @@ class Ending:
 FAILURES = {
     "diverged": Ending("physics diverged", "P", "#f0e442"),
     "flipped": Ending("flipped", "^", "#cc79a7"),
-    "stuck": Ending("stuck", "X", "#d55e00"),
+    "stuck": Ending("stuck", "8", "#d55e00"),
     "out_of_world": Ending("left the world", "s", "#000000"),
     "timeout": Ending("out of time", "v", "#8f8f94"),
 }

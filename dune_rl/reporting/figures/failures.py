@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from textwrap import wrap
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -20,8 +21,8 @@ MOST_FAILURES, EACH = 12, 1
 _SIZE = (320, 240)
 _MAP_S = 20.0
 _LABEL_IN = 1.25
-# A page of pictures is at most this high.
-_MOST_ROWS = 12
+# Characters of a method's name that fit on a line beside its pictures.
+_NAME_WIDTH = 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +141,8 @@ def _counts(methods: Sequence[MethodRun]) -> dict[tuple[str, str, str], int]:
 
 
 def draw_failures(gallery: FailureGallery) -> Figure:
-    """The failures of a gallery, at most twelve: rows are failures, pictures go on in time to the right."""
-    shown = gallery.shown[:_MOST_ROWS]
+    """The failures of a gallery: rows are failures, and pictures go on in time to the right."""
+    shown = gallery.shown
     if not shown:
         return note_figure("no failure to show")
     with rc_context(RC):
@@ -168,10 +169,13 @@ def _label(axes: Axes, failure: ShownFailure, gallery: FailureGallery) -> None:
     count = gallery.counts.get((failure.cases, failure.method, failure.kind), 0)
     told = "the only one" if count == 1 else f"one of {count}"
     when = "" if failure.replay is None else f"\nafter {failure.replay.time_s:.1f} s"
-    axes.text(0.0, 1.0, failure.method, transform=axes.transAxes, va="top", fontweight="bold", fontsize=SMALL)
+    lines = wrap(failure.method, _NAME_WIDTH)
     axes.text(
-        0.0, 0.84,
-        f"{failure.kind_name}{when}\n{failure.cases}\nepisode {failure.episode}\n({told})",
+        0.0, 1.0, "\n".join(lines), transform=axes.transAxes, va="top", fontweight="bold", fontsize=SMALL
+    )
+    axes.text(
+        0.0, 1.02,
+        "\n" * len(lines) + f"{failure.kind_name}{when}\n{failure.cases}\nepisode {failure.episode}\n({told})",
         transform=axes.transAxes, va="top", fontsize=SMALL, linespacing=1.35,
     )  # fmt: skip
 

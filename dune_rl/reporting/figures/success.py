@@ -37,6 +37,8 @@ PROPERTIES = {
 _MOST_BINS, _MOST_ACROSS = 6, 3
 # A bin has at least this share of the values.
 _LEAST_SHARE = 0.05
+# A property that differs by less does not vary.
+_LEAST_RANGE = 1e-3
 # More methods than these have thinner intervals.
 _FEW = 5
 
@@ -107,7 +109,10 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
     if not shown or not np.isfinite(column(all_rows, "success")).any():
         missing = "success" if shown else name
         return note_figure(f"no episode has {missing}: evaluate again with this version")
-    edges = round_edges(column(all_rows, name))
+    values = column(all_rows, name)
+    if np.nanmax(values) - np.nanmin(values) < _LEAST_RANGE:
+        return note_figure(f"all episodes have a {name} of {np.nanmax(values):.3g}")
+    edges = round_edges(values)
     styles = method_styles(method_names(shown))
     with rc_context(RC):
         down, across = panel_grid(len(shown), _MOST_ACROSS)

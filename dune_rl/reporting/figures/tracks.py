@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import colormaps, patheffects, rc_context
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -15,6 +15,7 @@ from matplotlib.patches import Rectangle as Box
 from numpy.typing import NDArray
 
 from dune_rl.reporting.figures.endings import COLLISION, FAILURES, REACHED, Ending
+from dune_rl.reporting.figures.site_ground import SiteGround
 from dune_rl.reporting.figures.style import (
     FAINT,
     INK,
@@ -26,24 +27,16 @@ from dune_rl.reporting.figures.style import (
     short_names,
 )
 from dune_rl.reporting.figures.track_data import EpisodeTrack, TrackSite
-from dune_rl.visualization.site_map.layers import (
-    GroundGrid,
-    covered_by,
-    prop_footprints,
-    vegetation_props,
-    water_props,
-)
-from dune_rl.worlds.world import Rectangle, World
+from dune_rl.worlds.world import Rectangle
 
 Array = NDArray[np.float64]
 # The lightness of viridis rises evenly.
 _SPEEDS = colormaps["viridis"]
 _MOST_ACROSS = 4
 _LEAST_SIDE_M, _MARGIN = 5.0, 0.06
-_CELLS = 260
-_KINDS = 8
+# Longer tracks are pixels in a PDF, which would be slow to show otherwise.
+_MOST_PIECES = 1_000
 _SCALES_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-_DRIVABLE, _OBSTACLE, _WATER, _PLANTS = "#e4e0d6", "#9aa3b2", "#a7d3ef", "#a9cbac"
 _FASTEST_QUANTILE = 0.99
 
 
@@ -88,19 +81,24 @@ def draw_track_map(axes: Axes, site: TrackSite, norm: Normalize) -> None:
     """The ways on a site that has tracks, on one panel without a title; goals may lie outside."""
     tracks = [track for tracks in site.tracks.values() for track in tracks]
     view = _square(np.concatenate([track.points for track in tracks]))
-    _draw_panel(axes, site, tracks, view, norm, {})
+    _draw_panel(axes, _ground(site, view), tracks, view, norm, {})
     _draw_scale(axes, view)
+
+
+def _ground(site: TrackSite, view: Rectangle) -> SiteGround | None:
+    return None if site.world is None else SiteGround.of(site.world, view)
 
 
 def _draw_panel(
     axes: Axes,
-    site: TrackSite,
+    ground: SiteGround | None,
     tracks: Sequence[EpisodeTrack],
     view: Rectangle,
     norm: Normalize,
     shown: dict[str, Ending],
 ) -> None:
-    _draw_ground(axes, site.world, view)
+    if ground is not None:
+        ground.draw(axes)
     for track in tracks:
         _draw_track(axes, track, norm, shown)
     axes.set_xlim(view[:2])
@@ -112,12 +110,13 @@ def _draw_panel(
 
 def _draw_site(panels: list[Axes], site: TrackSite, norm: Normalize, shown: dict[str, Ending]) -> None:
     view = view_of(site)
+    ground = _ground(site, view)
     names = list(site.tracks)
     for axes in panels[len(names) :]:
         axes.remove()
     for number, (axes, label) in enumerate(zip(panels, short_names(names), strict=False)):
         tracks = site.tracks[names[number]]
-        _draw_panel(axes, site, tracks, view, norm, shown)
+        _draw_panel(axes, ground, tracks, view, norm, shown)
         hits = sum(track.success for track in tracks)
         told = f"{hits} of {len(tracks)} succeed" if tracks else "no steps"
         axes.set_title(f"{label}: {told}", loc="left", fontsize=SMALL)
@@ -142,42 +141,16 @@ def _square(points: Array) -> Rectangle:
     return x - half, x + half, y - half, y + half
 
 
-def _draw_ground(axes: Axes, world: World | None, view: Rectangle) -> None:
-    axes.set_facecolor("#ffffff")
-    if world is None:
-        return
-    ground = GroundGrid.sample(world.terrain, view, _CELLS, _CELLS)
-    light = np.clip(0.93 + 0.28 * (np.clip(ground.shade, 0.2, 1.6) - 1.0), 0.55, 1.0)
-    picture = np.repeat(light[..., None], 3, axis=2)
-    for props, colour in ((water_props(world), _WATER), (vegetation_props(world), _PLANTS)):
-        covered = covered_by(props, ground)
-        picture[covered] = 0.35 * picture[covered] + 0.65 * np.array(_rgb(colour))
-    xmin, xmax, ymin, ymax = world.extent
-    inside = ((ground.x >= xmin) & (ground.x <= xmax))[None] & ((ground.y >= ymin) & (ground.y <= ymax))[
-        :, None
-    ]
-    picture[~inside] = 1.0
-    axes.imshow(picture, extent=view, origin="lower", interpolation="bilinear", zorder=0)
-    for each in prop_footprints(world, _KINDS):
-        colour = _DRIVABLE if each.drivable else _OBSTACLE
-        axes.add_collection(
-            PolyCollection(
-                list(each.triangles), facecolors=colour, edgecolors=colour, linewidths=0.2, zorder=1,
-                rasterized=True,
-            ),
-            autolim=False,
-        )  # fmt: skip
-
-
 def _draw_track(axes: Axes, track: EpisodeTrack, norm: Normalize, shown: dict[str, Ending]) -> None:
     for way in track.walkers:
         axes.plot(*way.T, color=FAINT, linewidth=0.6, linestyle=(0, (3, 2)), alpha=0.55, zorder=2)
     if len(track.points) > 1:
-        axes.plot(*track.points.T, color=INK, linewidth=2.0, zorder=3, solid_capstyle="round", gid="casing")
+        axes.plot(*track.points.T, color=INK, linewidth=2.0, zorder=3, solid_capstyle="round")
         pieces = np.stack([track.points[:-1], track.points[1:]], axis=1)
         lines = LineCollection(
-            list(pieces), cmap=_SPEEDS, norm=norm, linewidths=1.4, zorder=4, capstyle="round", gid="track"
-        )
+            list(pieces), cmap=_SPEEDS, norm=norm, linewidths=1.4, zorder=4, capstyle="round",
+            rasterized=len(pieces) > _MOST_PIECES,
+        )  # fmt: skip
         lines.set_array(track.speeds)
         axes.add_collection(lines, autolim=False)
     _draw_mark(axes, track.goal, REACHED.mark, REACHED.colour if track.success else "white", INK, 8.0)
@@ -188,7 +161,7 @@ def _draw_track(axes: Axes, track: EpisodeTrack, norm: Normalize, shown: dict[st
     if len(track.collisions):
         shown[COLLISION.name] = COLLISION
         axes.plot(
-            *track.collisions.T, COLLISION.mark, color=COLLISION.colour, markersize=4.5, markeredgewidth=1.2,
+            *track.collisions.T, COLLISION.mark, color=COLLISION.colour, markersize=4, markeredgewidth=1.2,
             linestyle="", zorder=7.6,
         )  # fmt: skip
     if not len(track.points):
@@ -201,7 +174,7 @@ def _draw_track(axes: Axes, track: EpisodeTrack, norm: Normalize, shown: dict[st
         )  # fmt: skip
     if track.ending is not None and track.ending is not REACHED:
         shown[track.ending.name] = track.ending
-        _draw_mark(axes, track.points[-1], track.ending.mark, track.ending.colour, "white", 5.5)
+        _draw_mark(axes, track.points[-1], track.ending.mark, track.ending.colour, "white", 8.0)
 
 
 def _draw_mark(axes: Axes, place: Array, mark: str, face: str, edge: str, size: float) -> None:
@@ -249,7 +222,3 @@ def _draw_scale(axes: Axes, view: Rectangle) -> None:
         fontsize=SMALL - 1, zorder=9,
         bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7},
     )  # fmt: skip
-
-
-def _rgb(colour: str) -> tuple[float, ...]:
-    return tuple(int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5))

@@ -7,9 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
+from dune_rl.config.build import build_world
+from dune_rl.config.checks import validate
+from dune_rl.config.schema import EnvConf
 from dune_rl.reporting.figures.endings import FAILURES, REACHED, ending_of, failures_of
 from dune_rl.reporting.figures.results import MethodRun, collect_methods
+from dune_rl.reporting.figures.site_ground import SiteGround
 from dune_rl.reporting.figures.track_data import collect_tracks, until_failure
 from dune_rl.reporting.figures.tracks import draw_tracks, view_of
 from dune_rl.reporting.runs import EvaluationRun
@@ -114,6 +119,18 @@ def test_a_site_that_cannot_be_built_is_drawn_without_a_map(make_rows: Callable)
     assert site.world is None and site.reason
     panel = draw_tracks([site]).axes[0]
     assert "cannot be built" in panel.get_ylabel() and len(ways(panel)) == 2
+
+
+def test_the_map_is_white_beyond_the_world_and_shows_its_objects() -> None:
+    world = build_world(validate(EnvConf, {**FLAT, "world": {"name": "construction", "seed": 3}}).world)
+    _, xmax, ymin, ymax = world.extent
+    ground = SiteGround.of(world, (xmax - 10.0, xmax + 10.0, ymin, ymin + 20.0))
+    columns = ground.picture.shape[1]
+    np.testing.assert_allclose(ground.picture[:, columns // 2 + 1 :], 1.0)
+    assert ground.picture[:, : columns // 2].min() < 1.0 and ymax > ymin + 20.0
+    axes = Figure().subplots()
+    ground.draw(axes)
+    assert len(axes.images) == 1 and len(axes.collections) == len(ground.footprints) > 0
 
 
 def test_steps_that_are_not_finite_are_left_out(make_rows: Callable) -> None:
