@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any, get_args
 
 from dune_rl.config.schema import BuiltInPolicy
+from dune_rl.episode_sets import read_episode_set
 from dune_rl.evaluation.columns import measured_columns
 from dune_rl.learning.measures import MetricsRow, cluster_rows, estimate_metrics
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
 from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.reading import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row
 
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
@@ -226,6 +228,12 @@ def _oddities(comparison: Comparison) -> list[str]:
     for method in comparison.methods:
         if method.episodes == 1:
             notes.append(f"{method.name} has one episode, which has no interval.")
+    total = _episodes_of_set(comparison.cases)
+    notes += [
+        f"{method.name} has {method.episodes} of the set's {total} episodes."
+        for method in comparison.methods
+        if method.episodes < total
+    ]
     trained = [method.name for method in comparison.methods if _is_at_home(comparison.cases, method)]
     if trained:
         notes.append(
@@ -237,6 +245,13 @@ def _oddities(comparison: Comparison) -> list[str]:
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes
+
+
+def _episodes_of_set(cases: Cases) -> int:
+    """How many episodes the set has; 0 where it is not installed, or has changed."""
+    if not cases.set_name or installed_checksum(cases.set_name) != cases.checksum:
+        return 0
+    return read_episode_set(cases.set_name).header.episodes
 
 
 def _is_at_home(cases: Cases, method: Method) -> bool:

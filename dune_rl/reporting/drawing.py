@@ -15,6 +15,7 @@ from dune_rl.reporting.figures.aggregates import (
     draw_profiles,
 )
 from dune_rl.reporting.figures.distributions import distribution_metrics, draw_distributions
+from dune_rl.reporting.figures.endings import failures_of
 from dune_rl.reporting.figures.failures import (
     MOST_FAILURES,
     choose_failures,
@@ -28,6 +29,7 @@ from dune_rl.reporting.figures.tracks import draw_tracks
 from dune_rl.reporting.figures.training import by_world, draw_training_curves
 from dune_rl.reporting.layout import Findings, file_stem
 from dune_rl.reporting.page.blocks import FigureBlock
+from dune_rl.reporting.page.render import shown_path
 
 _PROPERTIES = (
     ("goal_distance_m", "the distance to the goal"),
@@ -113,10 +115,11 @@ def _difficulty(findings: Findings) -> Iterator[FigurePlan]:
 
 
 def _aggregates(findings: Findings) -> Iterator[FigurePlan]:
-    results = shared_results(findings.comparisons)
+    # Of sampled episodes each would be a unit of its own, with a score of 0 or 1.
+    results = shared_results([one for one in findings.comparisons if one.cases.set_name])
     methods = list(dict.fromkeys(name for each in results.values() for name in each))
     rows = [row for each in results.values() for found in each.values() for row in found]
-    # Of a single kind of cases the main table says as much.
+    # Of a single set the main table says as much.
     if len(results) < 2 or not any("success" in row for row in rows):
         return
     scores = collect_scores(results, "success", trained_groups(findings))
@@ -125,7 +128,7 @@ def _aggregates(findings: Findings) -> Iterator[FigurePlan]:
     yield FigurePlan(
         "aggregates",
         "aggregates",
-        "Success over all cases",
+        "Success over all sets",
         "Interquartile mean, median, mean and optimality gap of the success rate (Agarwal et al. 2021). "
         + units,
         sources,
@@ -170,7 +173,14 @@ def _draw_tracks(methods: Sequence[MethodRun]) -> Figure:
 
 
 def _failures(findings: Findings, most: int) -> Iterator[FigurePlan]:
-    methods = [each for one in findings.comparisons for each in method_runs(one)]
+    everything = [each for one in findings.comparisons for each in method_runs(one)]
+    # Nothing tells how the others were run.
+    methods = [each for each in everything if each.run.provenance or each.run.steps]
+    failed = [each for each in everything if each not in methods and any(map(failures_of, each.rows))]
+    findings.failures_left_out = [
+        f"those of {path}, whose evaluation has no provenance and no steps"
+        for path in dict.fromkeys(shown_path(each.run.path) for each in failed)
+    ]
     if not choose_failures(methods, most=max(most, 1)):
         return
     gallery = FailureDrawing(methods, most, findings)
@@ -196,7 +206,7 @@ class FailureDrawing:
     def draw(self) -> Figure:
         """The figure; at most `most` episodes are run again."""
         gallery = collect_failures(self.methods, most=self.most or MOST_FAILURES, simulate=self.most > 0)
-        self.findings.failures_left_out = gallery.left_out
+        self.findings.failures_left_out += gallery.left_out
         return draw_failures(gallery)
 
 

@@ -70,7 +70,7 @@ def lay_out(findings: Findings, figures: dict[str, list[FigureBlock]]) -> list[S
         Section("difficulty", "Success against distance and slope"),
         Section("tracks", "Tracks"),
         Section("failures", "Failures", _failures(findings)),
-        Section("aggregates", "Aggregates over cases"),
+        Section("aggregates", "Aggregates over sets"),
         Section("sweeps", "Sweeps", _sweeps(findings)),
     ]
     for section in sections:

@@ -170,7 +170,7 @@ def overview_table(comparisons: Sequence[Comparison], estimates: Sequence[Estima
     return Table(
         f"overview_{measure}",
         f"{measure_title(one)} of every method on all cases",
-        f"{one.meaning}; {', '.join(_episodes(each) for each in comparisons)}. "
+        f"{one.meaning.capitalize()}; {', '.join(_episodes(each) for each in comparisons)}. "
         "95 % intervals. A dash: not measured.",
         ["method", *(each.cases.title for each in comparisons)],
         rows,
