@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _DEFAULT_EPISODES = 100
 _DEFAULT_SAMPLE = 16
+_SEEDS_SHOWN = 3
 _OTHER_LIBRARIES = (".onnx", ".zip")
 
 
@@ -118,8 +119,22 @@ def _evaluate(conf: EvaluateConf) -> None:
     prepared = prepare_run(plan)
     console = command.make_console()
     command.print_world_notes(console, conf)
-    with ResultsFolder.create(out, conf, describe_provenance(plan), overwrite=conf.overwrite) as folder:
+    provenance = describe_provenance(plan)
+    _note_sites_of_training(conf, provenance)
+    with ResultsFolder.create(out, conf, provenance, overwrite=conf.overwrite) as folder:
         run_plan(plan, folder, prepared, console, conf.processes)
+
+
+def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -> None:
+    for policy in provenance["policies"]:
+        seeds = policy["sites_of_training"]
+        if seeds:
+            more = f" and {len(seeds) - _SEEDS_SHOWN} others" if len(seeds) > _SEEDS_SHOWN else ""
+            command.print_error(
+                f"note: {policy['name']} was trained on sites of {conf.set} "
+                f"(world.seed {', '.join(map(str, seeds[:_SEEDS_SHOWN]))}{more}): its results there are not "
+                "those of unseen sites"
+            )
 
 
 def _resume(path: Path, processes: int | None) -> None:

@@ -3,6 +3,7 @@
 from dune_rl.episode_sets.apply import check_set_overrides, plan_of_set, settings_on_set
 from dune_rl.episode_sets.episode_set import EpisodeSet, SetEpisode
 from dune_rl.episode_sets.files import read_episode_set, set_names, write_episode_set
+from dune_rl.episode_sets.overlap import sites_of_training
 
 __all__ = [
     "EpisodeSet",
@@ -12,5 +13,6 @@ __all__ = [
     "read_episode_set",
     "set_names",
     "settings_on_set",
+    "sites_of_training",
     "write_episode_set",
 ]

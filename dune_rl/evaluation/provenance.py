@@ -10,8 +10,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from dune_rl.episode_sets import sites_of_training
 from dune_rl.errors import ConfigError
+from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.running import EvaluationPlan
+from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.paths import package_folder
 
 _PACKAGES = (
@@ -34,13 +37,24 @@ def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
         "episodes": plan.episodes,
         "scenes": plan.scenes,
         "processes": plan.conf.processes,
-        "policies": [source.plain() for source in plan.sources],
+        "policies": [
+            source.plain() | {"sites_of_training": sites_of_training_of(source, plan)}
+            for source in plan.sources
+        ],
         "git": git_commit(),
         "packages": package_versions(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "hardware": {"processor": processor_name(), "cores": os.cpu_count(), "memory_gib": memory_gib()},
     }
+
+
+def sites_of_training_of(source: PolicySource, plan: EvaluationPlan) -> list[int]:
+    """World seeds of the plan's set that were sites of a checkpoint's training too."""
+    if plan.episode_set is None or source.kind != "checkpoint" or source.file is None:
+        return []
+    config = read_checkpoint_file(source.file, "policy", "checkpoint")["config"]
+    return sites_of_training(config, plan.episode_set)
 
 
 def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: Path) -> None:

@@ -23,6 +23,8 @@ from dune_rl.metrics.catalogue import Measure, measures_of
 # The metrics of one agent in one episode, by name.
 MetricsRow = dict[str, float]
 
+# Columns that tell which site an episode is on, besides its number and its agent, where rows have them.
+CASE_COLUMNS = ("set", "world", "seed", "world_seed")
 # The column of a world's seed, where each episode draws one.
 WORLD_SEED = "randomisation/world_seed"
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.learning.measures import cluster_rows
+from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows
 from dune_rl.learning.paired_tests import mcnemar_test, ratio_exchange_test, sign_flip_test
 from dune_rl.learning.statistics import (
     Estimate,
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Rows = Sequence[Mapping[str, Any]]
 
 # What tells the cases of two evaluations apart, where rows have it.
-_CASE = ("set", "world", "seed", "episode", "world_seed", "agent")
+_CASE = (*CASE_COLUMNS, "episode", "agent")
 
 
 @dataclass(frozen=True)

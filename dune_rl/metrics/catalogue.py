@@ -276,6 +276,8 @@ CATALOGUE: tuple[Measure, ...] = (
 _DETAILS = {
     "agent",
     *BUILT_IN,
+    "set",
+    "world",
     "seed",
     "world_seed",
     "goals",

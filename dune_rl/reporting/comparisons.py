@@ -12,7 +12,7 @@ from typing import Any, get_args
 from dune_rl.config.schema import BuiltInPolicy
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.evaluation.columns import measured_columns
-from dune_rl.learning.measures import MetricsRow, cluster_rows, estimate_metrics
+from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, cluster_rows, estimate_metrics
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
@@ -23,7 +23,6 @@ from dune_rl.reporting.runs import EvaluationRun, Row
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
 _DECISIVE = ("world", "weather", "agents", "robots", "actors", "randomisation")
 _DECISIVE_IN_TASK = ("spawn", "terminations")
-_IDS = ("episode", "agent", "world_seed")
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
@@ -80,25 +79,25 @@ class Comparison:
             return []
         results = {method.name: _rows_of(method, common) for method in self.methods}
         shared = set.intersection(*(_measured_names(rows) for rows in results.values()))
+        kept = {*shared, *CASE_COLUMNS, "episode", "agent"}
         return compare_policies(
             {
-                name: [
-                    {key: value for key, value in row.items() if key in shared or key in _IDS} for row in rows
-                ]
+                name: [{key: value for key, value in row.items() if key in kept} for row in rows]
                 for name, rows in results.items()
             }
         )
+
+    @property
+    def sites(self) -> int:
+        """Number of sites, if episodes share them, so that intervals are over whole sites; else 0."""
+        clusters, kind = cluster_rows(self.methods[0].rows)
+        return int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
 
     def common_episodes(self) -> set[tuple[float, str]]:
         """The (episode, agent) that all methods have."""
         return set.intersection(
             *({(row["episode"], row["agent"]) for row in method.rows} for method in self.methods)
         )
-
-    @property
-    def samples(self) -> str:
-        """What intervals are over: "episodes", or "sites" where several episodes share one."""
-        return cluster_rows(self.methods[0].rows)[1]
 
     @property
     def files(self) -> list[Path]:
@@ -299,14 +298,13 @@ def _measured_names(rows: Sequence[Row]) -> set[str]:
 
 
 def _numeric(rows: Sequence[Row], names: Sequence[str]) -> list[MetricsRow]:
-    """The metrics `names` of rows and their ids as numbers; NaN where a row has none."""
+    """The metrics `names` of rows, their ids as numbers and their sites; NaN where a row has no value."""
     agents = {agent: float(number) for number, agent in enumerate(sorted({row["agent"] for row in rows}))}
     return [
         {
             "episode": row["episode"],
             "agent": agents[row["agent"]],
-            # By which whole sites are one sample.
-            "world_seed": row.get("world_seed", math.nan),
+            **{name: row[name] for name in CASE_COLUMNS if name in row},
             **{name: row[name] if is_number(row.get(name)) else math.nan for name in names},
         }
         for row in rows

@@ -24,7 +24,7 @@ from pydantic import Field, ValidationError
 
 from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
-from dune_rl.learning.measures import compare_success
+from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_success
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
@@ -218,7 +218,10 @@ def _frames(method: Method) -> str:
 def _make_pair(conf: PairConf, folder: Path) -> str:
     first, second = (find_method(source, folder) for source in (conf.first, conf.second))
     rows = [
-        [{"episode": row["episode"], "agent": 0.0, "success": row["success"]} for row in method.rows]
+        [
+            {"agent": 0.0, **{key: row[key] for key in ("episode", "success", *CASE_COLUMNS) if key in row}}
+            for row in method.rows
+        ]
         for method in (first, second)
     ]
     try:
@@ -227,9 +230,11 @@ def _make_pair(conf: PairConf, folder: Path) -> str:
         raise ConfigError(str(error)) from None
     names = (escape_markdown(f"`{method.policy}`").replace("\\`", "`") for method in (first, second))
     one, other = names
+    clusters, units = cluster_rows(rows[0])
+    name = "exact McNemar test" if clusters is None else f"sign-flip test of whole {units}"
     return (
         f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in "
-        f"{test.only_b}: exact McNemar test, p = {format_p(test.p_value)}.\n"
+        f"{test.only_b}: {name}, p = {format_p(test.p_value)}.\n"
     )
 
 

@@ -11,6 +11,7 @@ from dune_rl.learning.paired_comparison import compare_policies
 from dune_rl.learning.paired_tests import mcnemar_test
 from dune_rl.learning.statistics import estimate_proportion, estimate_share_difference
 from dune_rl.learning.table import comparison_table, paired_line
+from dune_rl.reporting.comparisons import Cases, Comparison, Method
 
 SITES, EACH = 50, 4
 OF_SITE = np.repeat(np.arange(SITES), EACH)
@@ -141,3 +142,18 @@ def test_policies_that_do_the_same_are_shown_without_an_interval_that_nobody_kno
     rows = rows_of([1, 1, 0], clearance=[1.0, 2.0, 3.0])
     table = comparison_table(compare_policies({"a": rows, "b": rows}), "OC")
     assert list(table.columns[1].cells) == ["+0.00"]
+
+
+def test_reports_keep_the_sites_of_rows() -> None:
+    random = np.random.default_rng(1)
+    a, b = pair(random)
+    of_a, of_b = (
+        rows_of(hits, world_seed=500.0 + OF_SITE, set="inspection-v1", world="inspection") for hits in (a, b)
+    )
+    rows = {name: [row | {"agent": "rover_0"} for row in of] for name, of in (("a", of_a), ("b", of_b))}
+    cases = Cases("key", "inspection-v1", "inspection", "inspection-v1", "", "bullet", 1, "rover")
+    comparison = Comparison(cases, [Method(name, name, found) for name, found in rows.items()])
+    assert comparison.sites == SITES
+    assert comparison.estimates()["a"]["SR"] == estimate_proportion(a, OF_SITE)
+    (one,) = comparison.paired()
+    assert one.p_value == mcnemar_test(a, b, OF_SITE).p_value and one.difference.units == SITES

@@ -41,7 +41,8 @@ def test_the_headline_and_the_studies_have_tables_that_are_made() -> None:
 def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
     file.write_text(f"before\n\n{TABLE}old\n{END}\nbetween\n\n{TABLE}{END} after\n")
     assert rewrite_file(file) == 2
-    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.00 to 0.75) |")
+    # One collision: Garwood's interval of 0.0253 to 5.572, by four episodes.
+    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.01 to 1.39) |")
     made = TABLE + "".join(f"{line}\n" for line in lines) + END
     assert file.read_text() == f"before\n\n{made}\nbetween\n\n{made} after\n"
     written = file.stat().st_mtime_ns

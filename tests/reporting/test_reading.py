@@ -216,7 +216,7 @@ def test_episodes_of_one_site_are_one_sample(tmp_path: Path) -> None:
     write_evaluation(tmp_path / "a", [*rows], set={"name": "mine", "sha256": "1"})
     write_evaluation(tmp_path / "b", [*apart], set={"name": "mine", "sha256": "2"})
     first, second = collect_comparisons(read_inputs([tmp_path]).evaluations)
-    assert (first.samples, second.samples) == ("sites", "episodes")
+    assert (first.sites, second.sites) == (2, 0)
     shared, own = first.estimates()["x"]["SR"], second.estimates()["y"]["SR"]
     assert shared.value == own.value == 0.5
     assert shared.high - shared.low > own.high - own.low

@@ -42,9 +42,11 @@ class Mppi:
     """Drives N bodies by sampled controls, weighted by the cost of where a unicycle model takes them.
 
     It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
-    the vehicle's own size, limits and LiDAR mount. It knows no map and no slopes, and of actors only their
-    returns, which it treats as obstacles at rest. It remembers nothing but its last plan: it gets stuck in
-    front of walls that it would have to leave behind, and treats rising ground in the scan as an obstacle.
+    the vehicle's own size, limits and LiDAR mount. It knows no map and no slopes: it remembers the returns of
+    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` gives, and finds its way to
+    the goal there. Small objects that move from scan to scan have tracks (`ScanTracker`), and go on with
+    their velocity within the horizon. Rising ground in the scan is an obstacle to it, and what lies below the
+    scan's plane it does not see before it meets it.
 
     Williams et al., "Information theoretic MPC for model-based reinforcement learning" (2017). `samples` and
     `horizon_s` set its effort; `temperature` is the lambda of the weights; `margin_m` is the distance at
@@ -99,7 +101,11 @@ class Mppi:
         self._map = LocalMap(self._num_rows, middle, self._mount)
         # Whether the scan covers what is behind.
         sees_behind = np.abs(np.abs(of_beams) - np.pi).min() < np.deg2rad(20.0)
-        self._weights = (*_WEIGHTS[:4], _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M, _WEIGHTS[5])
+        self._weights = (
+            *_WEIGHTS[:4],
+            _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M,
+            _WEIGHTS[5],
+        )
         self._noise = self._sample_noise(context)
 
     def _sample_noise(self, context: DriverContext) -> Array:
@@ -158,7 +164,9 @@ class Mppi:
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
 
-    def _obstacles(self, ranges: Array, twists: Array, goals: Array, step_s: float) -> tuple[Array, Counts, Array]:
+    def _obstacles(
+        self, ranges: Array, twists: Array, goals: Array, step_s: float
+    ) -> tuple[Array, Counts, Array]:
         """Points (N, P, 2) [m] at rest that count within the horizon, first, and how many; and what moves,
         (N, K, 5): x, y, velocity and radius. All in the vehicles' frames.
         """
@@ -171,7 +179,7 @@ class Mppi:
         tracker.update(ranges, middles, sees, twists, step_s)
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
-        moves = tracker.velocities.any(axis=2)
+        moves: NDArray[np.bool_] = np.abs(tracker.velocities).max(axis=2) > 0.0
         self._note_blockages(step_s)
         self._map.update(tracker.poses, ranges, sees, moves, goals)
         rests = sees & (ranges < reach) & ~moves

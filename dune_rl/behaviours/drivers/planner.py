@@ -39,8 +39,8 @@ class Planner:
     it for an obstacle that the map lacks, backs off and plans anew (`ProgressWatch`).
 
     `max_slope_deg` is the steepest ground on a route; `actor_radius_m` the radius of the circle that stands
-    for a moving body; `margin_m` is the room that the follower should keep beside obstacles; `speed_mps` limits the speed below the
-    body's own limit.
+    for a moving body; `margin_m` is the room that the follower should keep beside obstacles; `speed_mps`
+    limits the speed below the body's own limit.
     """
 
     def __init__(
@@ -57,7 +57,8 @@ class Planner:
             float, Field(ge=0.0, le=5.0, description="radius of the circle that stands for a moving body [m]")
         ] = 0.35,
         margin_m: Annotated[
-            float, Field(gt=0.0, le=2.0, description="room beside obstacles that the follower should keep [m]")
+            float,
+            Field(gt=0.0, le=2.0, description="room beside obstacles that the follower should keep [m]"),
         ] = 0.1,
     ) -> None:
         self._num_rows, self._speed_mps = num_rows, speed_mps
@@ -133,7 +134,9 @@ class Planner:
         vehicle = self._context.vehicle
         radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
-            known = shared_route_map(worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest)
+            known = shared_route_map(
+                worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest
+            )
             routes = known.routes_to(goals[row], group.motion.position_w[row, :2], self._watch.blocked[row])
             size = routes.cost.size
             self._make_room(size)

@@ -1,4 +1,4 @@
-"""Recovery of bodies that do not move: what blocks them, and when they should get away from where they are."""
+"""Recovery of bodies that do not move: what blocks them, and when they should get away from there."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -53,8 +53,8 @@ class Routes(NamedTuple):
 class RouteMap:
     """Costs of travel of a round robot of `footprint_radius_m` in a world; see `FreeSpace` for what is free.
 
-    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle, and
-    up to 12 where the clearance is below the footprint's radius but not below `narrowest_m`.
+    A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle,
+    and up to 12 where the clearance is below the footprint's radius but not below `narrowest_m`.
     Cells are 0.2 m wide, larger in worlds of more than 80 by 80 m. It keeps no reference to the world.
     """
 
@@ -69,11 +69,15 @@ class RouteMap:
         self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
         self.traversable = space.traversable
         self.clearance: Floats = space.clearance.astype(np.float32)
-        off_steep = distance_transform_edt(~space.steep, sampling=self.cell_m) if space.steep.any() else np.inf
+        off_steep = (
+            distance_transform_edt(~space.steep, sampling=self.cell_m) if space.steep.any() else np.inf
+        )
         self._beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(off_steep, np.float32)
         slope = world.terrain.slope(np.stack(np.meshgrid(self.x, self.y), axis=-1))
         near = np.clip(1.0 - (space.clearance - footprint_radius_m) / _NEAR_M, 0.0, 1.0)
-        tight = np.clip((footprint_radius_m - space.clearance) / max(footprint_radius_m - narrowest, 1e-9), 0, 1)
+        tight = np.clip(
+            (footprint_radius_m - space.clearance) / max(footprint_radius_m - narrowest, 1e-9), 0, 1
+        )
         self.cost: Array = (
             1.0
             + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2

@@ -213,8 +213,8 @@ class ScanTracker:
     def update(
         self, ranges: Array, points: Array, sees: NDArray[np.bool_], twists: Array, step_s: float
     ) -> None:
-        """Take a scan: `ranges` (N, S) [m], where its segments end (N, S, 2) in the vehicles' frames and which
-        of them have a return; and the readings of speed and yaw rate (N, 2) after the last step.
+        """Take a scan: `ranges` (N, S) [m], where its segments end (N, S, 2) in the vehicles' frames and
+        which of them have a return; and the readings of speed and yaw rate (N, 2) after the last step.
         """
         track_scans(
             ranges, points, sees, twists, step_s, self.poses, self._tracks, self._counts, self.moving,

@@ -73,7 +73,7 @@ def _misalignment(grid: Any, waypoints: Any, x: float, y: float, yaw: float) -> 
 
 @compile_function
 def predict_actors(actors: Any, places: Any) -> None:
-    """Where `actors` (K, 6: x, y, velocity, yaw rate, radius) will be: `places` (T, K, 2), turning for 1 s."""
+    """Future `places` (T, K, 2) of `actors` (K, 6: x, y, velocity, yaw rate, radius), turning for 1 s."""
     for number in range(len(actors)):
         x, y = actors[number, 0], actors[number, 1]
         speed = np.hypot(actors[number, 2], actors[number, 3])
@@ -90,7 +90,7 @@ def predict_actors(actors: Any, places: Any) -> None:
 def _gaps(
     x: float, y: float, yaw: float, grid: Any, clearance: Any, places: Any, actors: Any, vehicle: Any
 ) -> Any:
-    """Distances [m] of the vehicle's three discs from obstacles and from actors; bounds where these are far."""
+    """Distances [m] of the vehicle's discs from obstacles and from actors; bounds where these are far."""
     reach, radius, around = vehicle[4], vehicle[5], vehicle[6]
     static, moving = interpolate_grid(grid, clearance, x, y) - around, np.inf
     for number in range(len(places)):

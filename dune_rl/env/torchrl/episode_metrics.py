@@ -107,21 +107,20 @@ class EpisodeMetrics(Transform):
 
     # -- the transform --------------------------------------------------------------------------------
 
-    def _values(self, group: AgentGroup, found: MetricSet | None) -> dict[str, np.ndarray]:
-        """Values by key, each (N,) or (N, n), rows scene after scene."""
-        if found is None:
-            values = self._simulation.metrics(group.name)
-            return {_ALL: values.reshape(len(group.done), -1)}
-        return dict(zip(self._names, found.term_values.astype(np.float32), strict=True))
-
     def _add(self, tensordict: TensorDictBase) -> TensorDictBase:
         for group, found in self._find():
             # Behind a SingleAgent there is no group.
             inside = tensordict.get(group.name, None)
             target = tensordict if inside is None else inside
             shape = target.batch_size
-            for key, values in self._values(group, found).items():
-                target.set(key, torch.from_numpy(values).view(*shape, -1))
+            if found is None:
+                values = torch.from_numpy(self._simulation.metrics(group.name))
+                target.set(_ALL, values.view(*shape, -1))
+                continue
+            columns = torch.from_numpy(found.term_values.astype(np.float32)).view(-1, *shape, 1).unbind()
+            for key, values in zip(self._names, columns, strict=True):
+                # Of the right shape and type by construction; checking that takes longer than all the rest.
+                target._set_str(key, values, inplace=False, validated=True)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

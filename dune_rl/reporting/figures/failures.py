@@ -20,9 +20,11 @@ KINDS = ("collision", *FAILURES)
 MOST_FAILURES, EACH = 12, 1
 _SIZE = (320, 240)
 _MAP_S = 20.0
+_FASTEST_MPS = 1.0
 _LABEL_IN = 1.25
-# Characters of a method's name that fit on a line beside its pictures.
-_NAME_WIDTH = 21
+# Characters that fit on a line beside pictures, and above a map.
+_NAME_WIDTH, _MAP_WIDTH = 21, 32
+_MAP_IN, _MAPS_ACROSS = 2.6, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,26 +143,44 @@ def _counts(methods: Sequence[MethodRun]) -> dict[tuple[str, str, str], int]:
 
 
 def draw_failures(gallery: FailureGallery) -> Figure:
-    """The failures of a gallery: rows are failures, and pictures go on in time to the right."""
-    shown = gallery.shown
-    if not shown:
+    """The failures of a gallery: rows of pictures that go on in time to the right, and maps below them.
+
+    Maps stand for failures without pictures, with the reason.
+    """
+    filmed = [one for one in gallery.shown if one.replay is not None]
+    mapped = [one for one in gallery.shown if one.track is not None]
+    if not gallery.shown:
         return note_figure("no failure to show")
     with rc_context(RC):
         side = (PAGE_IN - _LABEL_IN) / len(BEFORE_S)
-        height = side * _SIZE[1] / _SIZE[0] + 0.17
-        figure = new_figure(PAGE_IN, height * len(shown) + 0.05)
-        grid = figure.subplots(
-            len(shown),
-            1 + len(BEFORE_S),
-            squeeze=False,
-            width_ratios=[_LABEL_IN / side, *[1] * len(BEFORE_S)],
-        )
-        for row, failure in zip(grid, shown, strict=True):
-            _label(row[0], failure, gallery)
-            if failure.replay is not None:
+        heights = [
+            (side * _SIZE[1] / _SIZE[0] + 0.17) * len(filmed),
+            _MAP_IN * -(-len(mapped) // _MAPS_ACROSS),
+        ]
+        figure = new_figure(PAGE_IN, sum(heights) + 0.05)
+        ratios = [max(height, 1e-3) for height in heights]
+        above, below = figure.subfigures(2, 1, height_ratios=ratios, squeeze=False).reshape(-1)
+        if filmed:
+            grid = above.subplots(
+                len(filmed),
+                1 + len(BEFORE_S),
+                squeeze=False,
+                width_ratios=[_LABEL_IN / side, *[1] * len(BEFORE_S)],
+            )
+            for row, failure in zip(grid, filmed, strict=True):
+                _label(row[0], failure, gallery)
+                assert failure.replay is not None
                 _draw_pictures(list(row[1:]), failure.replay)
-            else:
-                _draw_map(list(row[1:]), failure)
+        if mapped:
+            rows = -(-len(mapped) // _MAPS_ACROSS)
+            panels = list(below.subplots(rows, _MAPS_ACROSS, squeeze=False).reshape(-1))
+            for axes in panels[len(mapped) :]:
+                axes.remove()
+            for axes, failure in zip(panels, mapped, strict=False):
+                _draw_map(axes, failure)
+            below.supxlabel(
+                f"colours of the ways: 0 (dark) to {_FASTEST_MPS:g} m/s (light)", fontsize=SMALL, color=FAINT
+            )
     return figure
 
 
@@ -170,14 +190,21 @@ def _label(axes: Axes, failure: ShownFailure, gallery: FailureGallery) -> None:
     told = "the only one" if count == 1 else f"one of {count}"
     when = "" if failure.replay is None else f"\nafter {failure.replay.time_s:.1f} s"
     lines = wrap(failure.method, _NAME_WIDTH)
-    axes.text(
-        0.0, 1.0, "\n".join(lines), transform=axes.transAxes, va="top", fontweight="bold", fontsize=SMALL
-    )
-    axes.text(
-        0.0, 1.02,
-        "\n" * len(lines) + f"{failure.kind_name}{when}\n{failure.cases}\nepisode {failure.episode}\n({told})",
-        transform=axes.transAxes, va="top", fontsize=SMALL, linespacing=1.35,
-    )  # fmt: skip
+    below = [failure.kind_name + when, failure.cases, f"episode {failure.episode}", f"({told})"]
+    for text, top, weight in (
+        ("\n".join(lines), 1.0, "bold"),
+        ("\n" * len(lines) + "\n".join(below), 1.02, "normal"),
+    ):
+        axes.text(
+            0.0,
+            top,
+            text,
+            transform=axes.transAxes,
+            va="top",
+            fontsize=SMALL,
+            fontweight=weight,
+            linespacing=1.3,
+        )
 
 
 def _draw_pictures(panels: Sequence[Axes], replay: Replay) -> None:
@@ -194,14 +221,15 @@ def _draw_pictures(panels: Sequence[Axes], replay: Replay) -> None:
         )
 
 
-def _draw_map(panels: Sequence[Axes], failure: ShownFailure) -> None:
+def _draw_map(axes: Axes, failure: ShownFailure) -> None:
     assert failure.track is not None
-    axes, *others = panels
-    draw_track_map(axes, failure.track, Normalize(0.0, 1.0))
-    axes.set_title(f"last {_MAP_S:g} s on the map", fontsize=SMALL, loc="left", pad=2)
-    for each in others:
-        each.set_axis_off()
-    others[0].text(
-        0.0, 0.5, f"no pictures:\n{failure.reason}", transform=others[0].transAxes, va="center", color=FAINT,
-        fontsize=SMALL, wrap=True,
-    )  # fmt: skip
+    draw_track_map(axes, failure.track, Normalize(0.0, _FASTEST_MPS))
+    lines = wrap(failure.method, _MAP_WIDTH)
+    lines += [
+        f"{failure.kind_name}, episode {failure.episode}",
+        failure.cases,
+        f"last {_MAP_S:g} s on the map",
+    ]
+    axes.set_title("\n".join(lines), fontsize=SMALL, loc="left", pad=2)
+    reason = "\n".join(wrap(f"no pictures: {failure.reason}", _MAP_WIDTH))
+    axes.set_xlabel(reason, fontsize=SMALL - 1, color=FAINT, loc="left")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
+from dune_rl.learning.measures import cluster_rows
 from dune_rl.learning.statistics import Estimate, estimate_proportion
 from dune_rl.reporting.figures.results import Results, column, count_text, method_names
 from dune_rl.reporting.figures.style import (
@@ -37,6 +38,8 @@ PROPERTIES = {
 _MOST_BINS, _MOST_ACROSS = 6, 3
 # A bin has at least this share of the values.
 _LEAST_SHARE = 0.05
+# A bin has at least this many episodes of a method, on average.
+_LEAST_COUNT = 5
 # A property that differs by less does not vary.
 _LEAST_RANGE = 1e-3
 # More methods than these have thinner intervals.
@@ -52,28 +55,29 @@ class SuccessBin:
     share: Estimate
 
 
-def round_edges(values: Array, most_bins: int = _MOST_BINS) -> Array:
-    """Round edges of at most `most_bins` bins that hold all values which are not NaN.
+def round_edges(values: Array, least: float = 0.0) -> Array:
+    """Round edges of at most six bins that hold all values which are not NaN.
 
-    They are of equal width, apart from those that are joined because few values are in them.
+    They are of equal width, apart from those that are joined because fewer than a twentieth of the values, or
+    than `least`, are in them.
     """
     seen = values[np.isfinite(values)]
     if not len(seen):
         return np.zeros(0)
-    edges = MaxNLocator(most_bins, steps=[1, 2, 2.5, 5, 10]).tick_values(seen.min(), seen.max())
+    edges = MaxNLocator(_MOST_BINS, steps=[1, 2, 2.5, 5, 10]).tick_values(seen.min(), seen.max())
     # The last bin has no right edge of its own, so a value on it needs another.
     first = int(np.searchsorted(edges, seen.min(), side="right")) - 1
     last = int(np.searchsorted(edges, seen.max(), side="right"))
     step = edges[1] - edges[0]
-    return _join_sparse(seen, np.append(edges, edges[-1] + step)[max(first, 0) : last + 1])
+    return _join_sparse(seen, np.append(edges, edges[-1] + step)[max(first, 0) : last + 1], least)
 
 
-def _join_sparse(values: Array, edges: Array) -> Array:
+def _join_sparse(values: Array, edges: Array, least: float) -> Array:
     """Edges without some, so that no bin has few values: such a bin is joined to its smaller neighbour."""
     while len(edges) > 2:
         counts = np.histogram(values, edges)[0]
         sparsest = int(counts.argmin())
-        if counts[sparsest] >= _LEAST_SHARE * len(values):
+        if counts[sparsest] >= max(_LEAST_SHARE * len(values), least):
             break
         padded = np.concatenate([[np.inf], counts, [np.inf]])
         to_left = padded[sparsest] <= padded[sparsest + 2]
@@ -86,9 +90,14 @@ def success_by_bin(rows: Sequence[Row], name: str, edges: Array) -> list[Success
     values, success = column(rows, name), column(rows, "success")
     known = np.isfinite(values) & np.isfinite(success)
     values, hits = values[known], success[known] > 0
+    clusters, _ = cluster_rows([row for row, is_known in zip(rows, known, strict=True) if is_known])
     number = np.searchsorted(edges, values, side="right") - 1
     return [
-        SuccessBin(float(edges[bin]), float(edges[bin + 1]), estimate_proportion(hits[number == bin]))
+        SuccessBin(
+            float(edges[bin]),
+            float(edges[bin + 1]),
+            estimate_proportion(hits[number == bin], None if clusters is None else clusters[number == bin]),
+        )
         for bin in range(len(edges) - 1)
     ]
 
@@ -112,8 +121,8 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
     values = column(all_rows, name)
     if np.nanmax(values) - np.nanmin(values) < _LEAST_RANGE:
         return note_figure(f"all episodes have a {name} of {np.nanmax(values):.3g}")
-    edges = round_edges(values)
     styles = method_styles(method_names(shown))
+    edges = round_edges(values, _LEAST_COUNT * len(styles))
     with rc_context(RC):
         down, across = panel_grid(len(shown), _MOST_ACROSS)
         legend = 0.17 * -(-len(styles) // (4 if across > 1 else 2)) if len(styles) > 1 else 0.0

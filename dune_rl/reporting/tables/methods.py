@@ -137,12 +137,14 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
         for one in pairs
     ]
     caption = (
-        f"Differences with 95 % intervals, over whole {comparison.samples}; p of the exact McNemar test for "
-        "shares and of a permutation test for the rest, and by Holm's method over all pairs of one measure; "
-        "effect: for shares the part of the discordant episodes that the first wins (0.5: none), for means "
-        "Cohen's d of paired samples, for ratios their quotient. Times are compared on the episodes in which "
+        "Differences with paired 95 % intervals; p of the exact McNemar test for shares and of a "
+        "permutation test for the rest, and by Holm's method over all pairs of one measure; effect: for "
+        "shares the part of the discordant episodes that the first wins (0.5: none), for means Cohen's d of "
+        "paired samples, for ratios their quotient (1: none). Times are compared on the episodes in which "
         "both arrive."
     )
+    if comparison.sites:
+        caption += f" Intervals and tests, all of permutations, are over {comparison.sites} whole sites."
     return Table(
         f"{name}_pairs",
         f"{comparison.cases.title}: in pairs",
@@ -223,9 +225,9 @@ def format_p(value: float) -> str:
 
 
 def _intervals(comparison: Comparison) -> str:
+    if comparison.sites:
+        return f"In brackets: 95 % intervals, over {comparison.sites} whole sites."
     several = any(method.agents > 1 for method in comparison.methods)
-    if comparison.samples == "sites":
-        return "In brackets: 95 % intervals, over whole sites."
     return "In brackets: 95 % intervals" + (", over whole episodes." if several else ".")
 
 

@@ -43,5 +43,3 @@ def test_an_unbound_driver_says_so(driver) -> None:
     bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [6.0, 0.0], NOBODY)
     with pytest.raises(ConfigError, match="must be bound to the group"):
         driver(1).act(*bodies.state())
-
-

@@ -62,8 +62,6 @@ def test_mppi_says_which_reading_it_lacks() -> None:
         Mppi(1).bind(replace(context, observe=lambda: readings))
 
 
-
-
 def drive_among(bodies: DrivenBodies, walls: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Track (T, 3) and distances from walkers (T, K) of mppi among posts, its walkers seen as discs."""
 

@@ -176,4 +176,3 @@ def test_planner_gets_off_an_obstacle_that_it_touches() -> None:
     track = drive(Planner(1), bodies, 400)[:, 0]
     assert np.hypot(*(track[-1, :2] - [6.0, 2.0])) < 0.5
     assert world.clearance(track[:, :2]).min() > 0.15
-

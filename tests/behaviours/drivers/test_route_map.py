@@ -96,3 +96,50 @@ def test_a_world_keeps_one_map_for_all_scenes() -> None:
     world = yard()
     assert shared_route_map(world, 0.4, 25.0) is shared_route_map(world, 0.4, 25.0)
     assert shared_route_map(world, 0.4, 25.0) is not shared_route_map(world, 0.3, 25.0)
+
+
+def test_a_route_leads_through_a_gap_that_the_robot_fits_lengthwise_and_costs_more_there() -> None:
+    # A gap of 0.64 m in a wall across the yard.
+    world = yard((0.0, -5.32, 0.0, 0.4, 10.0), (0.0, 5.32, 0.0, 0.4, 10.0))
+    start, goal = [-3.1, 0.1], [3.1, 0.1]
+    assert len(RouteMap(world, RADIUS_M, 25.0).route(start, goal)) == 0
+    narrow = RouteMap(world, RADIUS_M, 25.0, 0.2)
+    assert length_of(narrow.route(start, goal)) == pytest.approx(6.2, abs=0.2)
+    cost = narrow.cost_to_go(goal, start).ravel()[narrow.cell_number(start)]
+    assert 8.0 < cost < 20.0
+
+
+def test_what_was_blocked_is_gone_round_and_the_map_stays_as_it_was() -> None:
+    routes = RouteMap(yard(), RADIUS_M, 25.0)
+    start, goal = np.array([-3.1, 0.1]), np.array([3.1, 0.1])
+    before = routes.routes_to(goal, start)
+    blocked = routes.routes_to(goal, start, [[0.0, 0.1, 1.0]])
+    here = routes.cell_number(start)
+    # Round a disc of 1.4 m, by tangents and arc: 2 sqrt(3.1^2 - 1.4^2) + 1.4 (pi - 2 acos(1.4 / 3.1)).
+    assert before.cost.ravel()[here] == pytest.approx(6.2)
+    assert blocked.cost.ravel()[here] > 6.8
+    assert blocked.clearance.ravel()[routes.cell_number([0.0, 0.1])] == 0.0
+    again = routes.routes_to(goal, start)
+    np.testing.assert_array_equal(again.cost, before.cost)
+    np.testing.assert_array_equal(again.clearance, before.clearance)
+
+
+def test_waypoints_lie_four_steps_ahead_on_the_route() -> None:
+    routes = RouteMap(yard(), RADIUS_M, 25.0)
+    start, goal = np.array([-3.1, 0.1]), np.array([3.1, 0.1])
+    waypoint = routes.routes_to(goal, start).waypoint.ravel()
+    at = waypoint[routes.cell_number(start)]
+    assert at == routes.cell_number(start + np.array([0.8, 0.0]))
+    assert waypoint[routes.cell_number(goal)] == routes.cell_number(goal)
+
+
+def test_steep_ground_leaves_the_follower_less_room_the_nearer_it_is() -> None:
+    places = np.arange(-10.0, 10.01, 0.5)
+    ridge = np.tan(np.deg2rad(35.0)) * np.maximum(2.0 - np.abs(places), 0.0)
+    world = World("ridge", HeightField(np.tile(ridge, (41, 1)), 0.5, (-10.0, -10.0)), region=(-9, 9, -9, 9))
+    routes = RouteMap(world, RADIUS_M, 25.0)
+    room = routes.routes_to([5.1, 0.1], [-5.1, 0.1]).clearance
+    line = room[np.argmin(np.abs(routes.y - 0.1))]
+    on_it, beside = np.abs(routes.x) < 1.9, (routes.x > 2.2) & (routes.x < 5.0)
+    assert line[on_it].max() == pytest.approx(0.68 * RADIUS_M)
+    assert (np.diff(line[beside]) > 0.1).all()

@@ -28,6 +28,8 @@ def test_sparse_bins_are_joined() -> None:
     edges = round_edges(values)
     counts = np.histogram(values, edges)[0]
     assert edges[-1] > 58.0 and counts.sum() == 202 and (counts >= 0.05 * 202).all()
+    few = np.histogram(values, round_edges(values, least=90))[0]
+    assert few.sum() == 202 and (few >= 90).all() and len(few) == 2
 
 
 def test_a_value_on_an_edge_is_in_the_bin_above(make_rows: Callable) -> None:
