@@ -228,11 +228,14 @@ def _oddities(comparison: Comparison) -> list[str]:
         if method.episodes == 1:
             notes.append(f"{method.name} has one episode, which has no interval.")
     total = _episodes_of_set(comparison.cases)
-    notes += [
-        f"{method.name} has {method.episodes} of the set's {total} episodes."
-        for method in comparison.methods
-        if method.episodes < total
-    ]
+    short = {f"{method.name} {method.episodes}" for method in comparison.methods if method.episodes < total}
+    if short:
+        notes.append(f"The set has {total} episodes, of which there are: {', '.join(sorted(short))}.")
+    for method in comparison.methods:
+        if sites := _sites_of_training(method):
+            notes.append(
+                f"{method.name} was trained on {sites} of these sites: there it was not tested on unseen ones."
+            )
     trained = [method.name for method in comparison.methods if _is_at_home(comparison.cases, method)]
     if trained:
         notes.append(
@@ -251,6 +254,16 @@ def _episodes_of_set(cases: Cases) -> int:
     if not cases.set_name or installed_checksum(cases.set_name) != cases.checksum:
         return 0
     return read_episode_set(cases.set_name).header.episodes
+
+
+def _sites_of_training(method: Method) -> int:
+    """On how many of the set's sites the policy was trained, as its evaluation notes."""
+    for run in method.runs:
+        policies = run.provenance.get("policies")
+        for each in policies if isinstance(policies, list) else []:
+            if isinstance(each, dict) and each.get("name") == method.policy:
+                return len(each.get("sites_of_training") or ())
+    return 0
 
 
 def _is_at_home(cases: Cases, method: Method) -> bool:

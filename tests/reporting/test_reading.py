@@ -205,6 +205,18 @@ def test_a_policy_on_the_site_of_its_training_is_told(tmp_path: Path) -> None:
     ]
 
 
+def test_episodes_and_sites_of_a_set_are_told(tmp_path: Path) -> None:
+    used = {"name": "flat-v1", "sha256": read_episode_set("flat-v1").header.sha256}
+    policies = [{"name": "x", "location": "x", "sha256": None, "sites_of_training": [500, 501]}]
+    folder = write_evaluation(
+        tmp_path / "a", episode_rows("x", 4, set="flat-v1"), set=used, policies=policies
+    )
+    (comparison,) = collect_comparisons(read_inputs([folder]).evaluations)
+    few, trained = comparison.notes
+    assert few == "The set has 200 episodes, of which there are: x 4."
+    assert "x was trained on 2 of these sites" in trained
+
+
 def test_rows_that_were_changed_since_are_left_out(tmp_path: Path) -> None:
     folder = write_evaluation(tmp_path / "a", episode_rows("x", 4), tables={"episodes.csv": "0" * 64})
     assert "its checksum differs" in reasons(folder)[0]

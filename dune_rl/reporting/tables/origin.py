@@ -50,7 +50,10 @@ def _text_table(
     name: str, title: str, caption: str, data: Sequence[Mapping[str, object]], sources: Sequence[Path]
 ) -> Table:
     """A table of words; columns in which no row has any are left out."""
-    shown = [key for key in data[0] if any(row[key] not in ("", NOTHING) for row in data)]
+    # Long lists have their place in the CSV alone.
+    shown = [
+        key for key in data[0] if key != "methods" and any(row[key] not in ("", NOTHING) for row in data)
+    ]
     rows = [[Cell(str(row[key])) for key in shown] for row in data]
     return Table(name, title, caption, shown, rows, data, sources, heads=len(shown))
 
