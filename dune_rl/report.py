@@ -17,6 +17,7 @@ PAGE = HelpPage(
         ("out=FOLDER", "of the report; else reports/DATE_NAMES"),
         ("overwrite=true", "replaces the report that is there"),
         ("title=TEXT", "of the page"),
+        ("failures=N", "episodes at most that are run again for pictures of how they failed; 0: none"),
         ("into=FILE.md", "the file whose tables are written anew, in place of a report"),
     ),
     "The page is one file that needs no network. What cannot be used is named there, and left out.",

@@ -12,7 +12,7 @@ from rich.console import Console
 from dune_rl import command
 from dune_rl.errors import ConfigError
 from dune_rl.learning.run.progress import show_episodes
-from dune_rl.reporting.drawing import plan_figures
+from dune_rl.reporting.drawing import FigurePlan, plan_figures
 from dune_rl.reporting.layout import (
     Findings,
     collect_findings,
@@ -63,7 +63,8 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> 
         )
     findings = collect_findings(inputs)
     title = conf.title or default_title(inputs)
-    sections = _compute(findings, out, title, f"{now:%Y-%m-%d %H:%M}", console)
+    date = f"{now:%Y-%m-%d %H:%M}"
+    sections = _compute(findings, plan_figures(findings, conf.failures), out, title, date, console)
     console.print(
         f"Report: {out / PAGE}\n"
         f"{len(figures_of(sections))} figures: {out / FIGURES}\n"
@@ -75,8 +76,10 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> 
     return out
 
 
-def _compute(findings: Findings, out: Path, title: str, date: str, console: Console) -> list[Section]:
-    statistics, plans = compute_steps(findings), plan_figures(findings)
+def _compute(
+    findings: Findings, plans: Sequence[FigurePlan], out: Path, title: str, date: str, console: Console
+) -> list[Section]:
+    statistics = compute_steps(findings)
     # Each figure is drawn, and then written twice.
     total = len(statistics) + 2 * len(plans)
     done = 0

@@ -7,14 +7,17 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+from dune_rl.config.schema import BuiltInPolicy
+from dune_rl.episode_sets import read_episode_set
 from dune_rl.evaluation.columns import measured_columns
 from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, cluster_rows, estimate_metrics
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
 from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.reading import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row
 
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
@@ -224,12 +227,56 @@ def _oddities(comparison: Comparison) -> list[str]:
     for method in comparison.methods:
         if method.episodes == 1:
             notes.append(f"{method.name} has one episode, which has no interval.")
+    total = _episodes_of_set(comparison.cases)
+    short = {f"{method.name} {method.episodes}" for method in comparison.methods if method.episodes < total}
+    if short:
+        notes.append(f"The set has {total} episodes, of which there are: {', '.join(sorted(short))}.")
+    for method in comparison.methods:
+        if sites := _sites_of_training(method):
+            notes.append(
+                f"{method.name} was trained on {sites} of these sites: there it was not tested on unseen ones."
+            )
+    trained = [method.name for method in comparison.methods if _is_at_home(comparison.cases, method)]
+    if trained:
+        notes.append(
+            f"{', '.join(trained)}: measured on the site that it was trained on; on others it may do worse."
+        )
     robots = {
         str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs
     }
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes
+
+
+def _episodes_of_set(cases: Cases) -> int:
+    """How many episodes the set has; 0 where it is not installed, or has changed."""
+    if not cases.set_name or installed_checksum(cases.set_name) != cases.checksum:
+        return 0
+    return read_episode_set(cases.set_name).header.episodes
+
+
+def _sites_of_training(method: Method) -> int:
+    """On how many of the set's sites the policy was trained, as its evaluation notes."""
+    for run in method.runs:
+        policies = run.provenance.get("policies")
+        for each in policies if isinstance(policies, list) else []:
+            if isinstance(each, dict) and each.get("name") == method.policy:
+                return len(each.get("sites_of_training") or ())
+    return 0
+
+
+def _is_at_home(cases: Cases, method: Method) -> bool:
+    """Whether a policy was measured on the one site of its training, as far as its folder tells."""
+    if cases.set_name or method.policy in get_args(BuiltInPolicy):
+        return False
+    for run in method.runs:
+        world, drawn = run.config.get("world"), run.config.get("randomisation")
+        # Beside a training, the settings are those of the training.
+        has_site = isinstance(world, dict) and world.get("seed") is not None and "total_frames" in run.config
+        if has_site and not (isinstance(drawn, dict) and drawn.get("world_seed")):
+            return True
+    return False
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:

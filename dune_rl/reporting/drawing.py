@@ -15,11 +15,21 @@ from dune_rl.reporting.figures.aggregates import (
     draw_profiles,
 )
 from dune_rl.reporting.figures.distributions import distribution_metrics, draw_distributions
-from dune_rl.reporting.figures.results import Results, axis_label
+from dune_rl.reporting.figures.endings import failures_of
+from dune_rl.reporting.figures.failures import (
+    MOST_FAILURES,
+    choose_failures,
+    collect_failures,
+    draw_failures,
+)
+from dune_rl.reporting.figures.results import MethodRun, Results, axis_label
 from dune_rl.reporting.figures.success import draw_success_by
+from dune_rl.reporting.figures.track_data import collect_tracks
+from dune_rl.reporting.figures.tracks import draw_tracks
 from dune_rl.reporting.figures.training import by_world, draw_training_curves
 from dune_rl.reporting.layout import Findings, file_stem
 from dune_rl.reporting.page.blocks import FigureBlock
+from dune_rl.reporting.page.render import shown_path
 
 _PROPERTIES = (
     ("goal_distance_m", "the distance to the goal"),
@@ -43,12 +53,14 @@ class FigurePlan:
         return FigureBlock(self.name, self.title, self.caption, self.draw(), self.sources)
 
 
-def plan_figures(findings: Findings) -> list[FigurePlan]:
-    """The figures that the inputs allow, in order."""
+def plan_figures(findings: Findings, failures: int) -> list[FigurePlan]:
+    """The figures that the inputs allow, in order; at most so many `failures` are run again for pictures."""
     return [
         *_training(findings),
         *_distributions(findings),
         *_difficulty(findings),
+        *_tracks(findings),
+        *_failures(findings, failures),
         *_aggregates(findings),
     ]
 
@@ -103,10 +115,11 @@ def _difficulty(findings: Findings) -> Iterator[FigurePlan]:
 
 
 def _aggregates(findings: Findings) -> Iterator[FigurePlan]:
-    results = shared_results(findings.comparisons)
+    # Of sampled episodes each would be a unit of its own, with a score of 0 or 1.
+    results = shared_results([one for one in findings.comparisons if one.cases.set_name])
     methods = list(dict.fromkeys(name for each in results.values() for name in each))
     rows = [row for each in results.values() for found in each.values() for row in found]
-    # Of a single kind of cases the main table says as much.
+    # Of a single set the main table says as much.
     if len(results) < 2 or not any("success" in row for row in rows):
         return
     scores = collect_scores(results, "success", trained_groups(findings))
@@ -115,7 +128,7 @@ def _aggregates(findings: Findings) -> Iterator[FigurePlan]:
     yield FigurePlan(
         "aggregates",
         "aggregates",
-        "Success over all cases",
+        "Success over all sets",
         "Interquartile mean, median, mean and optimality gap of the success rate (Agarwal et al. 2021). "
         + units,
         sources,
@@ -138,6 +151,77 @@ def _aggregates(findings: Findings) -> Iterator[FigurePlan]:
             sources,
             partial(draw_improvements, scores),
         )
+
+
+def _tracks(findings: Findings) -> Iterator[FigurePlan]:
+    for one in findings.comparisons:
+        if not any(run.steps for method in one.methods for run in method.runs):
+            continue
+        methods = method_runs(one)
+        yield FigurePlan(
+            "tracks",
+            f"tracks_{findings.name(one)}",
+            f"Tracks on {one.cases.title}",
+            "Of the first sites the first episodes, coloured by forward speed, on the shaded ground.",
+            [file.with_name("steps.csv") for file in one.files],
+            partial(_draw_tracks, methods),
+        )
+
+
+def _draw_tracks(methods: Sequence[MethodRun]) -> Figure:
+    return draw_tracks(collect_tracks(methods))
+
+
+def _failures(findings: Findings, most: int) -> Iterator[FigurePlan]:
+    everything = [each for one in findings.comparisons for each in method_runs(one)]
+    # Nothing tells how the others were run.
+    methods = [each for each in everything if each.run.provenance or each.run.steps]
+    failed = [each for each in everything if each not in methods and any(map(failures_of, each.rows))]
+    findings.failures_left_out = [
+        f"those of {path}, whose evaluation has no provenance and no steps"
+        for path in dict.fromkeys(shown_path(each.run.path) for each in failed)
+    ]
+    if not choose_failures(methods, most=max(most, 1)):
+        return
+    gallery = FailureDrawing(methods, most, findings)
+    yield FigurePlan(
+        "failures",
+        "failures",
+        "How episodes failed",
+        "The last seconds before a failure of each kind and method, from left to right; where an episode "
+        "could not be run again, its recorded track.",
+        _files(findings.comparisons),
+        gallery.draw,
+    )
+
+
+@dataclass(frozen=True)
+class FailureDrawing:
+    """Draws the gallery of failures, and notes in the findings which could not be shown."""
+
+    methods: Sequence[MethodRun]
+    most: int
+    findings: Findings
+
+    def draw(self) -> Figure:
+        """The figure; at most `most` episodes are run again."""
+        gallery = collect_failures(self.methods, most=self.most or MOST_FAILURES, simulate=self.most > 0)
+        self.findings.failures_left_out += gallery.left_out
+        return draw_failures(gallery)
+
+
+def method_runs(comparison: Comparison) -> list[MethodRun]:
+    """The methods of a comparison, each with its evaluation; one with steps, if there is one."""
+    return [
+        MethodRun(
+            comparison.cases.title,
+            method.name,
+            method.policy,
+            next((run for run in method.runs if run.steps), method.runs[0]),
+            method.rows,
+        )
+        for method in comparison.methods
+    ]
 
 
 def shared_results(comparisons: Sequence[Comparison]) -> Results:

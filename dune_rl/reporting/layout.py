@@ -12,6 +12,7 @@ from dune_rl.reporting.runs import Note, ReportInputs
 from dune_rl.reporting.tables.methods import (
     PAPER_MEASURES,
     all_measures_table,
+    endings_table,
     main_table,
     overview_table,
     paired_table,
@@ -31,6 +32,7 @@ class Findings:
     groups: list[TrainingGroup]
     estimates: list[dict[str, dict[str, Estimate]]] = field(default_factory=list)
     pairs: list[list[PairedComparison]] = field(default_factory=list)
+    failures_left_out: list[str] = field(default_factory=list)
 
     def name(self, comparison: Comparison) -> str:
         """The stem of the files of a comparison."""
@@ -67,11 +69,15 @@ def lay_out(findings: Findings, figures: dict[str, list[FigureBlock]]) -> list[S
         Section("distributions", "Distributions"),
         Section("difficulty", "Success against distance and slope"),
         Section("tracks", "Tracks"),
-        Section("failures", "Failures"),
-        Section("aggregates", "Aggregates over cases"),
+        Section("failures", "Failures", _failures(findings)),
+        Section("aggregates", "Aggregates over sets"),
         Section("sweeps", "Sweeps", _sweeps(findings)),
     ]
     for section in sections:
+        if section.name == "failures" and findings.failures_left_out:
+            # Below the pictures of those that are shown.
+            left = TextBlock("Not shown:", findings.failures_left_out)
+            section.blocks += [*figures.pop("failures", []), left]
         section.blocks += figures.get(section.name, [])
     sections.append(Section("files", "Files", _files(sections)))
     return sections
@@ -149,6 +155,10 @@ def _measures(findings: Findings) -> list[Block]:
         )
         for comparison, estimates in zip(findings.comparisons, findings.estimates, strict=True)
     ]
+
+
+def _failures(findings: Findings) -> list[Block]:
+    return [TableBlock(endings_table(findings.comparisons))] if findings.comparisons else []
 
 
 def _training(findings: Findings) -> list[Block]:

@@ -20,6 +20,7 @@ class ReportConf(Settings):
     overwrite: bool = False
     title: str | None = Field(None, min_length=1)
     into: str | None = Field(None, min_length=1)
+    failures: int = Field(12, ge=0, le=100)
 
 
 def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
@@ -33,7 +34,7 @@ def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
     for word in settings:
         key, _, text = word.partition("=")
         # Paths and titles are taken as they are, not parsed.
-        values[key] = _parse(word, key) if key == "overwrite" else text
+        values[key] = _parse(word, key) if key in ("overwrite", "failures") else text
     conf = validate(ReportConf, values)
     if conf.into is None and not folders:
         raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")

@@ -196,6 +196,44 @@ def test_different_thresholds_are_told(tmp_path: Path) -> None:
     assert "different thresholds (5°, 8°)" in comparison.notes[0]
 
 
+def test_a_policy_on_the_site_of_its_training_is_told(tmp_path: Path) -> None:
+    folder = write_training(tmp_path / "study", 1)
+    write_rows(folder / "episodes.csv", [*episode_rows("mine", 4), *episode_rows("go_to_goal", 4)])
+    (comparison,) = collect_comparisons(read_inputs([folder]).evaluations)
+    assert comparison.notes == [
+        "mine: measured on the site that it was trained on; on others it may do worse."
+    ]
+
+
+def test_episodes_and_sites_of_a_set_are_told(tmp_path: Path) -> None:
+    used = {"name": "flat-v1", "sha256": read_episode_set("flat-v1").header.sha256}
+    policies = [{"name": "x", "location": "x", "sha256": None, "sites_of_training": [500, 501]}]
+    folder = write_evaluation(
+        tmp_path / "a", episode_rows("x", 4, set="flat-v1"), set=used, policies=policies
+    )
+    (comparison,) = collect_comparisons(read_inputs([folder]).evaluations)
+    few, trained = comparison.notes
+    assert few == "The set has 200 episodes, of which there are: x 4."
+    assert "x was trained on 2 of these sites" in trained
+
+
+def test_rows_that_were_changed_since_are_left_out(tmp_path: Path) -> None:
+    folder = write_evaluation(tmp_path / "a", episode_rows("x", 4), tables={"episodes.csv": "0" * 64})
+    assert "its checksum differs" in reasons(folder)[0]
+
+
+def test_episodes_of_one_site_are_one_sample(tmp_path: Path) -> None:
+    rows = [{**row, "world_seed": 500 + int(row["episode"]) // 4} for row in episode_rows("x", 8, set="mine")]
+    apart = [{**row, "policy": "y", "world_seed": 500 + number} for number, row in enumerate(rows)]
+    write_evaluation(tmp_path / "a", [*rows], set={"name": "mine", "sha256": "1"})
+    write_evaluation(tmp_path / "b", [*apart], set={"name": "mine", "sha256": "2"})
+    first, second = collect_comparisons(read_inputs([tmp_path]).evaluations)
+    assert (first.sites, second.sites) == (2, 0)
+    shared, own = first.estimates()["x"]["SR"], second.estimates()["y"]["SR"]
+    assert shared.value == own.value == 0.5
+    assert shared.high - shared.low > own.high - own.low
+
+
 def test_runs_that_differ_only_in_their_seed_are_a_group(tmp_path: Path) -> None:
     for seed in (1, 2, 3):
         write_training(tmp_path / "flat" / f"seed{seed}", seed)

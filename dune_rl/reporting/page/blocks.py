@@ -8,6 +8,8 @@ from matplotlib.figure import Figure
 
 from dune_rl.reporting.tables.table import Table
 
+_PX_PER_IN, _COLUMN_IN = 150, 5.0
+
 
 @dataclass(frozen=True)
 class TextBlock:
@@ -38,6 +40,16 @@ class FigureBlock:
     figure: Figure
     sources: Sequence[Path] = ()
     kind: str = "figure"
+
+    @property
+    def width_px(self) -> int:
+        """Its width on the page, so that all figures have letters of one size."""
+        return round(_PX_PER_IN * float(self.figure.get_figwidth()))
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it is wider than a column of a paper."""
+        return float(self.figure.get_figwidth()) > _COLUMN_IN
 
 
 @dataclass(frozen=True)

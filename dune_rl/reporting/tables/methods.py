@@ -8,6 +8,8 @@ from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
 from dune_rl.reporting.comparisons import Comparison, measure_of
+from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.figures.endings import COLLISION, FAILURES
 from dune_rl.reporting.tables.table import (
     MINUS,
     NOTHING,
@@ -170,12 +172,41 @@ def overview_table(comparisons: Sequence[Comparison], estimates: Sequence[Estima
     return Table(
         f"overview_{measure}",
         f"{measure_title(one)} of every method on all cases",
-        f"{one.meaning}; {', '.join(_episodes(each) for each in comparisons)}. "
+        f"{one.meaning.capitalize()}; {', '.join(_episodes(each) for each in comparisons)}. "
         "95 % intervals. A dash: not measured.",
         ["method", *(each.cases.title for each in comparisons)],
         rows,
         data,
         list(dict.fromkeys(file for each in comparisons for file in each.files)),
+    )
+
+
+def endings_table(comparisons: Sequence[Comparison]) -> Table:
+    """How the episodes of each method ended, in numbers: with success, or with which failures."""
+    kinds = {
+        "success": "success",
+        "collisions": COLLISION.name,
+        **{key: one.name for key, one in FAILURES.items()},
+    }
+    data: list[Mapping[str, object]] = []
+    for one in comparisons:
+        for method in one.methods:
+            counts = {
+                name: sum(is_number(row.get(metric)) and row[metric] > 0 for row in method.rows)
+                for metric, name in kinds.items()
+            }
+            data.append({"cases": one.cases.title, "method": method.name, "of": len(method.rows), **counts})
+    shown = [name for name in kinds.values() if any(row[name] for row in data)]
+    header = ["cases", "method", *shown, "of"]
+    return Table(
+        "endings",
+        "How episodes ended",
+        "Numbers of episodes, of each agent; one with a collision may also have another ending.",
+        header,
+        [[Cell(str(row[name])) for name in header] for row in data],
+        data,
+        list(dict.fromkeys(file for one in comparisons for file in one.files)),
+        heads=2,
     )
 
 

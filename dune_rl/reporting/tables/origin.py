@@ -26,8 +26,7 @@ def cases_table(comparisons: Sequence[Comparison]) -> Table:
                 "cases": cases.title,
                 "world": cases.world,
                 "sites": describe_sites(one, rows),
-                "set": cases.set_name or NOTHING,
-                "checksum": _checksum(one),
+                "set's checksum": _checksum(one),
                 "episodes": _range(sorted({method.episodes for method in one.methods})),
                 "seed": NOTHING if cases.seed is None else str(cases.seed),
                 "engine": cases.engine or NOTHING,
@@ -51,7 +50,10 @@ def _text_table(
     name: str, title: str, caption: str, data: Sequence[Mapping[str, object]], sources: Sequence[Path]
 ) -> Table:
     """A table of words; columns in which no row has any are left out."""
-    shown = [key for key in data[0] if any(row[key] not in ("", NOTHING) for row in data)]
+    # Long lists have their place in the CSV alone.
+    shown = [
+        key for key in data[0] if key != "methods" and any(row[key] not in ("", NOTHING) for row in data)
+    ]
     rows = [[Cell(str(row[key])) for key in shown] for row in data]
     return Table(name, title, caption, shown, rows, data, sources, heads=len(shown))
 
@@ -132,8 +134,8 @@ def describe_sites(comparison: Comparison, rows: Sequence[Row]) -> str:
     if not seeds:
         return "one"
     if len(seeds) == 1:
-        return f"one (world seed {seeds[0]})"
-    return f"{len(seeds)} (world seeds {seeds[0]} to {seeds[-1]})"
+        return f"one (seed {seeds[0]})"
+    return f"{len(seeds)} (seeds {seeds[0]} to {seeds[-1]})"
 
 
 def _trained_sites(world: Mapping[str, Any], randomisation: Mapping[str, Any]) -> str:
