@@ -264,8 +264,8 @@ def _onnx_function(path: Path) -> Act:
             )
         try:
             if one_by_one:
-                rows = len(next(iter(given.values())))
-                each = ({name: value[row : row + 1] for name, value in given.items()} for row in range(rows))
+                count = len(next(iter(given.values())))
+                each = ({name: value[row : row + 1] for name, value in given.items()} for row in range(count))
                 return np.concatenate([session.run([output], one)[0] for one in each])
             actions: NDArray[np.floating] = session.run([output], given)[0]
         except Exception as error:
