@@ -53,7 +53,10 @@ def test_the_published_rates_hold(name: str) -> None:
     file = STUDY / "policy.pt"
     conf = compose_evaluation([f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
     env = make_learning_env(conf, 16, seed=21)
-    policies = {"inspection": lambda: load_policy(file, env)[0], "go_to_goal": partial(built_in_policy, name, env)}
+    policies = {
+        "inspection": lambda: load_policy(file, env)[0],
+        "go_to_goal": partial(built_in_policy, name, env),
+    }
     rows = evaluate(policies[name](), env, EPISODES, seed=21)["rover"]
     env.close()
     measured = round(sum(row["success"] for row in rows)), EPISODES

@@ -22,14 +22,14 @@ from dune_rl.metrics.registry import METRICS
 from dune_rl.state import Array, GroupState, State
 
 SEED, EPISODES = 5, 4
-DRIVER = '''
+DRIVER = """
 import numpy as np
 
 
 def drive(observation):
     bearing = np.clip(observation["goal"][:, 1], -3.0, 3.0)
     return np.stack([0.9 * np.ones_like(bearing), bearing], axis=1)
-'''
+"""
 SETTINGS = [
     "metrics=navigation",
     "metrics.terms.my_height.reduce=max",
@@ -68,7 +68,9 @@ def of_a_rollout(folder: Path) -> tuple[list[dict[str, float]], list[dict[str, f
     columns = env.transform[1].metric_names["rover"]
     now, steps = env.reset(), []
     while not steps or sum(int(step["next", "done"].sum()) for step in steps) < EPISODES + 2:
-        now["rover", "action"] = torch.from_numpy(drive(now["rover", "observation", "goal"][:, 0].numpy()))[:, None]
+        now["rover", "action"] = torch.from_numpy(drive(now["rover", "observation", "goal"][:, 0].numpy()))[
+            :, None
+        ]
         step, now = env.step_and_maybe_reset(now)
         steps.append(step)
     batch = torch.stack(steps, dim=1)
@@ -76,7 +78,9 @@ def of_a_rollout(folder: Path) -> tuple[list[dict[str, float]], list[dict[str, f
     done = batch["next", "done"].squeeze(-1)
     ended = batch["next"][done]["rover"]
     array = [dict(zip(columns, row, strict=True)) for row in ended["metrics"][:, 0].tolist()]
-    keys = [{name: float(ended[f"episode_{name}"][row].squeeze()) for name in NAMES} for row in range(len(array))]
+    keys = [
+        {name: float(ended[f"episode_{name}"][row].squeeze()) for name in NAMES} for row in range(len(array))
+    ]
     order = sorted(range(len(array)), key=lambda row: array[row]["episode"])[:EPISODES]
     log = RunLog(folder / "log", {"rover": columns})
     log.log_evaluation({"rover": [array[row] for row in order]}, 10, {"rover": 1})
@@ -89,7 +93,9 @@ def same(values: Any, others: Any) -> bool:
     return bool(np.allclose(np.array(values, float), np.array(others, float), rtol=1e-6, equal_nan=True))
 
 
-def test_equal_numbers_everywhere(call: Callable[..., int], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equal_numbers_everywhere(
+    call: Callable[..., int], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (folder / "my_driver.py").write_text(DRIVER)
     monkeypatch.syspath_prepend(folder)
     words = ["policy=my_driver:drive", f"episodes={EPISODES}", f"seed={SEED}", "scenes=3", "out=results"]
@@ -110,7 +116,13 @@ def test_equal_numbers_everywhere(call: Callable[..., int], folder: Path, monkey
         (logged,) = csv.DictReader(file)
     events = EventAccumulator(str(log))
     events.Reload()
-    measures = {"SR": "success", "MTT": "time_to_goal", "OC": "clearance", "SPL": "spl", "my_height": "my_height"}
+    measures = {
+        "SR": "success",
+        "MTT": "time_to_goal",
+        "OC": "clearance",
+        "SPL": "spl",
+        "my_height": "my_height",
+    }
     for measure, name in measures.items():
         mean = float(np.nanmean([row[name] for row in evaluated]))
         assert same(float(logged[measure]), mean)

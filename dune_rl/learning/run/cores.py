@@ -20,8 +20,8 @@ def reserve_cores(
 ) -> Iterator[None]:
     """Hold `needed` of the machine's `cores` (all, if it needs more), among the jobs that share `folder`.
 
-    It waits until so many are free, and calls `waiting` once if they are not. A core is the lock of a file, so
-    that the cores of a job that dies are free at once. Where there are no such locks, nobody waits.
+    It waits until so many are free, and calls `waiting` once if they are not. A core is the lock of a file,
+    so that the cores of a job that dies are free at once. Where there are no such locks, nobody waits.
     """
     if fcntl is None:
         yield

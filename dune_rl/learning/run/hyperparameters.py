@@ -1,47 +1,37 @@
 """What a run is called by in TensorBoard's table of hyperparameters."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dune_rl.learning.run.events import HParam
 
-# Of the algorithm's settings, those that say how it is run.
-_NOT_LEARNED_WITH = ("name", "collector", "evaluation", "checkpoint", "threads", "replay")
-_NOT_SETTINGS = ("run_dir", "resume", "film", "hydra")
+# These say how a run is run, and not what is learned.
+_LEFT_OUT = (
+    *("run_dir", "resume", "film", "hydra", "device"),
+    *("learning.collector", "learning.evaluation", "learning.checkpoint", "learning.threads"),
+)
 
 
 def choose_hyperparameters(config: Mapping[str, Any], words: Sequence[str] = ()) -> dict[str, HParam]:
-    """What tells runs apart in a resolved `config`: world, algorithm with settings, seed, and all `words`.
+    """What tells runs apart in a resolved `config`: world, robot, algorithm, seed, length, and all `words`.
 
     `words` are those of the command line or of a job of a sweep, KEY=VALUE: whatever a sweep changes has a
-    column, also in the run that has the default.
+    column, also in the run that has the default. TensorBoard shows few columns at first, so there are no others.
     """
     found: dict[str, HParam] = {}
-    for name in ("world", "robot"):
-        option = config.get(name)
+    for name, section in (("world", "world"), ("robot", "robot"), ("algorithm", "learning")):
+        option = config.get(section)
         if isinstance(option, Mapping) and "name" in option:
             found[name] = str(option["name"])
-    learning = config.get("learning") or {}
-    if "name" in learning:
-        found["algorithm"] = str(learning["name"])
-    chosen = {key: value for key, value in learning.items() if key not in _NOT_LEARNED_WITH}
-    found |= {f"learning.{name}": value for name, value in _leaves(chosen)}
     for name in ("seed", "total_frames"):
         if name in config:
             found[name] = config[name]
     for word in words:
         name, _, text = word.lstrip("+").partition("=")
-        if text and not name.startswith("~") and name.split(".")[0].split("/")[0] not in _NOT_SETTINGS:
+        left_out = any(name == each or name.startswith((f"{each}.", f"{each}/")) for each in _LEFT_OUT)
+        if text and not name.startswith("~") and not left_out:
             found[name] = _value(config, name, text)
     return found
-
-
-def _leaves(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, HParam]]:
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", _plain(value)
 
 
 def _value(config: Mapping[str, Any], name: str, text: str) -> HParam:
@@ -49,8 +39,6 @@ def _value(config: Mapping[str, Any], name: str, text: str) -> HParam:
     found: Any = config
     for key in name.split("."):
         found = found.get(key) if isinstance(found, Mapping) else None
-    return text if found is None or isinstance(found, Mapping) else _plain(found)
-
-
-def _plain(value: Any) -> HParam:
-    return value if isinstance(value, bool | int | float | str) else str(value)
+    if isinstance(found, bool | int | float | str):
+        return found
+    return text if found is None or isinstance(found, Mapping) else str(found)
