@@ -16,7 +16,7 @@ def choose_hyperparameters(config: Mapping[str, Any], words: Sequence[str] = ())
     """What tells runs apart in a resolved `config`: world, robot, algorithm, seed, length, and all `words`.
 
     `words` are those of the command line or of a job of a sweep, KEY=VALUE: whatever a sweep changes has a
-    column, also in the run that has the default. TensorBoard shows few columns at first, so there are no others.
+    column, also in the run that has the default. TensorBoard shows few columns at first: there are no others.
     """
     found: dict[str, HParam] = {}
     for name, section in (("world", "world"), ("robot", "robot"), ("algorithm", "learning")):
