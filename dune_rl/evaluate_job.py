@@ -153,14 +153,14 @@ def _resume(path: Path, processes: int | None) -> None:
 
 
 def _verify(path: Path, sample: int) -> None:
-    from dune_rl.evaluation.folder import changed_tables, read_provenance, read_settings
+    from dune_rl.evaluation.folder import read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.verify import verify_folder
 
     provenance = read_provenance(path)
     plan = _plan(read_settings(path))
     check_same_sources(plan, provenance, path)
-    verify_folder(path, plan, sample, command.make_console(), changed_tables(path, provenance))
+    verify_folder(path, plan, sample, command.make_console())
 
 
 def default_folder(plan: "EvaluationPlan") -> Path:

@@ -14,6 +14,8 @@ _ENTRY_POINTS: Mapping[str, str] = {
     "robot": "dune_rl.robots",
     "learning": "dune_rl.algorithms",
 }
+# Blanks on both sides of two columns.
+_MARGINS = 8
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,15 @@ def show_help(page: HelpPage) -> None:
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"[bold]{page.title}[/bold]")
     for lines in (page.usage, [*(option_group_rows() if page.options else ()), *page.settings]):
+        names, meanings = (max(map(len, column)) for column in zip(*lines, strict=True))
+        if lines is page.usage and names + meanings + _MARGINS > console.width:
+            # Beside commands, meanings would be columns of single words.
+            console.print()
+            for name, meaning in lines:
+                console.print(f"  [cyan]{escape(name)}[/cyan]\n      {escape(meaning)}")
+            continue
         table = Table(box=None, show_header=False, padding=(0, 2))
-        table.add_column(style="cyan", no_wrap=True, min_width=max(len(name) for name, _ in lines))
+        table.add_column(style="cyan", no_wrap=True, min_width=names)
         table.add_column()
         for name, meaning in lines:
             table.add_row(escape(name), escape(meaning))

@@ -4,10 +4,11 @@ import multiprocessing
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hydra
 import numpy as np
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
 
 FILM_FILE = "film.mp4"
+_SIDE_BY_SIDE = ("joblib", "submitit_local")
 
 
 def run(parsed: Namespace) -> None:
@@ -44,6 +46,8 @@ def run(parsed: Namespace) -> None:
         return
     if not parsed.multirun:
         conf = compose(parsed.overrides, folders)
+        # Before Hydra writes its own files.
+        _check_device(conf)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
@@ -69,7 +73,8 @@ def _job(config: DictConfig) -> float | None:
     try:
         conf = from_hydra(config)
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
-        result = train(conf, words=engine.overrides.task)
+        with _cores_of_a_sweep(conf, engine):
+            result = train(conf, words=engine.overrides.task)
         from dune_rl.learning.objective import measure_objective
 
         return measure_objective(conf.objective, result.evaluation[conf.driven_group.name])
@@ -85,6 +90,31 @@ def _job(config: DictConfig) -> float | None:
     return None
 
 
+@contextmanager
+def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
+    """Wait for cores where jobs of a sweep run side by side on this machine.
+
+    Slurm gives each job cores of its own, and Hydra's basic launcher runs one job at a time.
+    """
+    launcher = engine.runtime.choices.get("hydra/launcher")
+    if engine.mode is not RunMode.MULTIRUN or launcher not in _SIDE_BY_SIDE:
+        yield
+        return
+    from dune_rl.learning.collector import available_cores, learner_threads
+    from dune_rl.learning.run.cores import reserve_cores
+
+    collector = conf.learning.collector
+    needed = collector.processes + (conf.learning.threads or learner_threads(collector))
+    number = engine.job.num
+    with reserve_cores(
+        Path(engine.sweep.dir).absolute() / ".cores",
+        needed,
+        available_cores(),
+        lambda: print(f"job {number} waits for {needed} free cores", flush=True),
+    ):
+        yield
+
+
 def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
     checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
     saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
@@ -95,7 +125,6 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
 
 
 def _refuse_used_folder(run_dir: Path) -> None:
-    # Before Hydra writes its own files there.
     if (run_dir / CHECKPOINT_FILE).exists():
         raise CheckpointError(
             f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
@@ -177,11 +206,17 @@ def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
     log_film(result.run_dir, pictures, view.frames_per_s, result.frames)
 
 
-def _check_machine(conf: Conf) -> None:
+def _check_device(conf: Conf) -> None:
+    if conf.device == "cpu":
+        return
     import torch
 
-    if conf.device == "cuda" and not torch.cuda.is_available():
+    if not torch.cuda.is_available():
         raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
+
+
+def _check_machine(conf: Conf) -> None:
+    _check_device(conf)
     processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
     if processes + (conf.learning.threads or 1) > cores:
         command.print_error(

@@ -94,7 +94,9 @@ def unknown_setting(path: Sequence[str | int], model: type[BaseModel], data: Map
     match = closest(str(path[-1]), siblings)
     if match:
         return f"{name} is not a setting; did you mean {_dotted((*path[:-1], match))}?"
-    elsewhere = {other.rpartition(".")[2]: other for other in reversed(_all_paths(model, data))}
+    # The first one of the shortest.
+    paths = sorted(reversed(_all_paths(model, data)), key=lambda other: -other.count("."))
+    elsewhere = {other.rpartition(".")[2]: other for other in paths}
     # There are many of them, so that some are always a little alike.
     match = closest(str(path[-1]), elsewhere, 0.8)
     if match:

@@ -17,6 +17,7 @@ from dune_rl.config.hydra_session import compose_config, hydra_session, present_
 from dune_rl.config.migration import copied, migrated, move_renamed
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
+from dune_rl.config.world_actors import GROUP as ACTOR_GROUP
 from dune_rl.config.world_actors import replace_default_actors
 from dune_rl.errors import ConfigError
 from dune_rl.suggestions import one_of
@@ -191,7 +192,15 @@ def _validate_all(
     data = copied(data)
     move_renamed(data)
     faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
-    replace_default_actors(data, keep="actors" in set_in_python)
+    replaced_actors = replace_default_actors(data, keep="actors" in set_in_python)
+    for override in request.values:
+        section, _, rest = str(override.key_or_group).partition(".")
+        name, _, setting = rest.partition(".")
+        if section == "actors" and setting and name in replaced_actors:
+            faults.append(
+                f"{override.key_or_group}: the actors of the world's file take the place of {name}; set "
+                f"actors.{ACTOR_GROUP}.{setting}, or choose actors=walkers"
+            )
     # The kind of a named sensor may be known only now, from an option.
     move_renamed(data)
     overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}

@@ -216,7 +216,7 @@ class BenchmarkConf(EnvConf):
         "groups",
         "processes",
     )
-    scenes: int = Field(16, ge=1)
+    scenes: int = Field(16, ge=1, le=8_192)
     rounds: int = Field(9, ge=1)
     steps: int = Field(60, ge=1)
     worlds: int = Field(500, ge=1)
@@ -287,7 +287,7 @@ class EvaluateConf(EnvConf):
     against: Names = ()
     set: str | None = None
     episodes: int | None = Field(None, ge=1)
-    scenes: int = Field(16, ge=1)
+    scenes: int = Field(16, ge=1, le=8_192)
     seed: int = Field(0, ge=0)
     processes: int = Field(1, ge=1, le=1_024)
     steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False

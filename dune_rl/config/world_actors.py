@@ -12,14 +12,14 @@ MARK = "unless_in_world"
 GROUP = "actor"
 
 
-def replace_default_actors(data: dict[str, Any], *, keep: bool = False) -> None:
+def replace_default_actors(data: dict[str, Any], *, keep: bool = False) -> list[str]:
     """Replace marked groups of `data["actors"]` with the actors of the world's file, if it has any.
 
-    Marks are removed; with `keep`, that is all.
+    Marks are removed; with `keep`, that is all. Returns the names of the groups that were replaced.
     """
     actors = data.get("actors")
     if not isinstance(actors, Mapping):
-        return
+        return []
     marked = [name for name, group in actors.items() if isinstance(group, Mapping) and group.get(MARK)]
     plain = {
         name: {key: value for key, value in group.items() if key != MARK}
@@ -34,6 +34,7 @@ def replace_default_actors(data: dict[str, Any], *, keep: bool = False) -> None:
             {"body": {"name": PERSON}, "count": count, "controller": TRAJECTORY}, plain.get(GROUP)
         )
     data["actors"] = plain
+    return marked if count else []
 
 
 def _merge(group: dict[str, Any], own: Any) -> dict[str, Any]:

@@ -46,10 +46,12 @@ def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[n
     if not isinstance(actions, Mapping):
         raise ValueError(f"step needs a mapping from agents to actions (got {type(actions).__name__})")
     if agent not in actions:
-        raise ValueError(f"step needs an action for every agent; missing: {agent}")
+        given = f"there are {', '.join(map(str, actions))}" if actions else "the mapping is empty"
+        raise ValueError(f"step needs an action for every agent, and {agent} has none; {given}")
     action = action_numbers(actions[agent])
     if action.size != size or not np.isfinite(action).all():
-        raise ValueError(f"the action of {agent} must be {size} finite numbers (got {actions[agent]!r})")
+        numbers = "1 finite number" if size == 1 else f"{size} finite numbers"
+        raise ValueError(f"the action of {agent} must be {numbers} (got {actions[agent]!r})")
     return action.reshape(size)
 
 

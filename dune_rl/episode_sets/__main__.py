@@ -3,6 +3,7 @@
 import signal
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,8 @@ if TYPE_CHECKING:
     from dune_rl.episode_sets.generate import SetRecipe
 
 
-def main() -> None:
-    """Run the command line; ends the process."""
+def parse(words: Sequence[str]) -> Namespace:
+    """The words of a command line: its `command`, the `names` of sets, and `settings` (key=value)."""
     parser = ArgumentParser(prog="python -m dune_rl.episode_sets", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="the sets of the package, with their checksums")
@@ -37,13 +38,19 @@ def main() -> None:
         metavar="NAME",
         help="a set, by name or path (none: all of the package), or a setting of the robot (key=value)",
     )
-    parsed, unknown = parser.parse_known_args()
+    parsed, unknown = parser.parse_known_args(words)
     if any("=" not in word or word.startswith("-") for word in unknown):
         parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     # argparse takes words after an option for unknown ones.
-    words = [*getattr(parsed, "names", ()), *unknown]
-    parsed.names = [word for word in words if "=" not in word]
-    parsed.settings = [word for word in words if "=" in word]
+    names = [*getattr(parsed, "names", ()), *unknown]
+    parsed.names = [word for word in names if "=" not in word]
+    parsed.settings = [word for word in names if "=" in word]
+    return parsed
+
+
+def main() -> None:
+    """Run the command line; ends the process."""
+    parsed = parse(sys.argv[1:])
     try:
         {"list": _list, "make": _make, "check": _check}[parsed.command](parsed)
     except DuneError as error:
@@ -68,7 +75,7 @@ def _make(parsed: Namespace) -> None:
     from dune_rl.episode_sets.generate import generate_episodes
     from dune_rl.errors import ConfigError
 
-    recipes = _recipes(parsed)
+    recipes = named_recipes(parsed)
     for recipe in recipes:
         for suffix in (".json", ".csv"):
             if (parsed.out / f"{recipe.name}{suffix}").exists():
@@ -84,7 +91,7 @@ def _make(parsed: Namespace) -> None:
         print(f"{parsed.out / recipe.name}.json  {written.header.sha256}", flush=True)
 
 
-def _recipes(parsed: Namespace) -> list["SetRecipe"]:
+def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
     """The recipes that the command line names, or the one of its settings."""
     from dune_rl.episode_sets.generate import all_recipes
     from dune_rl.episode_sets.own import own_recipe

@@ -65,14 +65,19 @@ class ResultsFolder:
         """The folder of an evaluation that was cut off, with the episodes that it finished."""
         folder = cls(path, read_provenance(path))
         try:
-            lines = (path / _PART).read_text(encoding="utf-8").splitlines(keepends=True)
+            lines = (path / _PART).read_text(encoding="utf-8", errors="replace").splitlines()
         except FileNotFoundError:
             lines = []
+        whole = []
         for line in lines:
-            # The last line may have been cut off with the process.
-            if line.endswith("\n"):
+            # One may have been cut off with the process; its episode is run again.
+            with contextlib.suppress(ValueError, TypeError):
                 episode = FinishedEpisode(**json.loads(line))
                 folder.finished[episode.policy, episode.episode] = episode
+                whole.append(line)
+        if len(whole) < len(lines):
+            with write_atomically(path / _PART) as temporary:
+                temporary.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8", newline="\n")
         return folder
 
     def discard(self) -> None:
@@ -123,13 +128,13 @@ class ResultsFolder:
             (self.path / _PART).unlink(missing_ok=True)
 
     def write_provenance(self, *, complete: bool) -> None:
-        """Write provenance.json, which has the tables' checksums and says whether they are `complete`."""
-        tables = [name for name in _TABLES if (self.path / name).is_file()]
+        """Write provenance.json, which has the files' checksums and says whether they are `complete`."""
+        files = [name for name in (CONFIG, *_TABLES) if (self.path / name).is_file()]
         content = {
             **self.provenance,
             "complete": complete,
             "finished": len(self.finished),
-            "tables": {name: _sha256(self.path / name) for name in tables},
+            "files": {name: _sha256(self.path / name) for name in files},
         }
         with write_atomically(self.path / PROVENANCE) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -163,9 +168,9 @@ def _is_temporary(name: str) -> bool:
     return name.endswith(".tmp") and name.startswith(tuple(f".{each}." for each in _FILES))
 
 
-def changed_tables(path: Path, provenance: Mapping[str, Any]) -> list[str]:
-    """The tables in `path` that are not as the evaluation wrote them, by their checksums."""
-    sums: Mapping[str, str] = provenance.get("tables", {})
+def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
+    """The files in `path` that are not as the evaluation wrote them, by their checksums."""
+    sums: Mapping[str, str] = provenance.get("files", {})
     return [name for name, sha256 in sums.items() if _sha256(path / name) != sha256]
 
 
@@ -183,12 +188,22 @@ def read_provenance(path: Path) -> dict[str, Any]:
         content = json.loads((path / PROVENANCE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         content = None
-    if not isinstance(content, dict) or "policies" not in content:
+    if not isinstance(content, dict) or not _has_sources(content):
         raise ConfigError(
             f"{path} holds no results of an evaluation ({PROVENANCE} is missing or damaged); give a folder "
             "that python -m dune_rl.evaluate wrote"
         )
     return content
+
+
+def _has_sources(content: Mapping[str, Any]) -> bool:
+    policies, used, files = content.get("policies"), content.get("set"), content.get("files", {})
+    return (
+        isinstance(policies, list)
+        and all(isinstance(one, dict) and {"location", "sha256"} <= one.keys() for one in policies)
+        and (used is None or isinstance(used, dict))
+        and isinstance(files, dict)
+    )
 
 
 def read_settings(path: Path) -> EvaluateConf:

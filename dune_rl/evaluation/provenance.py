@@ -68,7 +68,10 @@ def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: P
         )
     sums = {one["location"]: one["sha256"] for one in provenance["policies"]}
     for source in plan.sources:
-        found = source.plain()["sha256"]
+        try:
+            found = source.plain()["sha256"]
+        except ConfigError as error:
+            raise ConfigError(f"{error}; run the command in the folder where {path.name} was made") from None
         if sums.get(source.location) != found:
             raise ConfigError(
                 f"{path} was made with other weights than those now in {source.location}; evaluate again"

@@ -89,7 +89,8 @@ def _report(
         }
         estimates = {name: estimate_metrics(_numeric(found)) for name, found in results.items()}
         title = f"{_title(plan)}, {group}" if len(agents) > 1 else _title(plan)
-        title += f": {plan.episodes} episodes of seed {plan.conf.seed}"
+        count = "1 episode" if plan.episodes == 1 else f"{plan.episodes} episodes"
+        title += f": {count} of seed {plan.conf.seed}"
         clusters, kind = cluster_rows(of_group[: len(next(iter(results.values())))])
         sites = int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
         console.print(results_table(estimates, title, num_agents=len(names), sites=sites))

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.folder import EPISODES, read_provenance
+from dune_rl.evaluation.folder import EPISODES, changed_files, read_provenance
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
 from dune_rl.learning.run.progress import show_episodes
 from dune_rl.seeding import stream
@@ -50,14 +50,14 @@ def sample_blocks(plan: EvaluationPlan, sample: int) -> list[EpisodeBlock]:
     return sorted(found, key=lambda block: (block.policy, block.first))
 
 
-def verify_folder(
-    path: Path, plan: EvaluationPlan, sample: int, console: Console, changed: Sequence[str] = ()
-) -> None:
+def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Console) -> None:
     """Repeat about `sample` episodes of the results in `path`.
 
-    Raises ConfigError if a row differs, or if there are tables that were `changed` after the evaluation.
+    Raises ConfigError if a row differs or is missing, or if a file was changed after the evaluation.
     """
-    stored = _read_rows(path)
+    provenance = read_provenance(path)
+    complete, changed = bool(provenance.get("complete")), changed_files(path, provenance)
+    stored = _read_rows(path, complete)
     runner = BlockRunner(plan)
     repeated: list[Mapping[str, Any]] = []
     differences: list[RowDifference] = []
@@ -81,26 +81,30 @@ def verify_folder(
         for block in blocks:
             runner.run(block, compare)
     runner.close()
-    if not repeated:
+    if not repeated and not complete:
         raise ConfigError(f"{path} has none of the sampled episodes; go on with resume={path} first")
-    if missing:
+    edited = [f"{' and '.join(changed)} changed since the evaluation wrote them."] if changed else []
+    if missing and complete:
+        edited.insert(
+            0, f"{missing} of {missing + len(repeated)} sampled rows are missing in {EPISODES}.csv."
+        )
+    elif missing:
         console.print(f"{missing} sampled rows are not in the files yet.", highlight=False)
-    edited = f"{' and '.join(changed)} changed since the evaluation wrote them." if changed else ""
     if differences:
-        raise ConfigError("\n".join(filter(None, (_describe(path, differences, len(repeated)), edited))))
-    if changed:
+        raise ConfigError("\n".join([_describe(path, differences, len(repeated)), *edited]))
+    if edited:
         raise ConfigError(
-            f"{path}: {edited}\nThe {len(repeated)} rows that were repeated came out the same; others may "
-            "not be those of the evaluation. Evaluate again."
+            f"{path}: {' '.join(edited)}\n{len(repeated)} rows were repeated and came out the same; others "
+            "may not be those of the evaluation. Evaluate again."
         )
     console.print(
         f"{len(repeated)} of {len(stored)} rows were repeated and came out the same.", highlight=False
     )
 
 
-def _read_rows(path: Path) -> dict[tuple[str, str, str], dict[str, str]]:
+def _read_rows(path: Path, complete: bool) -> dict[tuple[str, str, str], dict[str, str]]:
     file = path / f"{EPISODES}.csv"
-    if not file.exists() and not read_provenance(path).get("complete"):
+    if not file.exists() and not complete:
         raise ConfigError(f"{path} has no tables yet; go on with resume={path} first")
     try:
         with file.open(newline="", encoding="utf-8") as opened:

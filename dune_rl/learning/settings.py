@@ -14,8 +14,8 @@ class CollectorConf(Settings):
     """Who steps the environments: `serial` is deterministic, `async` is fastest."""
 
     mode: Literal["serial", "sync", "async"] = "async"
-    workers: int = Field(1, ge=1, description="processes, in the modes sync and async")
-    scenes: int = Field(16, ge=1, description="scenes stepped as one batch, in each process")
+    workers: int = Field(1, ge=1, le=1024, description="processes, in the modes sync and async")
+    scenes: int = Field(16, ge=1, le=8192, description="scenes stepped as one batch, in each process")
     steps: int = Field(32, ge=1, description="steps of every scene between two hand-overs to the learner")
 
     @property
@@ -34,7 +34,7 @@ class EvaluationConf(Settings):
 
     every_frames: int = Field(250_000, ge=1)
     episodes: int = Field(50, ge=1)
-    scenes: int = Field(16, ge=1, description="episodes run side by side; no result depends on it")
+    scenes: int = Field(16, ge=1, le=8192, description="episodes run side by side; no result depends on it")
     tracks: int = Field(6, ge=0, description="first episodes whose tracks TensorBoard shows; 0: none")
     seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed; training never sees it")
 

@@ -11,7 +11,7 @@ import yaml
 
 from dune_rl.episode_sets.files import read_episode_set, set_names
 from dune_rl.errors import ConfigError
-from dune_rl.evaluation.folder import CONFIG, EPISODES, PROVENANCE, STEPS, changed_tables
+from dune_rl.evaluation.folder import CONFIG, EPISODES, PROVENANCE, STEPS, changed_files
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.reporting.csv_rows import read_rows
 from dune_rl.reporting.runs import (
@@ -176,7 +176,7 @@ def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
     # The first studies have one agent, and no column for it.
     defaults = {"set": "", "world": world, "engine": _engine(config), "agent": "agent_0"}
     episodes = [{**defaults, **row} for row in episodes]
-    if file.name in changed_tables(path, provenance):
+    if file.name in changed_files(path, provenance):
         raise ConfigError(
             f"{file.name} is not as the evaluation wrote it (its checksum differs): evaluate again"
         )

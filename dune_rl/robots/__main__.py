@@ -13,6 +13,7 @@ from yaml import YAMLError
 from dune_rl.errors import RobotError
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.robot import UrdfRobot
+from dune_rl.suggestions import closest
 
 _USAGE = "usage: python -m dune_rl.robots FILE.urdf [robot.SETTING=VALUE ...]"
 
@@ -38,8 +39,7 @@ def main(words: Sequence[str]) -> int:
         return 2
     except ValidationError as error:
         for fault in error.errors():
-            name = ".".join(map(str, fault["loc"]))
-            print(f"robot.{name}: {fault['msg'].lower()}; see conf/robot/urdf.yaml", file=sys.stderr)
+            print(_sentence(fault["type"], fault["loc"], fault["msg"]), file=sys.stderr)
         return 2
     except (OmegaConfBaseException, YAMLError) as error:
         print(f"{' '.join(words[1:])}: {str(error).splitlines()[0]}\n{_USAGE}", file=sys.stderr)
@@ -48,6 +48,23 @@ def main(words: Sequence[str]) -> int:
         print(f"warning: {warning.message}", file=sys.stderr)
     print(summary)
     return 0
+
+
+def _sentence(kind: str, path: Sequence[int | str], message: str) -> str:
+    """What is wrong with a setting, and what was probably meant."""
+    name = ".".join(map(str, ("robot", *path)))
+    if kind == "model_type":
+        return f"{name} has settings of its own; write {name}.SETTING=VALUE (conf/robot/urdf.yaml)"
+    if kind != "extra_forbidden":
+        return f"{name}: {message.lower()}; see conf/robot/urdf.yaml"
+    section: Any = UrdfConf
+    for part in path[:-1]:
+        field = section.model_fields.get(part) if hasattr(section, "model_fields") else None
+        section = None if field is None else field.annotation
+    near = closest(str(path[-1]), getattr(section, "model_fields", ()))
+    if near is None:
+        return f"{name} is not a setting; see conf/robot/urdf.yaml"
+    return f"{name} is not a setting; did you mean {name.rpartition('.')[0]}.{near}?"
 
 
 def _settings(words: Sequence[str]) -> dict[str, Any]:

@@ -164,9 +164,18 @@ def test_a_team_is_trained_and_several_groups_are_evaluated(
     limit = "task.terminations.time_limit.max_steps=20"
     assert call(evaluate.main, "+world=flat", "policy=go_to_goal", "episodes=1", *robots, limit) == 0
     told = capsys.readouterr().out
-    assert "flat, rover: 1 episodes" in told and "flat, leo_rover: 1 episodes" in told
+    assert "flat, rover: 1 episode of" in told and "flat, leo_rover: 1 episode of" in told
     rows = list(csv.DictReader((folder / "both" / "episodes.csv").read_text().splitlines()))
     assert [row["agent"] for row in rows] == ["rover_0", "leo_rover_0", "walker_0", "walker_1"]
+
+
+def test_a_device_that_is_absent_leaves_nothing_behind(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert call(train.main, "+world=flat", "device=cuda", "run_dir=run") == 2
+    assert capsys.readouterr().err == "device=cuda, but PyTorch finds no GPU here; use device=cpu\n"
+    assert not list(folder.iterdir())
 
 
 def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
@@ -204,13 +213,13 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "out=rows.csv: results are a folder of several files; write out=rows\n"),
         (evaluate, ["policy=randm", "+world=flat"],
          "policy: randm is no policy; did you mean random? There are go_to_goal, mppi, planner, random, "
-         "FILE.onnx, MODULE:FUNCTION\n"),
+         "FILE.onnx, FILE.zip, MODULE:FUNCTION\n"),
         (evaluate, ["policy=random", "set=flat-v1", "world.size_m=30"],
          "set=flat-v1 determines world; leave world.size_m=30 out\n"),
         (evaluate, ["policy=random", "set=flat-v1", "episodes=201"],
          "set=flat-v1 has 200 episodes, fewer than episodes=201\n"),
         (evaluate, ["policy=model.zip", "+world=flat"],
-         "model.zip cannot be read: No such file or directory\n"),
+         "policy=model.zip cannot be read: No such file or directory\n"),
         (evaluate, ["policy=runs/mine", "+world=flat"],
          "policy: runs/mine is no policy; did you mean checkpoint=runs/mine?\n"),
         (evaluate, ["verify=file"],

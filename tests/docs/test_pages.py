@@ -37,6 +37,7 @@ from dune_rl.config.compose import (
     override_value,
 )
 from dune_rl.engine_comparison.job import parse_settings as engines_settings
+from dune_rl.episode_sets import __main__ as episode_sets
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError
 from dune_rl.reporting.settings import parse_words
@@ -74,6 +75,11 @@ def compose_command(words: list[str]) -> None:
     if program == "dune_rl.robots":
         assert robots.main(rest) == 0
         return
+    if program == "dune_rl.episode_sets":
+        asked = episode_sets.parse(rest)
+        if asked.command == "make":
+            assert [recipe.settings for recipe in episode_sets.named_recipes(asked)]
+        return
     parsed = parse_arguments(rest)
     overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
@@ -86,7 +92,9 @@ def compose_command(words: list[str]) -> None:
     elif program == "dune_rl.evaluate":
         name = override_value(overrides, "set")
         if name is not None and not override_value(overrides, "checkpoint"):
-            overrides.append(f"+world={read_episode_set(str(name)).world}")
+            # A path is that of a set that the page has made.
+            own = str(name).endswith(".json")
+            overrides.append(f"+world={'inspection' if own else read_episode_set(str(name)).world}")
         compose_evaluation(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)

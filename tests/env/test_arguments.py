@@ -24,8 +24,10 @@ def test_an_action_that_is_none_is_named(env: ParallelDuneEnv, wrong: Any) -> No
     env.reset(seed=1)
     with pytest.raises(ValueError, match="the action of rover_1 must be 2 finite numbers"):
         env.step({"rover_0": STILL, "rover_1": wrong})
-    with pytest.raises(ValueError, match="missing: rover_1"):
+    with pytest.raises(ValueError, match="every agent, and rover_1 has none; there are rover_0"):
         env.step({"rover_0": STILL})
+    with pytest.raises(ValueError, match="every agent, and rover_0 has none; the mapping is empty"):
+        env.step({})
     with pytest.raises(ValueError, match="a mapping from agents to actions"):
         env.step([STILL, STILL])  # type: ignore[arg-type]
 

@@ -19,7 +19,8 @@ from dune_rl.episode_sets import read_episode_set, write_episode_set
 from dune_rl.episode_sets.generate import all_recipes
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, missing_blocks
-from dune_rl.evaluation.running import BlockRunner
+from dune_rl.evaluation.folder import ResultsFolder
+from dune_rl.evaluation.running import BlockRunner, FinishedEpisode
 
 Call = Callable[..., int]
 POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
@@ -152,7 +153,16 @@ def test_an_evaluation_that_was_cut_off_goes_on(
     assert call(evaluate.main, "verify=cut") == 2
     assert "cut has no tables yet; go on with resume=cut first" in capsys.readouterr().err
     part = folder / "cut" / "episodes.part.jsonl"
-    part.write_text(part.read_text()[:-30])
+    lines = part.read_text().splitlines(keepends=True)
+    assert len(lines) == 3
+    part.write_text(lines[0] + lines[1][:-30])
+    provenance = json.loads((folder / "cut" / "provenance.json").read_text())
+    ResultsFolder.reopen(folder / "cut").add(FinishedEpisode(**json.loads(lines[2])))
+    assert part.read_text() == lines[0] + lines[2]
+    (folder / "cut" / "provenance.json").write_text(json.dumps({**provenance, "policies": "random"}))
+    assert call(evaluate.main, "resume=cut") == 2
+    assert "cut holds no results of an evaluation (provenance.json is missing or" in capsys.readouterr().err
+    (folder / "cut" / "provenance.json").write_text(json.dumps(provenance))
     assert call(evaluate.main, "resume=cut") == 0
     assert read_rows(folder / "cut") == read_rows(folder / "whole")
     assert not part.exists()
@@ -223,6 +233,10 @@ def test_a_sample_is_repeated(
     error = capsys.readouterr().err
     assert "results: 1 of 10 repeated rows differ." in error and "return: 99.5 stored" in error
     assert "episodes.csv changed since the evaluation wrote them." in error
+    file.write_bytes(kept.splitlines()[0])
+    assert call(evaluate.main, "verify=results", "sample=2") == 2
+    error = capsys.readouterr().err
+    assert "results: 2 of 2 sampled rows are missing in episodes.csv. episodes.csv changed since" in error
     file.write_bytes(kept)
     assert call(evaluate.main, "verify=results", "sample=2") == 0
     (folder / "results" / "episodes.parquet").write_bytes(b"")

@@ -12,7 +12,7 @@ from dune_rl.behaviours.trajectory import TrajectoryBank
 from dune_rl.config.build import describe_world, make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.errors import WorldError
+from dune_rl.errors import ConfigError, WorldError
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.serialization import pack, unpack
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf, count_actors
@@ -186,6 +186,9 @@ def test_settings_of_the_file_s_actors_count(tmp_path):
 
     (one,) = groups("actors.actor.count=1", "actors.actor.body.speed_mps=0.4").values()
     assert (one.count, one.body.speed_mps, one.controller) == (1, 0.4, "trajectory")
+    with pytest.raises(ConfigError, match=r"take the place of walker; set actors.actor.count, or choose act"):
+        groups("actors.walker.count=5")
+    assert groups("actors=walkers", "actors.walker.count=5")["walker"].count == 5
     # A group of one's own that has their name is not lost.
     (own,) = groups("+actors.actor={body: person, count: 3, controller: path}").values()
     assert (own.count, own.controller) == (3, "path")

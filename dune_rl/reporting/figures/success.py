@@ -105,8 +105,9 @@ def success_by_bin(rows: Sequence[Row], name: str, edges: Array) -> list[Success
 def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
     """Success rate against the property `name` of episodes: panels are cases, and lines are methods.
 
-    Bars are Wilson's 95 % intervals; the numbers at the bottom are the episodes in each bin (of one method,
-    or of the smallest and the largest where methods differ). Bins are those of all panels.
+    Bars are Wilson's 95 % intervals over whole sites; bins with too few sites have none. The numbers at the
+    bottom are the episodes in each bin (of one method, or of the smallest and the largest where methods
+    differ). Bins are those of all panels.
     """
     label = PROPERTIES.get(name, name.replace("_", " "))
     shown = {
@@ -146,6 +147,7 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
 def _panel(
     axes: Axes, methods: Mapping[str, Sequence[Row]], name: str, edges: Array, styles: dict[str, MethodStyle]
 ) -> None:
+    narrowest = float(np.diff(edges).min())
     # Side by side within a bin, so that intervals do not hide each other.
     places = {method: place for place, method in enumerate(each for each in styles if each in methods)}
     counts: list[list[int]] = []
@@ -154,7 +156,7 @@ def _panel(
         counts.append([one.share.count for one in bins])
         shift = 0.0 if len(places) == 1 else (place / (len(places) - 1) - 0.5) * 0.6
         full = [one for one in bins if one.share.count]
-        x = np.array([(one.low + one.high) / 2 + shift * (one.high - one.low) for one in full])
+        x = np.array([(one.low + one.high) / 2 + shift * narrowest for one in full])
         y = np.array([one.share.value for one in full])
         ends = np.array([[one.share.low, one.share.high] for one in full]).reshape(-1, 2).T
         style = styles[method]
