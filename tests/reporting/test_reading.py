@@ -221,8 +221,12 @@ def test_episodes_and_sites_of_a_set_are_told(tmp_path: Path) -> None:
 
 
 def test_rows_that_were_changed_since_are_left_out(tmp_path: Path) -> None:
-    folder = write_evaluation(tmp_path / "a", episode_rows("x", 4), tables={"episodes.csv": "0" * 64})
-    assert "its checksum differs" in reasons(folder)[0]
+    for name in ("episodes.csv", "config.yaml"):
+        folder = write_evaluation(tmp_path / name, episode_rows("x", 4), files={name: "0" * 64})
+        assert f"{name} is not as the evaluation wrote it" in reasons(folder)[0]
+    # The Parquet file says no more than the CSV.
+    folder = write_evaluation(tmp_path / "a", episode_rows("x", 4), files={"episodes.parquet": "0" * 64})
+    assert read_inputs([folder]).usable
 
 
 def test_episodes_of_one_site_are_one_sample(tmp_path: Path) -> None:
