@@ -39,6 +39,16 @@ _FIXED: dict[str, tuple[str, str]] = {
     "clearance_m": ("m", "distance of the outline to the nearest obstacle or agent"),
     "collisions_so_far": ("", "collisions since the start"),
 }
+# Metrics of every episode that are no measure by themselves; see dune_rl/metrics/episode.py.
+_PLAIN_METRICS: dict[str, tuple[str, str]] = {
+    "goals": ("", "number of goals reached"),
+    "min_clearance": ("m", "smallest obstacle clearance"),
+    "diverged": ("", "1 if the episode ended as the physics diverged"),
+    "stuck": ("", "1 if the episode ended as the robot was stuck"),
+    "flipped": ("", "1 if the episode ended as the robot was flipped"),
+    "out_of_world": ("", "1 if the episode ended as the robot left the world"),
+    "timeout": ("", "1 if the episode ended at its limit of steps"),
+}
 _UNITLESS = ("", "%")
 
 
@@ -47,7 +57,7 @@ def describe_columns(names: Sequence[str]) -> list[dict[str, str]]:
     measures = {measure.metric: measure for measure in CATALOGUE}
     found = []
     for name in names:
-        unit, meaning = _FIXED.get(name, ("", ""))
+        unit, meaning = (_PLAIN_METRICS | _FIXED).get(name, ("", ""))
         if name in measures and name not in _FIXED:
             measure = measures[name]
             # Shares are stored as 0 and 1.

@@ -246,6 +246,8 @@ def _onnx_function(path: Path) -> Act:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"policy={path} cannot be read as an ONNX file: {reason}") from None
     inputs = [each.name for each in session.get_inputs()]
+    # Exporters fix the batch at one unless told otherwise.
+    one_by_one = any(each.shape[:1] == [1] for each in session.get_inputs())
     output = session.get_outputs()[0].name
 
     def act(observation: Mapping[str, NDArray[Any]]) -> NDArray[np.floating]:
@@ -261,9 +263,13 @@ def _onnx_function(path: Path) -> Act:
                 f"policy={path}: there is no sensor {', '.join(missing)}; there are {', '.join(observation)}"
             )
         try:
+            if one_by_one:
+                count = len(next(iter(given.values())))
+                each = ({name: value[row : row + 1] for name, value in given.items()} for row in range(count))
+                return np.concatenate([session.run([output], one)[0] for one in each])
             actions: NDArray[np.floating] = session.run([output], given)[0]
         except Exception as error:
-            reason = str(error).splitlines()[0]
+            reason = " ".join(str(error).split())
             raise ConfigError(f"policy={path} does not fit the observations: {reason}") from None
         return actions
 

@@ -33,7 +33,8 @@ def results_table(
         caption += ", over whole episodes"
     table = Table(title=title, caption=caption, caption_justify="left", title_justify="left")
     many = len(results) > _WIDE_COLUMNS
-    table.add_column("measure", no_wrap=True)
+    # On a narrow terminal, meanings are folded before numbers are.
+    table.add_column("measure", no_wrap=many)
     for policy in results:
         table.add_column(Text(policy, overflow="fold"), justify="right", overflow="fold")
     for name in dict.fromkeys(name for estimates in results.values() for name in estimates):

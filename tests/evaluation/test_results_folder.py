@@ -72,9 +72,9 @@ def test_a_folder_holds_all_about_its_results(
     assert table["return"].to_pylist() == [float(row["return"]) for row in rows]
     assert table.schema.field("time_to_goal").metadata[b"unit"] == b"s"
     assert table.schema.field("start_x_m").metadata[b"unit"] == b"m"
-    units = {
-        row["column"]: row["unit"] for row in csv.DictReader((out / "columns.csv").read_text().splitlines())
-    }
+    columns = list(csv.DictReader((out / "columns.csv").read_text().splitlines()))
+    assert all(row["meaning"] for row in columns)
+    units = {row["column"]: row["unit"] for row in columns}
     assert units["speed_mps"] == "m/s" and set(rows[0]) <= units.keys()
 
     steps = list(csv.DictReader((out / "steps.csv").read_text().splitlines()))

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,16 @@ def test_what_the_battery_gives_is_told_where_it_was_measured() -> None:
     assert "energy  drawn from the battery [W h]" in text and "1.25 %" in text
     console.print(results_table({"a": estimate_metrics(rows)}, ""))
     assert "battery" not in console.export_text(clear=False).removeprefix(text)
+
+
+def test_a_narrow_table_folds_meanings_before_numbers() -> None:
+    estimate = estimate_mean([9.5, 18.25, 12.0])
+    results = {name: {"at risk/goal": estimate, "MTT": estimate} for name in ("go_to_goal", "inspection")}
+    wide, narrow = (Console(record=True, width=width, file=io.StringIO()) for width in (200, 80))
+    for console in (wide, narrow):
+        console.print(results_table(results, ""))
+    (interval,) = set(re.findall(r"[\d.]+ \([\d.]+ to [\d.]+\)", wide.export_text()))
+    assert narrow.export_text().count(interval) == 4
 
 
 def test_an_environment_can_be_evaluated_on_again() -> None:
