@@ -233,9 +233,7 @@ def _oddities(comparison: Comparison) -> list[str]:
         notes.append(f"The set has {total} episodes, of which there are: {', '.join(sorted(short))}.")
     for method in comparison.methods:
         if sites := _sites_of_training(method):
-            notes.append(
-                f"{method.name} was trained on {sites} of these sites: there it was not tested on unseen ones."
-            )
+            notes.append(f"{method.name} was trained on {sites} of these sites: these are not unseen ones.")
     trained = [method.name for method in comparison.methods if _is_at_home(comparison.cases, method)]
     if trained:
         notes.append(

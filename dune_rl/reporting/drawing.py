@@ -107,7 +107,7 @@ def _difficulty(findings: Findings) -> Iterator[FigurePlan]:
                 "difficulty",
                 f"success_by_{column}",
                 f"Success against {words}",
-                "Share of successes in each bin with Wilson's 95 % interval; the numbers below are "
+                "Share of successes in each bin with its 95 % interval; the numbers below are "
                 "the episodes in the bin.",
                 _files(findings.comparisons),
                 partial(draw_success_by, results, column),

@@ -176,9 +176,10 @@ def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
     # The first studies have one agent, and no column for it.
     defaults = {"set": "", "world": world, "engine": _engine(config), "agent": "agent_0"}
     episodes = [{**defaults, **row} for row in episodes]
-    if file.name in changed_files(path, provenance):
+    changed = {file.name, CONFIG} & set(changed_files(path, provenance))
+    if changed:
         raise ConfigError(
-            f"{file.name} is not as the evaluation wrote it (its checksum differs): evaluate again"
+            f"{min(changed)} is not as the evaluation wrote it (its checksum differs): evaluate again"
         )
     _check_repeated(file, episodes)
     _note_origin(path, provenance, found)

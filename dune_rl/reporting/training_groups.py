@@ -8,6 +8,7 @@ from typing import Any
 
 from dune_rl.reporting.runs import Row, TrainingRun
 
+_SHOWN = 3
 # Settings that change neither what is learnt nor on what.
 _INDIFFERENT = ("seed", "run_dir", "resume", "film", "device", "objective")
 
@@ -32,13 +33,39 @@ def group_runs(runs: Sequence[TrainingRun]) -> list[TrainingGroup]:
         key = _settings_key(run.config) if run.config else f"alone: {run.name}"
         groups.setdefault(key, []).append(run)
     found: list[TrainingGroup] = []
-    for members in groups.values():
-        name, number = _common_name(members), 1
-        unique = name
+    names = [_common_name(members) for members in groups.values()]
+    for name, members in zip(names, groups.values(), strict=True):
+        same = [each for known, each in zip(names, groups.values(), strict=True) if known == name]
+        if len(same) > 1:
+            # As the settings that tell them apart, such as those that a sweep varies.
+            told = _differences(members[0].config, [each[0].config for each in same])
+            seeds = f", {len(members)} seeds" if len(members) > 1 else ""
+            name = f"{', '.join(told[:_SHOWN])}{seeds}" if told else name
+        unique, number = name, 1
         while unique in {group.name for group in found}:
             number += 1
             unique = f"{name} ({number})"
         found.append(TrainingGroup(unique, members))
+    return found
+
+
+def _differences(config: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The settings of `config` that are not the same in all `others`, as name=value."""
+    flat, all_flat = _flatten(config), [_flatten(other) for other in others]
+    return [
+        f"{path.rpartition('.')[2]}={value}"
+        for path, value in flat.items()
+        if path not in _INDIFFERENT and any(other.get(path) != value for other in all_flat)
+    ]
+
+
+def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        if isinstance(value, Mapping):
+            found |= _flatten(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
     return found
 
 

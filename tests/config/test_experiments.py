@@ -107,8 +107,6 @@ def test_the_table_of_inspection_is_that_of_its_episodes() -> None:
             values = [float(row[column]) for row in episodes if row[column] not in ("", "nan")]
             digits = len(figure.partition(".")[2])
             assert figure == f"{scale * sum(values) / len(values):.{digits}f}", name
-    share = shown["SR"][0].strip("*").split()[0]
-    assert f"| SR | 100, 100, 100 % | {share} %" in README.read_text()
 
 
 def test_the_table_of_speed_is_that_of_its_run() -> None:

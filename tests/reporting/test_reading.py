@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ from report_runs import CONFIG, episode_rows, write_evaluation, write_rows, writ
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.reporting.comparisons import collect_comparisons
 from dune_rl.reporting.reading import read_inputs
+from dune_rl.reporting.tables.table import NOTHING
+from dune_rl.reporting.tables.training import sweep_table
 from dune_rl.reporting.training_groups import group_runs
 
 
@@ -218,8 +221,12 @@ def test_episodes_and_sites_of_a_set_are_told(tmp_path: Path) -> None:
 
 
 def test_rows_that_were_changed_since_are_left_out(tmp_path: Path) -> None:
-    folder = write_evaluation(tmp_path / "a", episode_rows("x", 4), tables={"episodes.csv": "0" * 64})
-    assert "its checksum differs" in reasons(folder)[0]
+    for name in ("episodes.csv", "config.yaml"):
+        folder = write_evaluation(tmp_path / name, episode_rows("x", 4), files={name: "0" * 64})
+        assert f"{name} is not as the evaluation wrote it" in reasons(folder)[0]
+    # The Parquet file says no more than the CSV.
+    folder = write_evaluation(tmp_path / "a", episode_rows("x", 4), files={"episodes.parquet": "0" * 64})
+    assert read_inputs([folder]).usable
 
 
 def test_episodes_of_one_site_are_one_sample(tmp_path: Path) -> None:
@@ -245,6 +252,14 @@ def test_runs_that_differ_only_in_their_seed_are_a_group(tmp_path: Path) -> None
     ]
 
 
+def test_groups_of_a_sweep_are_called_by_what_it_varies(tmp_path: Path) -> None:
+    for number, (gamma, seed) in enumerate(((0.9, 1), (0.9, 2), (0.99, 1), (0.99, 2))):
+        folder = tmp_path / "sweep" / f"{number}_flat_seed{seed}"
+        write_training(folder, seed, learning={"gamma": gamma, "name": "sac"})
+    groups = group_runs(read_inputs([tmp_path]).training)
+    assert [group.name for group in groups] == ["gamma=0.9, 2 seeds", "gamma=0.99, 2 seeds"]
+
+
 def test_an_unfinished_training_is_told(tmp_path: Path) -> None:
     inputs = read_inputs([write_training(tmp_path / "a", 1, frames=1_500)])
     assert inputs.training and "1,500 of 3,000 frames" in inputs.notes[0].text
@@ -258,6 +273,10 @@ def test_a_sweep_is_read_with_its_best_job(tmp_path: Path) -> None:
     ]
     assert [job.objective for job in sweep.jobs[:2]] == pytest.approx([0.61, 0.62])
     assert sweep.best == "1_flat_seed2"
+    table = sweep_table("s", sweep)
+    assert [row[-1].text for row in table.rows] == ["61", "62 (best)", NOTHING]
+    equal = replace(sweep, jobs=[replace(job, objective=0.5) for job in sweep.jobs])
+    assert {row[-1].text for row in sweep_table("s", equal).rows} == {"50"}
     # Its jobs are training runs too.
     assert len(inputs.training) == 2
 

@@ -91,11 +91,14 @@ def sweep_table(name: str, sweep: Sweep) -> Table:
     """The parameters of each job and what it came to; the best job is marked."""
     parameters = list(dict.fromkeys(each for job in sweep.jobs for each in job.parameters))
     measure = next((one for one in CATALOGUE if sweep.metric in (one.metric, one.name)), None)
+    best_value = next((job.objective for job in sweep.jobs if job.name == sweep.best), math.nan)
+    # Where all jobs are equal, none is the best.
+    differ = len({job.objective for job in sweep.jobs if not math.isnan(job.objective)}) > 1
     rows = []
     for job in sweep.jobs:
         known = not math.isnan(job.objective)
         value = f"{job.objective:.3g}" if measure is None else format_value(measure, job.objective)
-        best = job.name == sweep.best
+        best = job.objective == best_value if differ else job.name == sweep.best and not known
         # Not by its colour alone.
         text = value if known else NOTHING
         rows.append(
@@ -124,7 +127,6 @@ def sweep_table(name: str, sweep: Sweep) -> Table:
     )
     if failed:
         caption += f" {failed} of {len(sweep.jobs)} jobs have no figure."
-    files = [job.path / ".hydra" / "overrides.yaml" for job in sweep.jobs]
     return Table(
         name,
         f"{sweep.name}: {len(sweep.jobs)} jobs",
@@ -132,6 +134,6 @@ def sweep_table(name: str, sweep: Sweep) -> Table:
         ["job", *parameters, title],
         rows,
         data,
-        [*files[:3], *(job.path / "metrics.csv" for job in sweep.jobs[:3])],
+        [job.path / file for job in sweep.jobs for file in (".hydra/overrides.yaml", "metrics.csv")],
         heads=1 + len(parameters),
     )
