@@ -7,6 +7,7 @@ from typing import Any
 from conf_comments import option_summary, read_comments
 from realism_tables import devices_table, faults_table, sensors_table
 from settings_tables import Section, as_code, first_paragraph, read_section, render_section
+from vort_table import vort_table
 
 from dune_rl import paths, report
 from dune_rl.behaviours.path_follower import PathConf
@@ -309,6 +310,7 @@ _TABLES: Mapping[str, Callable[..., str]] = {
     "terminations": terminations_table,
     "surfaces": surfaces_table,
     "measures": measures_table,
+    "vort": vort_table,
     "realism-sensors": sensors_table,
     "realism-faults": faults_table,
     "realism-devices": devices_table,

@@ -15,6 +15,7 @@ from dune_rl.state import (
     GroupState,
     JointState,
     Motion,
+    ScanQueries,
     State,
 )
 
@@ -57,6 +58,7 @@ def agents(
     endings: dict[str, Any] | None = None,
     wheel_radius_m: float | None = None,
     joint_speed: Any = None,
+    scanner: ScanQueries | None = None,
 ) -> GroupState:
     """`rows` agents in the open, 5 m from their goals and facing them, at rest, but for what is given.
 
@@ -94,6 +96,7 @@ def agents(
         None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
         {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
         wheel_radius_m,
+        scanner,
     )
 
 

@@ -1,0 +1,178 @@
+"""Measures of the evaluation protocols: of runs of 11,400 steps, and those of the paper's published code.
+
+Those of the code are ratios of sums over an episode or a run; see `dune_rl.metrics.terms.dune_code`.
+"""
+
+from dune_rl.metrics.measure import PAPER, Measure
+
+_CODE = "the DUnE authors' published code"
+
+PROTOCOL_MEASURES: tuple[Measure, ...] = (
+    Measure(
+        "SR/run",
+        "run_success",
+        "SR in a run",
+        "%",
+        "higher",
+        "finished episodes with SR 1 / finished episodes",
+        PAPER,
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "TR/run",
+        "run_reached",
+        "TR in a run",
+        "%",
+        "higher",
+        "finished episodes that reach the goal / finished episodes",
+        PAPER,
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "MTT/run",
+        "run_time_to_goal",
+        "MTT in a run",
+        "s",
+        "lower",
+        "mean time to the goal of the finished episodes that reach it",
+        PAPER,
+    ),
+    Measure(
+        "TC/run",
+        "run_collisions",
+        "collisions in a run",
+        "",
+        "lower",
+        "contacts that begin in all steps of the run, as in Table 3",
+        PAPER,
+        decimals=1,
+    ),
+    Measure(
+        "OC/run", "run_clearance", "OC of a run", "m", "higher", "as OC, over all steps of the run", PAPER
+    ),
+    Measure(
+        "VR/run",
+        "run_vertical_roughness",
+        "VR of a run",
+        "m/s²",
+        "lower",
+        "as VR, over all steps of the run",
+        PAPER,
+    ),
+    Measure(
+        "VORT/run", "run_vort", "VORT of a run", "m/s", "higher", "as VORT, over all steps of the run", PAPER
+    ),
+    Measure(
+        "TSR/run", "run_smoothness", "TSR of a run", "", "lower", "as TSR, over all steps of the run", PAPER
+    ),
+    Measure(
+        "code SR",
+        "dune_code_successes",
+        "goals reached of the attempts that count",
+        "%",
+        "higher",
+        "attempts that reach the goal after more than 5 s / these and attempts that fail after more than "
+        "25 s; collisions do not matter",
+        _CODE,
+        per="dune_code_attempts",
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "code best SR",
+        "dune_code_best_window",
+        "the best of sliding windows",
+        "%",
+        "higher",
+        "largest code SR of up to 1,000 windows of 10 minutes, each begun 60 s after the one before, on the "
+        "attempts of all runs one after another",
+        _CODE,
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "code best whole SR",
+        "dune_code_best_whole_window",
+        "the best of whole sliding windows",
+        "%",
+        "higher",
+        "as code best SR, of windows that end within the log",
+        "ours, as the log's last windows have few attempts",
+        scale=100.0,
+        decimals=0,
+    ),
+    Measure(
+        "code time/goal",
+        "dune_code_goal_time",
+        "time of an attempt that reaches the goal",
+        "s",
+        "lower",
+        "sum of the times from one goal to the next / goals reached",
+        _CODE,
+        per="goals",
+    ),
+    Measure("code MTT", "dune_code_mtt", "not implemented there", "s", "lower", "none", _CODE),
+    Measure("code TR", "dune_code_tr", "not implemented there", "%", "higher", "none", _CODE),
+    Measure(
+        "code TC",
+        "dune_code_collisions",
+        "scans with a return within 0.2 m",
+        "",
+        "lower",
+        "+1 for each scan, one a step, whose nearest return of 640 beams, 0.15 to 10 m, is within 0.2 m",
+        _CODE,
+        decimals=1,
+    ),
+    Measure(
+        "code OC",
+        "dune_code_clearance",
+        "nearest return of scans",
+        "m",
+        "higher",
+        "mean over rows of the mean of the last 100 nearest returns; scans without any are left out",
+        _CODE,
+        per="dune_code_clearance_rows",
+    ),
+    Measure(
+        "code VR",
+        "dune_code_vertical",
+        "vertical acceleration, with gravity",
+        "m/s²",
+        "lower",
+        "mean over steps of |vertical acceleration of the IMU|, about 9.81 at rest",
+        _CODE,
+        per="steps",
+    ),
+    Measure(
+        "code VORT",
+        "dune_code_speed",
+        "mean speed everywhere",
+        "m/s",
+        "higher",
+        "mean over rows of the mean of the last 100 speeds",
+        _CODE,
+        per="dune_code_rows",
+    ),
+    Measure(
+        "code rough VORT",
+        "dune_code_rough_speed",
+        "mean speed in rough rows",
+        "m/s",
+        "higher",
+        "as code VORT, over rows with |acceleration| > 15 m/s², gravity included",
+        _CODE,
+        per="dune_code_rough_rows",
+    ),
+    Measure(
+        "code TSR",
+        "dune_code_smoothness",
+        "smoothness of route, with gravity",
+        "",
+        "lower",
+        "mean over rows of the mean of the last 100 |acceleration| + |angular velocity|, gravity included",
+        _CODE,
+        per="dune_code_rows",
+    ),
+)
