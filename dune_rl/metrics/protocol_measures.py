@@ -47,6 +47,7 @@ PROTOCOL_MEASURES: tuple[Measure, ...] = (
         "lower",
         "contacts that begin in all steps of the run, as in Table 3",
         PAPER,
+        are_counts=True,
         decimals=1,
     ),
     Measure(
