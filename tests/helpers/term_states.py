@@ -29,6 +29,20 @@ class Extents(NoGround):
         self.extents = np.tile(np.array(extent), (num_scenes, 1))
 
 
+class FixedScan:
+    """A scan whose nearest return [m] is given: of all agents, or of each."""
+
+    def __init__(self, nearest: Any) -> None:
+        self._nearest = np.asarray(nearest, float)
+
+    def nearest_return(self, motion: Motion, neighbours: np.ndarray) -> np.ndarray:
+        """What was given."""
+        return np.broadcast_to(self._nearest, len(motion.position_w)).copy()
+
+
+NO_RETURN = FixedScan(np.nan)
+
+
 def agents(
     rows: int = 1,
     *,
@@ -58,7 +72,7 @@ def agents(
     endings: dict[str, Any] | None = None,
     wheel_radius_m: float | None = None,
     joint_speed: Any = None,
-    scanner: ScanQueries | None = None,
+    scanner: ScanQueries | None = NO_RETURN,
 ) -> GroupState:
     """`rows` agents in the open, 5 m from their goals and facing them, at rest, but for what is given.
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from term_states import agents, state_of
+from term_states import FixedScan, agents, state_of
 
 from dune_rl.errors import ConfigError
 from dune_rl.metrics.terms.dune_code import (
@@ -18,22 +18,11 @@ from dune_rl.metrics.terms.dune_code import (
     dune_code_vertical,
 )
 from dune_rl.metrics.terms.paper import time_on_uneven
-from dune_rl.state import GroupState, Motion
+from dune_rl.state import GroupState
 from dune_rl.tasks.terminations import LongCollision
 
 G = 9.81
 EVERYONE = np.array([True])
-
-
-class FixedScan:
-    """A scan whose nearest return is given."""
-
-    def __init__(self, nearest: Any) -> None:
-        self._nearest = np.asarray(nearest, float)
-
-    def nearest_return(self, motion: Motion, neighbours: np.ndarray) -> np.ndarray:
-        """What was given, of every agent."""
-        return np.broadcast_to(self._nearest, len(motion.position_w)).copy()
 
 
 def seen(nearest: Any, **changes: Any) -> GroupState:
@@ -63,7 +52,7 @@ def test_a_collision_is_each_scan_within_the_distance() -> None:
 
 def test_a_scan_that_is_not_measured_is_an_error() -> None:
     with pytest.raises(ConfigError, match="no scan is measured of rover"):
-        dune_code_collisions(state_of(agents()), agents())
+        dune_code_collisions(state_of(agents(scanner=None)), agents(scanner=None))
 
 
 def test_vertical_acceleration_has_gravity_along_the_body() -> None:
