@@ -61,6 +61,7 @@ def _compose(parsed: Namespace) -> EvaluateConf:
     """The settings, with those that an episode set determines, and the number of episodes."""
     from dune_rl.config.checks import validate
     from dune_rl.episode_sets import check_set_overrides, read_episode_set, settings_on_set
+    from dune_rl.evaluation.protocols import check_protocol_overrides, settings_of_protocol
 
     overrides = list(parsed.overrides)
     name = override_value(overrides, "set")
@@ -70,7 +71,12 @@ def _compose(parsed: Namespace) -> EvaluateConf:
         check_set_overrides(str(name), overrides)
         if saved is None:
             overrides.append(f"+world={episode_set.world}")
+    protocol = override_value(overrides, "protocol")
+    if protocol is not None:
+        check_protocol_overrides(str(protocol), parsed.overrides)
     conf = compose_evaluation(overrides, command.config_folders(parsed), saved)
+    if conf.protocol is not None:
+        return settings_of_protocol(conf)
     episodes = conf.episodes
     if episode_set is not None:
         conf = settings_on_set(conf, episode_set)
@@ -168,6 +174,7 @@ def default_folder(plan: "EvaluationPlan") -> Path:
     from datetime import datetime
 
     cases = plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
+    cases += "" if plan.conf.protocol is None else f"_{plan.conf.protocol}"
     policy = "".join(char if char.isalnum() or char in "-_." else "_" for char in plan.sources[0].name)
     stem = f"{datetime.now():%Y-%m-%d_%H-%M-%S}_{policy}_{cases}"
     folder, number = Path("evaluations") / stem, 1

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.errors import ConfigError
 from dune_rl.geometry.frames import rotation_from_yaw, to_body
 
 Array = NDArray[np.float64]
@@ -49,6 +50,14 @@ class ProximityQueries(Protocol):
 
     def neighbours(self, group: str) -> Array:
         """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
+        ...
+
+
+class ScanQueries(Protocol):
+    """A LiDAR that measures agents for terms, beside those that the agents see with."""
+
+    def nearest_return(self, motion: "Motion", neighbours: Array) -> Array:
+        """Smallest range [m], (N,), of a scan from each agent; NaN where no beam returns."""
         ...
 
 
@@ -194,8 +203,8 @@ class GroupState:
     `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
-    any. `energy` is None unless a metric needs it. `endings` has the flags (N,) of each termination term by
-    name; rewards and metrics are evaluated after these.
+    any. `energy` and `scanner` are None unless a term needs them. `endings` has the flags (N,) of each
+    termination term by name; rewards and metrics are evaluated after these.
     """
 
     name: str
@@ -210,6 +219,20 @@ class GroupState:
     energy: EnergyState | None = None
     endings: dict[str, Flags] = field(default_factory=dict)
     wheel_radius_m: float | None = None
+    scanner: ScanQueries | None = None
+
+    @cached_property
+    def nearest_return(self) -> Array:
+        """Smallest range [m], (N,), of a scan as the paper's published code makes it; NaN where no beam
+        returns.
+
+        Raises ConfigError unless a term of the group has the attribute `needs_scan`.
+        """
+        if self.scanner is None:
+            raise ConfigError(
+                f"no scan is measured of {self.name}: give the term that reads it `needs_scan = True`"
+            )
+        return self.scanner.nearest_return(self.motion, self.neighbours)
 
     @cached_property
     def clearance(self) -> Array:

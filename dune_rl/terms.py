@@ -75,6 +75,10 @@ class TermRegistry(Registry[StatefulTerm]):
         """Whether the term reads the joints' state: it has the attribute `needs_joints`."""
         return bool(getattr(self.part_of(conf).target, "needs_joints", False))
 
+    def needs_scan(self, conf: Settings) -> bool:
+        """Whether the term reads `GroupState.nearest_return`: it has the attribute `needs_scan`."""
+        return bool(getattr(self.part_of(conf).target, "needs_scan", False))
+
 
 class _CheckedTerm:
     """Wraps a user's term, and checks the shape (N,) of the arrays that it returns."""

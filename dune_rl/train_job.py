@@ -228,13 +228,15 @@ def _check_machine(conf: Conf) -> None:
 def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
     from dune_rl.learning.measures import estimate_metrics
     from dune_rl.learning.policies import go_to_goal_fault
-    from dune_rl.learning.table import results_table
+    from dune_rl.learning.table import metric_notes, results_table
 
     for group, rows in result.evaluation.items():
         name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
         episodes = conf.learning.evaluation.episodes
         title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
-        table = results_table({"trained": estimate_metrics(rows)}, title, num_agents=len(rows) // episodes)
+        estimates = estimate_metrics(rows)
+        notes = metric_notes(conf.metrics, estimates)
+        table = results_table({"trained": estimates}, title, num_agents=len(rows) // episodes, notes=notes)
         console.print(table)
     lines = [f"Files in {result.run_dir}:"]
     lines += [

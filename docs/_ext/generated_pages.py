@@ -7,6 +7,7 @@ from typing import Any
 from conf_comments import option_summary, read_comments
 from realism_tables import devices_table, faults_table, sensors_table
 from settings_tables import Section, as_code, first_paragraph, read_section, render_section
+from vort_table import vort_table
 
 from dune_rl import paths, report
 from dune_rl.behaviours.path_follower import PathConf
@@ -160,6 +161,8 @@ _REWARD_MEANINGS = {
 _TERMINATION_MEANINGS = {
     "truncates": "the episode is cut off, which is no end of the task",
     "renew": "the agent gets another goal, and its episode goes on",
+    "distance_m": "a return nearer than this is a collision [m]",
+    "steps": "how many steps with a collision an episode may have",
 }
 _METRIC_MEANINGS = {
     "termination": "name of the termination term",
@@ -172,6 +175,15 @@ _METRIC_MEANINGS = {
     "most_m": "gap from which on an encounter is of another class [m]",
     "time_s": "time to contact below which it is a near miss [s]",
     "least_mps": "speed below which there is no slip [m/s]",
+    "uneven_tilt_deg": "tilt above which ground is uneven [deg]",
+    "distance_m": "a return nearer than this is a collision [m]",
+    "readings": "how many of the last readings a row is the mean of",
+    "every_s": "time between rows [s]",
+    "rough_mps2": "acceleration, gravity included, above which a row is rough [m/s²]; null: all rows count",
+    "of": "which rows count: all, or those that have a clearance",
+    "outcome": "which attempts count: those that reach the goal, or all",
+    "reached_s": "an attempt that reaches the goal counts if it lasts longer [s]",
+    "failed_s": "an attempt that fails counts if it lasts longer [s]",
 }
 KINDS: Mapping[str, tuple[Registry[Any], str, Callable[[str], dict[str, str]]]] = {
     "world": (WORLDS, "world=NAME", _option_comments("world")),
@@ -309,6 +321,7 @@ _TABLES: Mapping[str, Callable[..., str]] = {
     "terminations": terminations_table,
     "surfaces": surfaces_table,
     "measures": measures_table,
+    "vort": vort_table,
     "realism-sensors": sensors_table,
     "realism-faults": faults_table,
     "realism-devices": devices_table,

@@ -276,10 +276,14 @@ def _steps_kept(value: object) -> object:
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], BeforeValidator(_one_or_several)]
 
 
+MOST_RUN_STEPS = 100_000
+
+
 class EvaluateConf(EnvConf):
     """An evaluation of checkpoints, built-in policies and users' own, on the same episodes.
 
-    `episodes` is None for all of the episode set, or 100 without one.
+    `episodes` is None for all of the episode set, or 100 without one. With a `protocol` there are `runs` of
+    `run_steps` control steps instead, None for those of the protocol.
     """
 
     checkpoint: Names = ()
@@ -287,6 +291,9 @@ class EvaluateConf(EnvConf):
     against: Names = ()
     set: str | None = None
     episodes: int | None = Field(None, ge=1)
+    protocol: Literal["paper", "dune_code"] | None = None
+    runs: int | None = Field(None, ge=1)
+    run_steps: int | None = Field(None, ge=1, le=MOST_RUN_STEPS)
     scenes: int = Field(16, ge=1, le=8_192)
     seed: int = Field(0, ge=0)
     processes: int = Field(1, ge=1, le=1_024)
@@ -313,6 +320,25 @@ class EvaluateConf(EnvConf):
     def _actors_among_steps(self) -> Self:
         if self.actor_steps and not self.steps:
             raise ValueError("actor_steps=true adds rows to the steps; give steps=true or steps=N as well")
+        return self
+
+    @model_validator(mode="after")
+    def _protocol_fits(self) -> Self:
+        if self.protocol is None:
+            for name in ("runs", "run_steps"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} needs protocol=paper or protocol=dune_code; or take episodes=N")
+            return self
+        if self.set is not None:
+            raise ValueError(
+                f"protocol={self.protocol} samples starts and goals as in training, and set={self.set} fixes "
+                "them and how episodes end; leave one of the two out"
+            )
+        if self.episodes is not None:
+            raise ValueError(
+                f"protocol={self.protocol} has runs of control steps, whatever the number of episodes; "
+                "write runs=N in place of episodes"
+            )
         return self
 
     @model_validator(mode="after")

@@ -22,7 +22,7 @@ from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
-from dune_rl.state import EnergyState, GoalState, GroupState, State
+from dune_rl.state import EnergyState, GoalState, GroupState, ScanQueries, State
 from dune_rl.tasks.task import Task, TaskConf
 
 Array = NDArray[np.float64]
@@ -123,10 +123,26 @@ class AgentGroup:
         self.wheel_radius_m = body.wheel_radius_m
         self.num_rows = num_rows
         self._controller: Controller | None = None
+        self.scanner: ScanQueries | None = None
 
-    def equip(self, suite: SensorSuite | None) -> None:
-        """Set the sensors and create the controller; called once, after all groups have been built."""
-        self.suite = suite
+    @property
+    def needs_scan(self) -> bool:
+        """Whether a term of the task or a metric reads `GroupState.nearest_return`."""
+        return self.measured.needs_scan or (self.task is not None and self.task.needs_scan)
+
+    def start_scans(self) -> None:
+        """Have states measured by scans from the next one on."""
+        if self.scanner is None:
+            self.scanner = self._make_scanner()
+
+    def equip(self, suite: SensorSuite | None, make_scanner: Callable[[], ScanQueries]) -> None:
+        """Set the sensors and create the controller; called once, after all groups have been built.
+
+        `make_scanner` makes the LiDAR that measures for terms, once a term needs it.
+        """
+        self.suite, self._make_scanner = suite, make_scanner
+        if self.needs_scan:
+            self.start_scans()
         by_sensors = suite is not None and suite.needs_joints
         self.body.reads_joints = by_sensors or self.measured.needs_joints
         if self.setup.controller is not None:

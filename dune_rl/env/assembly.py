@@ -1,6 +1,7 @@
 """Builds the agent groups of a simulation from their setups."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from dune_rl.behaviours.path_follower import PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
@@ -14,6 +15,8 @@ from dune_rl.env.sensing import sensor_context
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.measuring_scan import MeasuringScan
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.worlds.world import World
@@ -105,15 +108,21 @@ def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: Sce
     """Give each group the sensors of its setup: one suite for all its agents."""
     meshes = {group.name: group.body.mesh() for group in groups}
     for group in groups:
+        neighbours = [meshes[other.name] for other in builder.mesh_order(group)]
         suite = None
         if group.setup.sensors is not None:
-            neighbours = [meshes[other.name] for other in builder.mesh_order(group)]
-            suite = _suite(group, neighbours, scenes)
-        group.equip(suite)
+            suite = SensorSuite(group.setup.sensors, _context(group, neighbours, scenes))
+        group.equip(suite, partial(_measuring_scan, group, neighbours, scenes))
 
 
-def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorSuite:
-    context = sensor_context(
+def _measuring_scan(
+    group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager
+) -> MeasuringScan:
+    return MeasuringScan(_context(group, neighbours, scenes))
+
+
+def _context(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorContext:
+    return sensor_context(
         scenes.worlds,
         group.body.carrier(),
         neighbours,
@@ -121,8 +130,6 @@ def _suite(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneMan
         step_s=scenes.conf.control_step_s,
         worlds_differ=scenes.randomizer.randomizes_worlds,
     )
-    assert group.setup.sensors is not None
-    return SensorSuite(group.setup.sensors, context)
 
 
 def scene_bodies(groups: Sequence[AgentGroup]) -> SceneBodies:

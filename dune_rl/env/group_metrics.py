@@ -31,6 +31,11 @@ class GroupMetrics:
         return any(each.needs_joints for each in self._sets())
 
     @property
+    def needs_scan(self) -> bool:
+        """Whether a set reads `GroupState.nearest_return`."""
+        return any(each.needs_scan for each in self._sets())
+
+    @property
     def added(self) -> list[dict[str, Any]]:
         """The settings of the added sets as plain data."""
         return [MetricsConf.model_validate_json(key).model_dump(mode="json") for key in self._added]
@@ -71,4 +76,6 @@ def add_metrics(group: "AgentGroup", conf: MetricsConf, state: State | None) -> 
     found = group.measured.add(conf, None if state is None else state.groups[group.name])
     if isinstance(group.body, ArticulatedBody):
         group.body.reads_joints |= found.needs_joints
+    if found.needs_scan:
+        group.start_scans()
     return found

@@ -132,5 +132,6 @@ class StateBuilder:
                 radius_m=group.radius_m,
                 wheel_radius_m=group.wheel_radius_m,
                 energy=group.energy,
+                scanner=group.scanner,
             )
         return State(states, self._worlds, len(steps))

@@ -13,6 +13,8 @@ _FIXED: dict[str, tuple[str, str]] = {
     "agent": ("", "name of the agent"),
     "episode": ("", "number of the episode: all its random draws depend on it and on the seed"),
     "world_seed": ("", "seed of the episode's world"),
+    "run": ("", "number of the run of a protocol"),
+    "finished": ("", "1, or 0 for an episode that was cut off with its run"),
     "steps": ("", "control steps"),
     "step": ("", "control step, from 1 on"),
     "return": ("", "sum of rewards"),
@@ -49,6 +51,21 @@ _PLAIN_METRICS: dict[str, tuple[str, str]] = {
     "out_of_world": ("", "1 if the episode ended as the robot left the world"),
     "timeout": ("", "1 if the episode ended at its limit of steps"),
 }
+# Metrics whose column is a sum that their measure divides.
+_SUMS: dict[str, tuple[str, str]] = {
+    "dune_code_successes": ("", "attempts that reach the goal, of those that the published code counts"),
+    "dune_code_attempts": ("", "attempts that the published code counts"),
+    "dune_code_goal_time": ("s", "sum of the times of attempts that reach the goal"),
+    "dune_code_collisions": ("", "scans with a return nearer than the distance of a collision"),
+    "dune_code_clearance": ("m", "sum over rows of the mean of the last nearest returns"),
+    "dune_code_clearance_rows": ("", "rows of the published code's log with a clearance"),
+    "dune_code_speed": ("m/s", "sum over rows of the mean of the last speeds"),
+    "dune_code_rough_speed": ("m/s", "the same over rough rows"),
+    "dune_code_rough_rows": ("", "rough rows"),
+    "dune_code_smoothness": ("", "sum over rows of the mean of the last |acceleration| + |angular velocity|"),
+    "dune_code_rows": ("", "rows of the published code's log"),
+    "dune_code_vertical": ("m/s²", "sum over steps of |vertical acceleration| with gravity"),
+}
 _UNITLESS = ("", "%")
 
 
@@ -57,8 +74,8 @@ def describe_columns(names: Sequence[str]) -> list[dict[str, str]]:
     measures = {measure.metric: measure for measure in CATALOGUE}
     found = []
     for name in names:
-        unit, meaning = (_PLAIN_METRICS | _FIXED).get(name, ("", ""))
-        if name in measures and name not in _FIXED:
+        unit, meaning = (_PLAIN_METRICS | _SUMS | _FIXED).get(name, ("", ""))
+        if name in measures and name not in _FIXED and name not in _SUMS:
             measure = measures[name]
             # Shares are stored as 0 and 1.
             unit, meaning = "" if measure.unit in _UNITLESS else measure.unit, measure.meaning

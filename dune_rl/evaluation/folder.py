@@ -13,16 +13,18 @@ import yaml
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import CheckpointError, ConfigError
-from dune_rl.evaluation.running import FinishedEpisode
+from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.tables import write_columns, write_tables
 from dune_rl.files import write_atomically
 from dune_rl.learning.run.lock import RunLock
 
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
 EPISODES, STEPS, COMPARISON, SUMMARY = "episodes", "steps", "comparison", "summary"
+RUNS, ATTEMPTS = "runs", "attempts"
 _PART = "episodes.part.jsonl"
 _TABLES = tuple(f"{stem}{suffix}" for stem in (EPISODES, STEPS) for suffix in (".csv", ".parquet"))
-_FILES = (CONFIG, PROVENANCE, COLUMNS, _PART, *_TABLES, f"{COMPARISON}.csv", f"{SUMMARY}.csv")
+_FILES = (CONFIG, PROVENANCE, COLUMNS, _PART, *_TABLES)
+_FILES += tuple(f"{stem}.csv" for stem in (COMPARISON, SUMMARY, RUNS, ATTEMPTS))
 
 
 class ResultsFolder:

@@ -11,7 +11,8 @@ from typing import Any
 
 from dune_rl.errors import DuneError, TrainingError
 from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
+from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 
 _WAIT_S = 1.0
 _JOIN_S = 5.0

@@ -34,7 +34,7 @@ def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
         "world": plan.conf.world.name,
         "engine": plan.conf.physics.backend,
         "seed": plan.conf.seed,
-        "episodes": plan.episodes,
+        **_extent(plan),
         "scenes": plan.scenes,
         "processes": plan.conf.processes,
         "policies": [
@@ -55,6 +55,13 @@ def sites_of_training_of(source: PolicySource, plan: EvaluationPlan) -> list[int
         return []
     config = read_checkpoint_file(source.file, "policy", "checkpoint")["config"]
     return sites_of_training(config, plan.episode_set)
+
+
+def _extent(plan: EvaluationPlan) -> dict[str, Any]:
+    conf = plan.conf
+    if conf.protocol is None:
+        return {"episodes": plan.episodes}
+    return {"protocol": conf.protocol, "runs": conf.runs, "run_steps": conf.run_steps}
 
 
 def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: Path) -> None:

@@ -1,18 +1,28 @@
 """Runs an evaluation into its folder, and shows its tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from rich.console import Console
 
 from dune_rl.evaluation.blocks import missing_blocks
-from dune_rl.evaluation.folder import COMPARISON, SUMMARY, ResultsFolder, rows_of_group
+from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder, rows_of_group
 from dune_rl.evaluation.processes import run_in_processes
+from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, show_runs
+from dune_rl.evaluation.protocols.runs_done import finished_runs
 from dune_rl.evaluation.recorder import START_COLUMNS
-from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
+from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.learning.measures import cluster_rows, estimate_metrics, write_csv
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.run.progress import show_episodes
-from dune_rl.learning.table import comparison_table, paired_line, results_table
+from dune_rl.learning.statistics import Estimate
+from dune_rl.learning.table import (
+    comparison_table,
+    metric_notes,
+    notes_by_measure,
+    paired_line,
+    results_table,
+)
 
 _TWO = 2
 
@@ -32,16 +42,24 @@ def run_plan(
     When it is interrupted, the rows of the finished episodes are written, and it says how to go on.
     """
     agents = runner.agents
-    blocks = missing_blocks(len(plan.sources), plan.episodes, folder.finished.keys(), plan.scenes, processes)
+    has_runs = plan.conf.protocol is not None
+    unit = "runs" if has_runs else "episodes"
+
+    def done() -> Collection[tuple[int, int]]:
+        return finished_runs(plan, folder.finished.values()) if has_runs else folder.finished.keys()
+
+    blocks = missing_blocks(
+        len(plan.sources), plan.episodes, done(), 1 if has_runs else plan.scenes, processes
+    )
     name = plan.sources[0].name if len(plan.sources) == 1 else f"{len(plan.sources)} policies"
     total = len(plan.sources) * plan.episodes
     try:
-        with show_episodes(console, name, total) as show:
+        with show_episodes(console, name, total, counted=unit) as show:
 
             def keep(episode: FinishedEpisode) -> None:
                 if (episode.policy, episode.episode) not in folder.finished:
                     folder.add(episode)
-                show(len(folder.finished))
+                show(len(done()))
 
             if processes == 1 or len(blocks) <= 1:
                 for block in blocks:
@@ -51,13 +69,12 @@ def run_plan(
                 runner.close()
                 run_in_processes(plan, blocks, processes, keep)
     except BaseException:
-        done = len(folder.finished)
-        if not done and folder.is_new:
+        if not folder.finished and folder.is_new:
             folder.discard()
             raise
         folder.write(complete=False)
         console.print(
-            f"Cut off after {done} of {total} episodes; go on with python -m dune_rl.evaluate "
+            f"Cut off after {len(done())} of {total} {unit}; go on with python -m dune_rl.evaluate "
             f"resume={folder.path}",
             highlight=False,
             soft_wrap=True,
@@ -72,6 +89,9 @@ def run_plan(
 def _report(
     plan: EvaluationPlan, folder: ResultsFolder, agents: Mapping[str, Sequence[str]], console: Console
 ) -> None:
+    if plan.conf.protocol is not None:
+        _report_runs(plan, folder, agents, console)
+        return
     rows = folder.rows()
     summary: list[dict[str, object]] = []
     comparisons: list[dict[str, object]] = []
@@ -93,22 +113,64 @@ def _report(
         title += f": {count} of seed {plan.conf.seed}"
         clusters, kind = cluster_rows(of_group[: len(next(iter(results.values())))])
         sites = int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
-        console.print(results_table(estimates, title, num_agents=len(names), sites=sites))
+        notes = metric_notes(plan.conf.metrics, next(iter(estimates.values())))
+        console.print(results_table(estimates, title, num_agents=len(names), sites=sites, notes=notes))
         compared = compare_policies({name: _numeric(found) for name, found in results.items()})
         if len(results) == _TWO and all("success" in found[0] for found in results.values()):
             console.print(paired_line(*results.items()))
         if len(results) > _TWO:
             console.print(comparison_table(compared, "SR"))
-        summary += [
-            {"policy": name, "group": group, "measure": measure, **vars(estimate)}
-            for name, measures in estimates.items()
-            for measure, estimate in measures.items()
-        ]
+        summary += _summary_rows(plan, group, estimates)
         comparisons += [{"group": group, **_comparison_row(one)} for one in compared]
     write_csv(folder.path / f"{SUMMARY}.csv", summary)
     if comparisons:
         write_csv(folder.path / f"{COMPARISON}.csv", comparisons)
     console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
+
+
+def _report_runs(
+    plan: EvaluationPlan, folder: ResultsFolder, agents: Mapping[str, Sequence[str]], console: Console
+) -> None:
+    (group,) = agents
+    finished = list(folder.finished.values())
+    estimates, runs, described = estimate_runs(plan, finished, group)
+    compared = show_runs(plan, estimates, runs, console)
+    summary = _summary_rows(plan, group, estimates)
+    if plan.conf.protocol == "paper":
+        by_episode = {
+            source.name: estimate_metrics(
+                _numeric([row for row in folder.rows() if row["policy"] == source.name and row["finished"]])
+            )
+            for source in plan.sources
+        }
+        summary += _summary_rows(plan, group, by_episode)
+    write_csv(folder.path / f"{SUMMARY}.csv", summary)
+    write_csv(folder.path / f"{RUNS}.csv", described)
+    attempts = attempt_rows(plan, finished, group)
+    if attempts:
+        write_csv(folder.path / f"{ATTEMPTS}.csv", attempts)
+    if compared:
+        write_csv(
+            folder.path / f"{COMPARISON}.csv", [{"group": group, **_comparison_row(one)} for one in compared]
+        )
+    console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
+
+
+def _summary_rows(
+    plan: EvaluationPlan, group: str, estimates: Mapping[str, Mapping[str, Estimate]]
+) -> list[dict[str, object]]:
+    notes = notes_by_measure(plan.conf.metrics)
+    return [
+        {
+            "policy": name,
+            "group": group,
+            "measure": measure,
+            **vars(estimate),
+            "note": notes.get(measure.removesuffix("/run"), ""),
+        }
+        for name, measures in estimates.items()
+        for measure, estimate in measures.items()
+    ]
 
 
 def _title(plan: EvaluationPlan) -> str:
@@ -117,7 +179,7 @@ def _title(plan: EvaluationPlan) -> str:
 
 def _numeric(rows: Sequence[Mapping[str, object]]) -> list[dict[str, float]]:
     """The metrics of rows and the seeds of their worlds, without names, the episodes' seed and places."""
-    left_out = ("seed", *START_COLUMNS)
+    left_out = ("seed", "run", "finished", *START_COLUMNS)
     return [
         {key: value for key, value in row.items() if isinstance(value, int | float) and key not in left_out}
         for row in rows

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -12,8 +13,12 @@ from dune_rl.config.schema import EvaluateConf
 from dune_rl.episode_sets import EpisodeSet, plan_of_set
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.policies import PolicySource, UserPolicy
-from dune_rl.evaluation.recorder import EpisodeRecorder, StepRow
+from dune_rl.evaluation.protocols.attempts import AttemptRecorder
+from dune_rl.evaluation.protocols.run_observer import RunLength, RunObserver
+from dune_rl.evaluation.protocols.settings import EPISODES_PER_RUN
+from dune_rl.evaluation.recorder import EpisodeRecorder
 from dune_rl.evaluation.tables import plain_number
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
@@ -33,24 +38,19 @@ class EvaluationPlan:
 
     @property
     def episodes(self) -> int:
-        """Number of episodes of each policy."""
+        """Number of episodes of each policy; of runs, where there is a protocol."""
+        if self.conf.protocol is not None:
+            assert self.conf.runs is not None, "the number of runs is resolved before a plan is made"
+            return self.conf.runs
         assert self.conf.episodes is not None, "the number of episodes is resolved before a plan is made"
         return self.conf.episodes
 
     @property
     def scenes(self) -> int:
         """Number of scenes of each environment."""
+        if self.conf.protocol is not None:
+            return self.conf.scenes
         return min(self.conf.scenes, self.episodes)
-
-
-@dataclass(frozen=True)
-class FinishedEpisode:
-    """An episode of a policy (by number): rows by group, one for each agent with metrics, and its steps."""
-
-    policy: int
-    episode: int
-    rows: dict[str, list[dict[str, Any]]]
-    steps: list[StepRow]
 
 
 class BlockRunner:
@@ -77,11 +77,14 @@ class BlockRunner:
                     policy(self.env.reset())
 
     def run(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
-        """Run a block and `emit` its episodes, in the order in which they end."""
+        """Run a block and `emit` its episodes, in the order in which they end; of runs, in their order."""
+        if self.plan.conf.protocol is not None:
+            self._run_steps(block, emit)
+            return
         self.watch(block, _Emitter(self, block.policy, emit))
 
     def watch(self, block: EpisodeBlock, observer: EpisodeObserver) -> None:
-        """Run a block, whose steps and ends `observer` is told."""
+        """Run a block of episodes, whose steps and ends `observer` is told."""
         try:
             evaluate(
                 self._policies[block.policy],
@@ -95,6 +98,29 @@ class BlockRunner:
             if self.plan.episode_set is None:
                 raise
             raise ConfigError(f"set={self.plan.episode_set.name}: {error}") from error
+
+    def _run_steps(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
+        """Run the runs of a block, whose numbers it has in place of episodes."""
+        conf = self.plan.conf
+        assert conf.run_steps is not None, "the length of runs is resolved before a plan is made"
+        simulation = self.env.base_env.simulation
+        (group,) = self.agents
+        for run in range(block.first, block.first + block.count):
+            length = RunLength(run, run * EPISODES_PER_RUN, conf.run_steps, conf.physics.control_step_s)
+            attempts = AttemptRecorder(simulation, group) if conf.protocol == "dune_code" else None
+            observer = RunObserver(simulation, group, length, partial(self.record, block.policy), attempts)
+            observer.inner = _Emitter(self, block.policy, observer.add)
+            evaluate(
+                self._policies[block.policy],
+                self.env,
+                EPISODES_PER_RUN,
+                conf.seed,
+                first=length.first,
+                observer=observer,
+                stop=lambda observer=observer: observer.is_full,  # type: ignore[misc]
+            )
+            for episode in observer.episodes():
+                emit(episode)
 
     def record(self, policy: int, group: str, row: MetricsRow) -> dict[str, Any]:
         """A row of the tables."""

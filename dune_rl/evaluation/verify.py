@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,9 @@ from rich.console import Console
 
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.folder import EPISODES, changed_files, read_provenance
-from dune_rl.evaluation.running import BlockRunner, EvaluationPlan, FinishedEpisode
+from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.learning.run.progress import show_episodes
 from dune_rl.seeding import stream
 
@@ -50,6 +52,23 @@ def sample_blocks(plan: EvaluationPlan, sample: int) -> list[EpisodeBlock]:
     return sorted(found, key=lambda block: (block.policy, block.first))
 
 
+def sample_runs(
+    plan: EvaluationPlan, sample: int, sizes: Mapping[tuple[str, int], int]
+) -> list[EpisodeBlock]:
+    """As `sample_blocks`, whole runs of a protocol; `sizes` has the episodes of each by policy and run."""
+    runs = [
+        EpisodeBlock(policy, run, 1) for policy in range(len(plan.sources)) for run in range(plan.episodes)
+    ]
+    found: list[EpisodeBlock] = []
+    count = 0
+    for index in stream(plan.conf.seed, "verify", len(runs)).permutation(len(runs)).tolist():
+        if count >= sample:
+            break
+        found.append(runs[index])
+        count += sizes.get((plan.sources[runs[index].policy].name, runs[index].first), 0)
+    return sorted(found, key=lambda block: (block.policy, block.first))
+
+
 def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Console) -> None:
     """Repeat about `sample` episodes of the results in `path`.
 
@@ -62,8 +81,14 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
     repeated: list[Mapping[str, Any]] = []
     differences: list[RowDifference] = []
     missing = 0
-    blocks = sample_blocks(plan, sample)
-    with show_episodes(console, "verifying", sum(block.count for block in blocks)) as show:
+    if plan.conf.protocol is None:
+        blocks = sample_blocks(plan, sample)
+        total = sum(block.count for block in blocks)
+    else:
+        sizes = Counter((row["policy"], int(row["run"])) for row in stored.values())
+        blocks = sample_runs(plan, sample, sizes)
+        total = sum(sizes[plan.sources[block.policy].name, block.first] for block in blocks)
+    with show_episodes(console, "verifying", total) as show:
         count = 0
 
         def compare(episode: FinishedEpisode) -> None:

@@ -18,7 +18,8 @@ from dune_rl.learning.statistics import (
     estimate_proportion,
     estimate_ratio,
 )
-from dune_rl.metrics.catalogue import Measure, measures_of
+from dune_rl.metrics.catalogue import measures_of
+from dune_rl.metrics.measure import Measure
 
 # The metrics of one agent in one episode, by name.
 MetricsRow = dict[str, float]

@@ -16,7 +16,8 @@ from dune_rl.learning.statistics import (
     estimate_ratio_difference,
     estimate_share_difference,
 )
-from dune_rl.metrics.catalogue import Measure, measures_of
+from dune_rl.metrics.catalogue import measures_of
+from dune_rl.metrics.measure import Measure
 
 Array = NDArray[np.float64]
 Rows = Sequence[Mapping[str, Any]]

@@ -1,7 +1,7 @@
 """Tables of results, for the command lines to print."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from rich.table import Table
 from rich.text import Text
@@ -9,20 +9,44 @@ from rich.text import Text
 from dune_rl.learning.measures import MetricsRow, cluster_rows, compare_success
 from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
-from dune_rl.metrics.catalogue import CATALOGUE, Measure
+from dune_rl.metrics.catalogue import CATALOGUE, measures_of
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.metrics.measure import Measure
 
 # With more policies, meanings are left out and intervals have lines of their own, for 80 columns.
 _WIDE_COLUMNS = 2
+_OF_RUNS = "/run"
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
+def notes_by_measure(conf: MetricsConf) -> dict[str, str]:
+    """What must be known beside a measure, by its name: the threshold of VORT."""
+    thresholds = {name: getattr(term, "uneven_tilt_deg", None) for name, term in conf.terms.items()}
+    return {
+        measure.name: f"tilt above {thresholds[measure.metric]:g}°"
+        for measure in measures_of(list(thresholds))
+        if thresholds.get(measure.metric) is not None
+    }
+
+
+def metric_notes(conf: MetricsConf, shown: Iterable[str]) -> tuple[str, ...]:
+    """The same of the measures that a table has `shown`, as lines below it."""
+    names = {name.removesuffix(_OF_RUNS) for name in shown}
+    return tuple(f"{name}: {note}" for name, note in notes_by_measure(conf).items() if name in names)
+
+
 def results_table(
-    results: Mapping[str, Mapping[str, Estimate]], title: str, *, num_agents: int = 1, sites: int = 0
+    results: Mapping[str, Mapping[str, Estimate]],
+    title: str,
+    *,
+    num_agents: int = 1,
+    sites: int = 0,
+    notes: Sequence[str] = (),
 ) -> Table:
     """One column for each policy of `results` (by name), one row for each measure with its 95 % interval.
 
     Measures that not all policies have are left out. Where episodes have `num_agents`, the title says so, and
-    where several share each of `sites` the caption does.
+    where several share each of `sites` the caption does. `notes` are lines below the table.
     """
     caption = "brackets: 95 % intervals"
     if num_agents > 1:
@@ -31,6 +55,7 @@ def results_table(
         caption += f", over {sites} whole sites"
     elif num_agents > 1:
         caption += ", over whole episodes"
+    caption = "\n".join([caption, *notes])
     table = Table(title=title, caption=caption, caption_justify="left", title_justify="left")
     many = len(results) > _WIDE_COLUMNS
     # On a narrow terminal, meanings are folded before numbers are.

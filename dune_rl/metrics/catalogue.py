@@ -1,37 +1,13 @@
 """The measures that evaluations report: what each means, and which metric of an episode it comes from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 from dune_rl.metrics.episode import BUILT_IN
+from dune_rl.metrics.measure import PAPER as _PAPER
+from dune_rl.metrics.measure import Measure
+from dune_rl.metrics.protocol_measures import PROTOCOL_MEASURES
 
-_PAPER = "Vice & Sukthankar 2025"
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A measure over episodes, and how it is made of their metrics.
-
-    `metric` is the metric whose mean over the episodes it is, or the share of them where it is a `share`.
-    `per` names another metric where the measure is a ratio of sums; `are_counts` marks numbers of events.
-    `formula` is of one episode, `better` the direction in which a policy is better, None where neither is.
-    Tables multiply values by `scale`.
-    """
-
-    name: str
-    metric: str
-    meaning: str = ""
-    unit: str = ""
-    better: Literal["higher", "lower"] | None = None
-    formula: str = ""
-    source: str = ""
-    per: str | None = None
-    is_share: bool = False
-    are_counts: bool = False
-    scale: float = 1.0
-    decimals: int = 2
-
+__all__ = ["CATALOGUE", "Measure", "measures_of"]
 
 CATALOGUE: tuple[Measure, ...] = (
     Measure(
@@ -265,11 +241,20 @@ CATALOGUE: tuple[Measure, ...] = (
         "number of ends by the termination flipped",
         are_counts=True,
     ),
+    Measure(
+        "uneven",
+        "uneven_time",
+        "time on uneven ground",
+        "s",
+        None,
+        "time while the tilt is above uneven_tilt_deg (5°), which is that of VORT",
+    ),
     Measure("energy", "energy_wh", "drawn from the battery", "W h", "lower", "motors' work and idling"),
     Measure(
         "battery", "battery_share", "share of a full battery", "%", "lower", "energy / capacity", scale=100.0
     ),
     Measure("range", "range_km", "with a full battery", "km", "higher", "path / share of the battery"),
+    *PROTOCOL_MEASURES,
 )
 
 # Metrics of which no measure is made: ids, and details that the CSV has.
@@ -288,6 +273,8 @@ _DETAILS = {
     "out_of_world",
     "timeout",
     "duration",
+    # Those of the published code are sums, which only mean something when they are divided.
+    *("dune_code_attempts", "dune_code_clearance_rows", "dune_code_rough_rows", "dune_code_rows"),
 }
 
 

@@ -72,7 +72,8 @@ class MetricSet:
     """Running metrics of N agents; a row is final when its episode is.
 
     `names` (K) are the columns of `values`: the episode's id, its steps and its return, then the terms.
-    `needs_joints` tells whether a term reads the joints' state.
+    `needs_joints` tells whether a term reads the joints' state, `needs_scan` whether one reads
+    `GroupState.nearest_return`.
     """
 
     def __init__(self, conf: MetricsConf, num_rows: int) -> None:
@@ -89,6 +90,7 @@ class MetricSet:
         rows = [[self._new[self.names.index(name)] for name in names] for names in shared]
         self._terms = list(zip(terms, rows, strict=True))
         self.needs_joints = any(METRICS.needs_joints(confs[names[0]]) for names in shared)
+        self.needs_scan = any(METRICS.needs_scan(confs[names[0]]) for names in shared)
         self._first_names = [names[0] for names in shared]
 
     def reset(self, mask: Flags, group: GroupState) -> None:

@@ -19,6 +19,7 @@ _OWN_REWARDS = (
 _OWN_TERMINATIONS = {
     "flipped": "flipped",
     "goal_reached": "goal_reached",
+    "long_collision": "LongCollision",
     "out_of_world": "out_of_world",
     "stuck": "Stuck",
     "time_limit": "time_limit",

@@ -104,6 +104,7 @@ class Endings(NamedTuple):
 class Task:
     """The terms of a task for the N agents of a group: call `end`, then `reward`, once a control step.
 
+    `needs_scan` tells whether a term reads `GroupState.nearest_return`.
     `reward_sums` (N, T) are the weighted sums of each reward term over the present episodes, and
     `reward_names` (T) their names, `reward/NAME`.
     """
@@ -111,6 +112,7 @@ class Task:
     def __init__(self, conf: TaskConf, num_rows: int) -> None:
         self.conf = conf
         endings, rewards = list(conf.terminations.values()), list(conf.rewards.values())
+        self.needs_scan = any(map(TERMINATIONS.needs_scan, endings)) or any(map(REWARDS.needs_scan, rewards))
         self._terminations, stateful_endings = bind_terms(TERMINATIONS, endings, num_rows)
         self._rewards, stateful_rewards = bind_terms(REWARDS, rewards, num_rows)
         self._stateful = [*stateful_endings, *stateful_rewards]

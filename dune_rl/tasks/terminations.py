@@ -50,6 +50,36 @@ class Stuck:
         return self._steps >= self._limit
 
 
+class LongCollision:
+    """Whether more than `steps` scans of the episode had a return nearer than `distance_m`.
+
+    Scans are those of the paper's published code (640 beams over the full circle, 0.15 to 10 m), one for each
+    control step.
+    """
+
+    needs_scan = True
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        distance_m: Annotated[float, Field(gt=0.0)] = 0.3,
+        steps: Annotated[int, Field(ge=1)] = 600,
+    ) -> None:
+        self._distance_m, self._limit = distance_m, steps
+        self._steps = np.zeros(num_rows, np.int64)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """No scan has been made in the episodes of the agents in `mask` (N,)."""
+        self._steps[mask] = 0
+
+    def __call__(self, state: State, group: GroupState) -> Flags:
+        """Flags (N,); to be called once a control step."""
+        # Nothing is near where there is no return.
+        self._steps += group.nearest_return < self._distance_m
+        return self._steps > self._limit
+
+
 def flipped(
     state: State, group: GroupState, *, angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 85.0
 ) -> Flags:

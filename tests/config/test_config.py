@@ -107,6 +107,29 @@ NAVIGATION: dict[str, Any] = {
     "stuck_count": {"term": "ended_by", "termination": "stuck", "reduce": "sum"},
     "flip_count": {"term": "ended_by", "termination": "flipped", "reduce": "sum"},
 }
+DUNE_CODE_METRICS: dict[str, Any] = {
+    "dune_code_successes": {"term": "dune_code_attempts", "reduce": "sum", "outcome": "reached"},
+    "dune_code_attempts": {"reduce": "sum"},
+    "dune_code_goal_time": {"reduce": "sum"},
+    "dune_code_collisions": {"reduce": "sum"},
+    "dune_code_clearance": {"reduce": "sum"},
+    "dune_code_clearance_rows": {"term": "dune_code_rows", "reduce": "sum", "of": "clearance"},
+    "dune_code_speed": {"reduce": "sum"},
+    "dune_code_rough_speed": {"term": "dune_code_speed", "reduce": "sum", "rough_mps2": 15.0},
+    "dune_code_rough_rows": {"term": "dune_code_rows", "reduce": "sum", "rough_mps2": 15.0},
+    "dune_code_smoothness": {"reduce": "sum"},
+    "dune_code_rows": {"reduce": "sum"},
+    "dune_code_vertical": {"reduce": "sum"},
+}
+VORT_METRICS: dict[str, Any] = {
+    "vort_2": {"term": "vort", "uneven_tilt_deg": 2.0},
+    "vort_10": {"term": "vort", "uneven_tilt_deg": 10.0},
+    "vort_15": {"term": "vort", "uneven_tilt_deg": 15.0},
+    "uneven_2": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 2.0},
+    "uneven_time": {"term": "time_on_uneven", "reduce": "sum"},
+    "uneven_10": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 10.0},
+    "uneven_15": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 15.0},
+}
 PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "none"): {},
     ("actors", "default"): {"walker": WALKERS},
@@ -114,7 +137,9 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
+    ("metrics", "dune_code"): MetricsConf(terms={**PAPER_METRICS, **DUNE_CODE_METRICS}),
     ("metrics", "navigation"): MetricsConf(terms={**PAPER_METRICS, **NAVIGATION}),
+    ("metrics", "vort"): MetricsConf(terms={**PAPER_METRICS, **VORT_METRICS}),
     ("physics", "bullet"): PhysicsConf(),
     ("randomisation", "none"): RandomisationConf(),
     ("randomisation", "worlds"): WORLDS,
@@ -152,10 +177,12 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
             "out_of_world": {"weight": -10.0},
             "collision": {"distance_m": 0.3},
             "contact": {"weight": 0.0},
+            "long_collision": {"term": "ended_by", "termination": "long_collision", "weight": -20.0},
         },
         terminations={
             "goal_reached": {"distance_m": 0.5, "renew": True},
             "stuck": {"distance_m": 0.001, "steps": 600},
+            "long_collision": {"distance_m": 0.3, "steps": 600},
         },
     ),
     ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),

@@ -19,8 +19,9 @@ from dune_rl.episode_sets import read_episode_set, write_episode_set
 from dune_rl.episode_sets.generate import all_recipes
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, missing_blocks
+from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.folder import ResultsFolder
-from dune_rl.evaluation.running import BlockRunner, FinishedEpisode
+from dune_rl.evaluation.running import BlockRunner
 
 Call = Callable[..., int]
 POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"

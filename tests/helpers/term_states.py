@@ -15,6 +15,7 @@ from dune_rl.state import (
     GroupState,
     JointState,
     Motion,
+    ScanQueries,
     State,
 )
 
@@ -26,6 +27,20 @@ class Extents(NoGround):
 
     def __init__(self, num_scenes: int, extent: tuple[float, float, float, float]) -> None:
         self.extents = np.tile(np.array(extent), (num_scenes, 1))
+
+
+class FixedScan:
+    """A scan whose nearest return [m] is given: of all agents, or of each."""
+
+    def __init__(self, nearest: Any) -> None:
+        self._nearest = np.asarray(nearest, float)
+
+    def nearest_return(self, motion: Motion, neighbours: np.ndarray) -> np.ndarray:
+        """What was given."""
+        return np.broadcast_to(self._nearest, len(motion.position_w)).copy()
+
+
+NO_RETURN = FixedScan(np.nan)
 
 
 def agents(
@@ -57,6 +72,7 @@ def agents(
     endings: dict[str, Any] | None = None,
     wheel_radius_m: float | None = None,
     joint_speed: Any = None,
+    scanner: ScanQueries | None = NO_RETURN,
 ) -> GroupState:
     """`rows` agents in the open, 5 m from their goals and facing them, at rest, but for what is given.
 
@@ -94,6 +110,7 @@ def agents(
         None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
         {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
         wheel_radius_m,
+        scanner,
     )
 
 

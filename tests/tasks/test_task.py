@@ -32,10 +32,12 @@ DUNE_CODE = TaskConf().with_terms(
         "stuck": {"weight": -25.0},
         "flipped": {"weight": -20.0},
         "out_of_world": {"weight": -10.0},
+        "long_collision": {"term": "ended_by", "termination": "long_collision", "weight": -20.0},
     },
     terminations={
         "goal_reached": {"distance_m": 0.5, "renew": True},
         "stuck": {"distance_m": 0.001, "steps": 600},
+        "long_collision": {"distance_m": 0.3, "steps": 600},
     },
 )
 UPSIDE_DOWN = (1.0, 0.0, 0.0, 0.0)

@@ -70,6 +70,13 @@ def vort(
     return np.where(uneven, np.hypot(velocity[:, 0], velocity[:, 1]), np.nan)
 
 
+def time_on_uneven(
+    state: State, group: GroupState, *, uneven_tilt_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 5.0
+) -> Array:
+    """Time [s] of this step where the tilt is more than `uneven_tilt_deg`, as `vort` has it, else 0."""
+    return np.where(group.motion.tilt > math.radians(uneven_tilt_deg), group.episode.step_s, 0.0)
+
+
 def smoothness(state: State, group: GroupState) -> Array:
     """Size of the acceleration [m/s²] plus that of the angular velocity [rad/s]; its mean is TSR."""
     return _norm(group.motion.acceleration_b) + _norm(group.motion.angular_b)
