@@ -28,9 +28,10 @@ from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_succes
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
-from dune_rl.reporting.comparisons import Method, collect_comparisons, estimate_rows, measure_of
+from dune_rl.reporting.block_sources import SourceConf, find_method
+from dune_rl.reporting.comparisons import Method, estimate_rows, measure_of
 from dune_rl.reporting.csv_rows import read_rows
-from dune_rl.reporting.reading import read_inputs
+from dune_rl.reporting.grid_block import GridConf, make_grid
 from dune_rl.reporting.tables.methods import format_p
 from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, to_markdown
 from dune_rl.settings import Settings
@@ -38,13 +39,6 @@ from dune_rl.settings import Settings
 _BEGIN = re.compile(r"<!-- report: (\w+)\n(.*?)^-->\n", flags=re.MULTILINE | re.DOTALL)
 _END = "<!-- end report -->"
 _CODE = re.compile(r"(^```.*?^```$)", flags=re.MULTILINE | re.DOTALL)
-
-
-class SourceConf(Settings):
-    """A method's episodes: of a folder, and of one of its policies where it has several."""
-
-    folder: str
-    policy: str | None = None
 
 
 class TableConf(Settings):
@@ -115,9 +109,10 @@ def make_block(kind: str, settings: str, file: Path) -> str:
     makers: Mapping[str, tuple[type[Settings], Callable[[Any, Path], str]]] = {
         "table": (TableConf, _make_table),
         "pair": (PairConf, _make_pair),
+        "grid": (GridConf, make_grid),
     }
     if kind not in makers:
-        raise ConfigError(f"{file}: there is no block {kind!r}; there are {' and '.join(makers)}")
+        raise ConfigError(f"{file}: there is no block {kind!r}; there are {', '.join(makers)}")
     model, make = makers[kind]
     try:
         conf = model.model_validate(yaml.safe_load(settings))
@@ -236,25 +231,3 @@ def _make_pair(conf: PairConf, folder: Path) -> str:
         f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in "
         f"{test.only_b}: {name}, p = {format_p(test.p_value)}.\n"
     )
-
-
-def find_method(source: str | SourceConf, beside: Path) -> Method:
-    """The episodes of a source, whose folder is relative to the folder `beside`.
-
-    Raises ConfigError unless there is exactly one method.
-    """
-    conf = SourceConf(folder=source) if isinstance(source, str) else source
-    inputs = read_inputs([beside / conf.folder])
-    methods = [
-        method
-        for comparison in collect_comparisons(inputs.evaluations)
-        for method in comparison.methods
-        if conf.policy in (None, method.policy)
-    ]
-    if len(methods) == 1:
-        return methods[0]
-    if not methods:
-        reason = f": {inputs.skipped[0].text}" if inputs.skipped else ""
-        raise ConfigError(f"{conf.folder} has no episodes of {conf.policy or 'a policy'}{reason}")
-    policies = ", ".join(dict.fromkeys(method.policy for method in methods))
-    raise ConfigError(f"{conf.folder} has several methods ({policies}); name one folder and policy")

@@ -51,6 +51,36 @@ def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
     assert file.stat().st_mtime_ns == written
 
 
+def test_a_grid_has_a_row_for_each_set(file: Path) -> None:
+    write_evaluation(file.parent / "b", episode_rows("x", 4, share=0.5))
+    begin = "<!-- report: grid\nmeasure: SR\nrows: [a, b, c]\n"
+    columns = "columns:\n  X: {folder: '{row}', policy: x}\n  Y: {folder: 'other_{row}', policy: y}\n-->\n"
+    file.write_text(f"{begin}{columns}{END}\n")
+    with_gaps = "| b | 50 % (15 to 85) | not run |"
+    rewrite_file(file)
+    lines = file.read_text().splitlines()
+    assert lines[7:-1] == [
+        "| set | X | Y |",
+        "|---|---:|---:|",
+        "| a | 75 % (30 to 95) | not run |",
+        with_gaps,
+        "| c | not run | not run |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("measure", "folder", "policy", "words"),
+    [("SR", "nowhere", "x", "no folder"), ("SR", "{row}", "z", "z"), ("SRR", "{row}", "x", "SRR")],
+)
+def test_a_grid_that_cannot_be_made_says_why(
+    file: Path, measure: str, folder: str, policy: str, words: str
+) -> None:
+    columns = f"columns:\n  X: {{folder: '{folder}', policy: {policy}}}\n"
+    text = f"<!-- report: grid\nmeasure: {measure}\nrows: [a]\n{columns}-->\n{END}\n"
+    with pytest.raises(ConfigError, match=words):
+        rewrite_text(text, file)
+
+
 def test_rows_labels_digits_several_sources_and_the_paper(file: Path) -> None:
     file.write_text(
         "<!-- report: table\n"
