@@ -55,7 +55,7 @@ def test_a_run_goes_on_from_a_checkpoint_of_format_2(tmp_path: Path, robot: str)
     learning = small(hidden=(8,))
     run = tmp_path / "run"
     first = trainer(run, learning, make_env=make_env)
-    first._folder._config["robot"] = {"name": robot}
+    first._folder.config["robot"] = {"name": robot}
     updates = first.train(stop_after_frames=640).updates
     before = weights(run)
     as_version_2(run / CHECKPOINT_FILE)

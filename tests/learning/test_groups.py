@@ -122,7 +122,8 @@ def test_every_group_has_a_learner_and_files_of_its_own(two_groups) -> None:
     assert names == {"replay-rover-768.npy", "replay-walker-768.npy"}
     env = make_two_groups(2, 0)
     policy, config = load_policy(run, env)
-    assert config == {"seed": 3}
+    assert config["seed"] == 3
+    assert config["learning"]["hidden"] == [16]
     assert policy(env.reset())["walker", "action"].shape == (2, 2, 2)
     saved = read_checkpoint_file(run / BEST_POLICY_FILE, "policy")["groups"]
     assert saved["rover"]["algorithm"] == saved["walker"]["algorithm"] == "sac"
