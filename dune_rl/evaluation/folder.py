@@ -21,9 +21,9 @@ from dune_rl.learning.run.lock import RunLock
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
 EPISODES, STEPS, COMPARISON, SUMMARY = "episodes", "steps", "comparison", "summary"
 RUNS, ATTEMPTS = "runs", "attempts"
-_PART = "episodes.part.jsonl"
+PART = "episodes.part.jsonl"
 _TABLES = tuple(f"{stem}{suffix}" for stem in (EPISODES, STEPS) for suffix in (".csv", ".parquet"))
-_FILES = (CONFIG, PROVENANCE, COLUMNS, _PART, *_TABLES)
+_FILES = (CONFIG, PROVENANCE, COLUMNS, PART, *_TABLES)
 _FILES += tuple(f"{stem}.csv" for stem in (COMPARISON, SUMMARY, RUNS, ATTEMPTS))
 
 
@@ -67,7 +67,7 @@ class ResultsFolder:
         """The folder of an evaluation that was cut off, with the episodes that it finished."""
         folder = cls(path, read_provenance(path))
         try:
-            lines = (path / _PART).read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = (path / PART).read_text(encoding="utf-8", errors="replace").splitlines()
         except FileNotFoundError:
             lines = []
         whole = []
@@ -78,7 +78,7 @@ class ResultsFolder:
                 folder.finished[episode.policy, episode.episode] = episode
                 whole.append(line)
         if len(whole) < len(lines):
-            with write_atomically(path / _PART) as temporary:
+            with write_atomically(path / PART) as temporary:
                 temporary.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8", newline="\n")
         return folder
 
@@ -100,7 +100,7 @@ class ResultsFolder:
 
     def add(self, episode: FinishedEpisode) -> None:
         """Keep a finished episode."""
-        with (self.path / _PART).open("a", encoding="utf-8", newline="\n") as file:
+        with (self.path / PART).open("a", encoding="utf-8", newline="\n") as file:
             file.write(json.dumps(vars(episode)) + "\n")
         self.finished[episode.policy, episode.episode] = episode
 
@@ -127,7 +127,7 @@ class ResultsFolder:
             write_columns(self.path / COLUMNS, list(names | dict.fromkeys(steps[0] if steps else ())))
         self.write_provenance(complete=complete)
         if complete:
-            (self.path / _PART).unlink(missing_ok=True)
+            (self.path / PART).unlink(missing_ok=True)
 
     def write_provenance(self, *, complete: bool) -> None:
         """Write provenance.json, which has the files' checksums and says whether they are `complete`."""
@@ -173,7 +173,10 @@ def _is_temporary(name: str) -> bool:
 def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
     """The files in `path` that are not as the evaluation wrote them, by their checksums."""
     sums: Mapping[str, str] = provenance.get("files", {})
-    return [name for name, sha256 in sums.items() if _sha256(path / name) != sha256]
+    # A name with a folder is of no file that the evaluation wrote.
+    return [
+        name for name, sha256 in sums.items() if Path(name).name != name or _sha256(path / name) != sha256
+    ]
 
 
 def _sha256(file: Path) -> str | None:

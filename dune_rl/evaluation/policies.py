@@ -113,7 +113,8 @@ def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
 
 
 def _checkpoint_name(path: Path) -> str:
-    return path.name if path.is_dir() else path.parent.name or path.stem
+    # "." and ".." are folders without a name of their own.
+    return path.resolve().name if path.is_dir() else path.parent.name or path.stem
 
 
 def _longer(source: PolicySource) -> str:

@@ -13,6 +13,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -125,15 +126,23 @@ def read_stable_baselines(path: Path) -> StableBaselinesPolicy:
         # Where the critic has another, the actor's is stored under both names.
         used = {name: value for name, value in used.items() if not name.startswith("features_extractor.")}
     used = {name.replace("pi_features_extractor.", "features_extractor."): v for name, v in used.items()}
-    images = _take_images(used, normalizes)
-    layers = _take_layers(used, settings, activation, squashes)
+    try:
+        images = _take_images(used, normalizes)
+        layers = _take_layers(used, settings, activation, squashes)
+    except (RuntimeError, IndexError, ValueError):
+        raise ConfigError(
+            f"policy={path} is damaged: its weights do not fit each other; save it again"
+        ) from None
     if used or not layers:
         found = min(used, default="no actor")
         raise ConfigError(f"policy={path} has a network that is not read ({found}).\n{_REMEDY}")
     first = next(layer for layer in layers if isinstance(layer, nn.Linear))
-    network = nn.Sequential(*layers).eval()
+    network, bounds = nn.Sequential(*layers).eval(), _bounds(path, data)
+    sizes = [(each.in_features, each.out_features) for each in layers if isinstance(each, nn.Linear)]
+    if any(out != into for (_, out), (into, _) in pairwise(sizes)) or sizes[-1][1] != len(bounds[0]):
+        raise ConfigError(f"policy={path} is damaged: its layers do not fit each other; save it again")
     return StableBaselinesPolicy(
-        path, _sensors(path, space), _bounds(path, data), squashes, first.in_features, images, network
+        path, _sensors(path, space), bounds, squashes, first.in_features, images, network
     )
 
 

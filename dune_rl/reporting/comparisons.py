@@ -17,11 +17,11 @@ from dune_rl.learning.paired_comparison import PairedComparison, compare_policie
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
 from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.reading import installed_checksum
+from dune_rl.reporting.origins import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row
 
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
-_DECISIVE = ("world", "weather", "agents", "robots", "actors", "randomisation")
+_DECISIVE = ("world", "weather", "agents", "robots", "actors", "randomisation", "protocol", "run_steps")
 _DECISIVE_IN_TASK = ("spawn", "terminations")
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
@@ -148,6 +148,8 @@ def cases_of(run: EvaluationRun, group: str) -> Cases:
         title = world if seed is None else f"{world}, seed {seed}"
     text = json.dumps([decisive, engine, group], sort_keys=True, default=str)
     key = hashlib.sha256(text.encode()).hexdigest()
+    protocol = run.config.get("protocol")
+    title += "" if protocol is None else f", protocol={protocol}"
     title += f" ({engine})" if engine not in ("", "bullet") else ""
     title += f", {group}" if groups > 1 else ""
     return Cases(key, title, world, name, checksum, engine, seed, group)

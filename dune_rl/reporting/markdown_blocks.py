@@ -14,6 +14,7 @@ A block begins with a comment that says what it is made of, in YAML, and ends wi
 Folders are relative to the Markdown file. What is between the comments is written anew; the rest stays.
 """
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -192,7 +193,8 @@ def _cell(
     found = [estimate[name] for estimate in estimates]
     unit = " %" if measure.unit == "%" else ""
     values = ", ".join(_number(measure, one.value) for one in found)
-    if len(found) > 1 or not conf.intervals:
+    if len(found) > 1 or not conf.intervals or math.isnan(found[0].low):
+        # One episode, for example, has no interval.
         return f"{values}{unit}"
     return f"{values}{unit} ({_number(measure, found[0].low)} to {_number(measure, found[0].high)})"
 

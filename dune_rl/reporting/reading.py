@@ -1,19 +1,17 @@
 """Finds runs, evaluations and sweeps in the folders of a report, and says what it leaves out."""
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from dune_rl.episode_sets.files import read_episode_set, set_names
 from dune_rl.errors import ConfigError
-from dune_rl.evaluation.folder import CONFIG, EPISODES, PROVENANCE, STEPS, changed_files
+from dune_rl.evaluation.folder import CONFIG, EPISODES, PART, PROVENANCE, STEPS, changed_files
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.reporting.csv_rows import read_rows
+from dune_rl.reporting.origins import notes_on_origin, read_origin, total_episodes
 from dune_rl.reporting.runs import (
     EvaluationRun,
     Note,
@@ -26,7 +24,6 @@ from dune_rl.reporting.runs import (
 from dune_rl.reporting.sweeps import is_sweep, read_sweep
 
 _HISTORY = "metrics.csv"
-_PART = "episodes.part.jsonl"
 _REQUIRED = ("policy", "episode")
 # Folders below the given one that are searched: experiments/STUDY/seed1 has two.
 _DEPTH = 4
@@ -82,7 +79,7 @@ def _search(path: Path, found: _Found, show: Callable[[Path], None], depth: int)
         show(path)
         _add_sweep(path, found)
     if path.resolve() not in found.seen and names & {
-        *(CONFIG, _HISTORY, CHECKPOINT_FILE, PROVENANCE, _PART),
+        *(CONFIG, _HISTORY, CHECKPOINT_FILE, PROVENANCE, PART),
         f"{EPISODES}.csv",
     }:
         _read_folder(path, names, found, show)
@@ -96,7 +93,7 @@ def _search(path: Path, found: _Found, show: Callable[[Path], None], depth: int)
 
 def _read_folder(path: Path, names: set[str], found: _Found, show: Callable[[Path], None]) -> None:
     config = _read_config(path, found)
-    evaluated = bool(names & {PROVENANCE, _PART, f"{EPISODES}.csv"})
+    evaluated = bool(names & {PROVENANCE, PART, f"{EPISODES}.csv"})
     # An evaluation's settings have no number of frames.
     trained = bool(names & {_HISTORY, CHECKPOINT_FILE}) or "total_frames" in config
     if not (evaluated or trained):
@@ -154,13 +151,12 @@ def _add_sweep(path: Path, found: _Found) -> None:
 
 
 def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
-    provenance = _read_provenance(path, found)
+    provenance = read_origin(path)
     file = path / f"{EPISODES}.csv"
     if provenance.get("complete") is False:
-        total = provenance.get("episodes", 0) * max(1, len(provenance.get("policies", ())))
         raise ConfigError(
-            f"was cut off after {provenance.get('finished', 0)} of {total} episodes, of which short ones end "
-            f"first; go on with python -m dune_rl.evaluate resume={path}"
+            f"was cut off after {provenance.get('finished', 0)}{total_episodes(provenance)} episodes, of "
+            f"which short ones end first; go on with python -m dune_rl.evaluate resume={path}"
         )
     if not file.exists():
         raise ConfigError(f"has no {file.name}; evaluate again")
@@ -182,7 +178,8 @@ def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
             f"{min(changed)} is not as the evaluation wrote it (its checksum differs): evaluate again"
         )
     _check_repeated(file, episodes)
-    _note_origin(path, provenance, found)
+    found.notes += notes_on_origin(path, provenance)
+    episodes = _finished_episodes(path, config.get("protocol"), episodes, found)
     steps = read_rows(path / f"{STEPS}.csv", empty=float("nan")) if (path / f"{STEPS}.csv").exists() else []
     whole = EvaluationRun(path, "", config, provenance, episodes, steps)
     parts = _split_mixed(whole)
@@ -192,24 +189,34 @@ def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
     found.evaluations += parts
 
 
+def _finished_episodes(path: Path, protocol: object, episodes: list[Row], found: _Found) -> list[Row]:
+    """The episodes that may be compared: of runs of a protocol those that the end of a run did not cut off.
+
+    Raises ConfigError where no episode may be.
+    """
+    if protocol is None:
+        return episodes
+    if protocol != "paper":
+        raise ConfigError(
+            f"was made with protocol={protocol}, whose measures are of attempts and runs, not of episodes: "
+            "its summary.csv, runs.csv and attempts.csv have them"
+        )
+    finished = [row for row in episodes if row.get("finished", 1.0) > 0]
+    if not finished:
+        raise ConfigError("has no episode that ended within its run; take longer runs")
+    found.notes.append(
+        Note(
+            path,
+            f"was made with protocol={protocol}: the {len(finished)} episodes are reported that ended within "
+            "their run; its summary.csv has the measures of whole runs",
+        )
+    )
+    return finished
+
+
 def _engine(config: dict[str, Any]) -> str:
     physics = config.get("physics")
     return str(physics.get("backend", "")) if isinstance(physics, dict) else ""
-
-
-def _read_provenance(path: Path, found: _Found) -> dict[str, Any]:
-    file = path / PROVENANCE
-    if not file.exists():
-        return {}
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        content = None
-    if isinstance(content, dict):
-        return content
-    raise ConfigError(
-        f"{PROVENANCE} is damaged, so that nothing tells whether it is complete; evaluate again"
-    )
 
 
 def _check_repeated(file: Path, episodes: list[Row]) -> None:
@@ -219,48 +226,6 @@ def _check_repeated(file: Path, episodes: list[Row]) -> None:
         if key in seen:
             raise ConfigError(f"{file.name} has episode {row['episode']} of {row['policy']} twice")
         seen.add(key)
-
-
-def _note_origin(path: Path, provenance: dict[str, Any], found: _Found) -> None:
-    used = provenance.get("set")
-    if isinstance(used, dict):
-        installed = installed_checksum(str(used.get("name")))
-        if installed is None:
-            found.notes.append(
-                Note(path, f"the set {used.get('name')} is not installed, so it is not checked")
-            )
-        elif installed != used.get("sha256"):
-            found.notes.append(
-                Note(
-                    path,
-                    f"was made on another set {used.get('name')} than the installed one (checksums "
-                    f"{str(used.get('sha256'))[:12]} and {installed[:12]}): kept apart",
-                )
-            )
-    packages = provenance.get("packages")
-    made_with = packages.get("dune_rl") if isinstance(packages, dict) else None
-    if made_with is not None and made_with != installed_version():
-        found.notes.append(
-            Note(path, f"was made with dune_rl {made_with}; this report is of {installed_version()}")
-        )
-
-
-def installed_checksum(name: str) -> str | None:
-    """The checksum of the installed episode set `name`; None where it is not among them or damaged."""
-    if name not in set_names():
-        return None
-    try:
-        return read_episode_set(name).header.sha256
-    except ConfigError:
-        return None
-
-
-def installed_version() -> str:
-    """The version of this package."""
-    try:
-        return version("dune_rl")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _split_mixed(run: EvaluationRun) -> list[EvaluationRun]:

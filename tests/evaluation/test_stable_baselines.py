@@ -1,6 +1,7 @@
 """Files of Stable-Baselines3 act as the library does, and nothing in them is run."""
 
 import base64
+import io
 import json
 import pickle
 import zipfile
@@ -11,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
 
 import dune_rl
@@ -212,3 +214,38 @@ def test_what_cannot_be_told_is_refused(tmp_path: Path) -> None:
     refuses(r"has a network that is not read \(action_net\.0\.bias\)")
     sb3.DQN("MlpPolicy", "CartPole-v1", device="cpu", buffer_size=1).save(file)
     refuses("has no bounds of continuous actions|has a network that is not read")
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("actor.mu.bias", (3,)),
+        ("actor.mu.weight", (2, 9)),
+        ("actor.latent_pi.0.weight", (9, 7)),
+    ],
+)
+def test_weights_that_do_not_fit_each_other_are_refused(
+    name: str, shape: tuple[int, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / "model.zip"
+    make_model("SAC", FLAT, policy_kwargs={"net_arch": [8]}).save(file)
+    with zipfile.ZipFile(file) as archive:
+        content = {each: archive.read(each) for each in archive.namelist()}
+    weights = torch.load(io.BytesIO(content["policy.pth"]), weights_only=True)
+    assert name in weights
+    changed = io.BytesIO()
+    torch.save({**weights, name: torch.zeros(*shape)}, changed)
+    content["policy.pth"] = changed.getvalue()
+    with zipfile.ZipFile(file, "w") as archive:
+        for each, value in content.items():
+            archive.writestr(each, value)
+    with pytest.raises(ConfigError, match="do not fit each other"):
+        read_stable_baselines(file)
+
+
+def test_as_many_bounds_as_actions_are_required(tmp_path: Path) -> None:
+    file = tmp_path / "model.zip"
+    make_model("PPO", FLAT).save(file)
+    rewrite(file, lambda data: data["action_space"].update(low="[-1. -1. -1.]", high="[1. 1. 1.]"))
+    with pytest.raises(ConfigError, match="do not fit each other"):
+        read_stable_baselines(file)

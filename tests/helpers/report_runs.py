@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from dune_rl.reporting.reading import installed_version
+from dune_rl.reporting.origins import installed_version
 from dune_rl.seeding import stream
 
 METRICS = ("success", "reached", "collisions", "time_to_goal", "clearance", "vort", "smoothness")

@@ -196,11 +196,11 @@ class ScanTracker:
     """Finds what moves in the LiDAR scans of N bodies, by their scans and speed readings alone."""
 
     def __init__(self, num_rows: int, segments: int) -> None:
+        # Of the odometry: x, y [m] and yaw [rad].
         self.poses = np.zeros((num_rows, 3))
         self._tracks = np.zeros((num_rows, _MOST_TRACKS, _COLUMNS))
         self._counts = np.zeros(num_rows, np.int64)
-        # Of the odometry, (N, 3: x, y, yaw).
-        # Of what moves, in the vehicles' frames: (N, T, 4: x, y, velocity), of which a row has `counts`.
+        # Of what moves, in the vehicles' frames: (N, T, 4: x, y, velocity); a row has `moving_counts` of them.
         self.moving = np.zeros((num_rows, _MOST_TRACKS, 4))
         self.moving_counts = np.zeros(num_rows, np.int64)
         self.velocities = np.zeros((num_rows, segments, 2))

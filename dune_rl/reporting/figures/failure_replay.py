@@ -126,6 +126,8 @@ def _for_all(
 def _plan(method: MethodRun) -> tuple[EvaluationPlan, PolicySource]:
     """The plan of a method's evaluation, and its policy; DuneError where these are not there any more."""
     conf = read_settings(method.run.path)
+    if conf.protocol is not None:
+        raise DuneError("its episodes are those of whole runs, which reports do not run again")
     episode_set = None if conf.set is None else read_episode_set(conf.set)
     plan = EvaluationPlan(conf, policy_sources(conf), episode_set)
     source = next((each for each in plan.sources if each.name == method.policy), None)

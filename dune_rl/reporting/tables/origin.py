@@ -7,7 +7,7 @@ from typing import Any
 
 from dune_rl.reporting.comparisons import Comparison
 from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.reading import installed_checksum
+from dune_rl.reporting.origins import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row
 from dune_rl.reporting.tables.table import NOTHING, Cell, Table
 from dune_rl.reporting.training_groups import TrainingGroup
