@@ -114,8 +114,8 @@ class ResultsFolder:
                 found += [row for one in mine for row in one.rows[group]]
         return found
 
-    def write(self, *, complete: bool) -> None:
-        """Write the tables of what is finished; if it is `complete`, there is no more to resume."""
+    def write(self) -> None:
+        """Write the tables of what is finished."""
         rows = self.rows()
         told = {"provenance": json.dumps(self.provenance)}
         if rows:
@@ -125,13 +125,16 @@ class ResultsFolder:
                 write_tables(self.path / STEPS, steps, told)
             names = dict.fromkeys(name for row in rows for name in row)
             write_columns(self.path / COLUMNS, list(names | dict.fromkeys(steps[0] if steps else ())))
-        self.write_provenance(complete=complete)
-        if complete:
-            (self.path / PART).unlink(missing_ok=True)
+        self.write_provenance(complete=False)
+
+    def complete(self) -> None:
+        """Note the checksums of all files that were written, and that there is no more to resume."""
+        self.write_provenance(complete=True)
+        (self.path / PART).unlink(missing_ok=True)
 
     def write_provenance(self, *, complete: bool) -> None:
         """Write provenance.json, which has the files' checksums and says whether they are `complete`."""
-        files = [name for name in (CONFIG, *_TABLES) if (self.path / name).is_file()]
+        files = [name for name in _FILES if name not in (PROVENANCE, PART) and (self.path / name).is_file()]
         content = {
             **self.provenance,
             "complete": complete,

@@ -72,7 +72,7 @@ def run_plan(
         if not folder.finished and folder.is_new:
             folder.discard()
             raise
-        folder.write(complete=False)
+        folder.write()
         console.print(
             f"Cut off after {len(done())} of {total} {unit}; go on with python -m dune_rl.evaluate "
             f"resume={folder.path}",
@@ -82,8 +82,10 @@ def run_plan(
         raise
     if not runner.env.is_closed:
         runner.close()
-    folder.write(complete=True)
+    folder.write()
     _report(plan, folder, agents, console)
+    folder.complete()
+    console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
 
 
 def _report(
@@ -125,7 +127,6 @@ def _report(
     write_csv(folder.path / f"{SUMMARY}.csv", summary)
     if comparisons:
         write_csv(folder.path / f"{COMPARISON}.csv", comparisons)
-    console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
 
 
 def _report_runs(
@@ -153,7 +154,6 @@ def _report_runs(
         write_csv(
             folder.path / f"{COMPARISON}.csv", [{"group": group, **_comparison_row(one)} for one in compared]
         )
-    console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
 
 
 def _summary_rows(

@@ -240,6 +240,12 @@ def test_a_sample_is_repeated(
     assert "results: 2 of 2 sampled rows are missing in episodes.csv. episodes.csv changed since" in error
     file.write_bytes(kept)
     assert call(evaluate.main, "verify=results", "sample=2") == 0
+    summary = folder / "results" / "summary.csv"
+    figures = summary.read_bytes()
+    summary.write_bytes(figures.replace(b"SR,", b"SR,0."))
+    assert call(evaluate.main, "verify=results", "sample=2") == 2
+    assert "results: summary.csv changed since" in capsys.readouterr().err
+    summary.write_bytes(figures)
     (folder / "results" / "episodes.parquet").write_bytes(b"")
     assert call(evaluate.main, "verify=results", "sample=2") == 2
     error = capsys.readouterr().err

@@ -200,7 +200,7 @@ class ScanTracker:
         self.poses = np.zeros((num_rows, 3))
         self._tracks = np.zeros((num_rows, _MOST_TRACKS, _COLUMNS))
         self._counts = np.zeros(num_rows, np.int64)
-        # Of what moves, in the vehicles' frames: (N, T, 4: x, y, velocity); a row has `moving_counts` of them.
+        # Of what moves, in the vehicles' frames (N, T, 4: x, y, velocity); a row has `moving_counts` of them.
         self.moving = np.zeros((num_rows, _MOST_TRACKS, 4))
         self.moving_counts = np.zeros(num_rows, np.int64)
         self.velocities = np.zeros((num_rows, segments, 2))
