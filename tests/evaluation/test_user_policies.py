@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from dune_rl import evaluate
+from dune_rl.config.compose import compose_evaluation
+from dune_rl.evaluation.policies import policy_sources
 
 Call = Callable[..., int]
 WORDS = ("+world=flat", "actors=none", "episodes=2", "task.terminations.time_limit.max_steps=15")
@@ -135,3 +137,12 @@ def test_an_onnx_file_drives(call: Call, folder: Path) -> None:
     (folder / "broken.onnx").write_bytes(b"no graph")
     assert call(evaluate.main, "policy=broken.onnx", *WORDS, "out=broken") == 2
     assert not (folder / "broken").exists()
+
+
+def test_a_checkpoint_in_the_current_folder_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine").mkdir()
+    monkeypatch.chdir(tmp_path / "mine")
+    conf = compose_evaluation(["policy=random"], []).model_copy(update={"checkpoint": (".",)})
+    assert [source.name for source in policy_sources(conf)] == ["mine", "random"]

@@ -7,7 +7,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import MOST_RUN_STEPS, EvaluateConf
 from dune_rl.errors import ConfigError
 
-# Ten minutes of control steps of the paper's system.
+# What the paper counts as ten minutes; 570 s at its 20 Hz.
 DEFAULT_RUN_STEPS = 11_400
 DEFAULT_RUNS = 10
 # Run r has the episodes from r times this on; a run has fewer, as each has a step at least.
