@@ -144,5 +144,5 @@ def test_a_checkpoint_in_the_current_folder_has_its_name(
 ) -> None:
     (tmp_path / "mine").mkdir()
     monkeypatch.chdir(tmp_path / "mine")
-    conf = compose_evaluation(["policy=random"], []).model_copy(update={"checkpoint": (".",)})
+    conf = compose_evaluation(["+world=flat", "policy=random"]).model_copy(update={"checkpoint": (".",)})
     assert [source.name for source in policy_sources(conf)] == ["mine", "random"]
