@@ -45,7 +45,9 @@ def run(parsed: Namespace) -> None:
 
 def _rewrite(file: Path, console: Console) -> None:
     written = rewrite_file(file)
-    console.print(f"{file}: {written} tables written", highlight=False, soft_wrap=True)
+    console.print(
+        f"{file}: {written} {'table' if written == 1 else 'tables'} written", highlight=False, soft_wrap=True
+    )
 
 
 def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> Path:
