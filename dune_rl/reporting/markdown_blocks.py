@@ -72,6 +72,8 @@ def rewrite_file(file: Path) -> int:
     """
     try:
         text = file.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"into={file}: there is no such file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"into={file} cannot be read as text: {error}") from None
     rewritten, count = rewrite_text(text, file)

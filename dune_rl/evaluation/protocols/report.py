@@ -1,6 +1,8 @@
 """Tables of runs: by the paper's protocol, and by that of its published code."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
@@ -46,7 +48,7 @@ def estimate_runs(
         own = [one for one in finished if one.policy == number]
         rows = [row for one in sorted(own, key=lambda one: one.episode) for row in one.rows[group]]
         runs = run_rows(rows, ends_at_goals=not is_code)
-        found = estimate_metrics(runs)
+        found = {name: _without_a_point(one) for name, one in estimate_metrics(runs).items()}
         if is_code:
             log = attempts_of_policy(own, group, plan.conf.physics.control_step_s)
             for name, whole in (("code best SR", False), ("code best whole SR", True)):
@@ -57,6 +59,11 @@ def estimate_runs(
         by_policy[source.name] = runs
         described += describe_runs(rows, runs)
     return estimates, by_policy, described
+
+
+def _without_a_point(found: Estimate) -> Estimate:
+    """A few equal runs do not tell how much others differ: they have no interval, not one of width 0."""
+    return replace(found, low=math.nan, high=math.nan) if found.low == found.high else found
 
 
 def _place(name: str) -> int:
