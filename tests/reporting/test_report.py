@@ -201,7 +201,7 @@ def test_without_out_each_report_has_a_folder(call: Call, tmp_path: Path) -> Non
         (["a", "ouy=r"], "ouy is not a setting; did you mean out?"),
         (["a", "overwrite=maybe"], "overwrite"),
         (["a", "into=README.md"], "leave a out"),
-        (["into=none.md"], "into=none.md cannot be read"),
+        (["into=none.md"], "into=none.md: there is no such file"),
         (["--fast"], "no flag --fast"),
     ],
 )
