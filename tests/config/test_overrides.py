@@ -1,0 +1,220 @@
+"""Overrides, faulty ones above all: what is refused, and in which words."""
+
+from pathlib import Path
+
+import hydra
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+
+from dune_rl import paths
+from dune_rl.config.compose import (
+    check_sweep,
+    compose,
+    compose_environment,
+    compose_evaluation,
+    compose_resumed,
+)
+from dune_rl.config.schema import EnvConf
+from dune_rl.errors import ConfigError
+from dune_rl.worlds.flat import FlatConf
+
+CONF = paths.conf_folder()
+EXPERIMENTS = sorted(path.stem for path in CONF.glob("experiment/*.yaml"))
+WORLDS = "construction, flat, heightmap, inspection, island, mesh, rubicon or sdf"
+CHOOSE = f"choose a world: +world=NAME with {WORLDS}"
+NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_experiments_compose_and_give_way(experiment: str) -> None:
+    assert compose([f"+experiment={experiment}", "seed=7"]).seed == 7
+    for world in ("world=inspection", "+world=inspection"):
+        assert compose([f"+experiment={experiment}", world]).world.name == "inspection"
+
+
+@pytest.mark.parametrize("seed", ["seed=3", "+seed=3", "++seed=3"])
+@pytest.mark.parametrize("world", ["world=flat", "+world=flat"])
+@pytest.mark.parametrize("actors", ["actors=none", "+actors=none"])
+def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> None:
+    conf = compose([world, actors, seed])
+    assert (conf.world.name, conf.actors, conf.seed) == ("flat", {}, 3)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ([], CHOOSE),
+        (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
+        (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
+        (["world=flat", "actors=crowd"],
+         "there is no actors 'crowd'; choose default, external_walkers, none or walkers"),
+        (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
+        (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
+        (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
+        (["world=flat", "learning.tau=nan"], "learning.tau must be a finite number (got nan)"),
+        (["world=flat", "learning.hidden=[0]"], "learning.hidden.0 must be at least 1 (got 0)"),
+        (["world=flat", "learning.hidden=[]"], "learning.hidden must be a list of at least 1 (got [])"),
+        (["world=flat", "total_frames=1.5"], "total_frames must be a whole number (got 1.5)"),
+        (["world=flat", "total_frames=abc"], "total_frames must be a whole number (got 'abc')"),
+        (["world=flat", "total_frames=null"], "total_frames must be a whole number (got null)"),
+        (["world=flat", "device=tpu"], "device must be one of cpu, cuda (got 'tpu')"),
+        (["world=flat", "task.spawn.region=moon"],
+         "task.spawn.region must be one of world, anywhere or a list (got 'moon')"),
+        (["world=flat", "sensors.lidar=3"],
+         "sensors.lidar must be a section with settings of its own (got 3)"),
+        (["world=flat", "sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
+        (["world=flat", "+sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
+        (["world=flat", "++sensors.lidar.n_beam=5"],
+         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?"),
+        (["world=inspection", "world.region=3"],
+         "world.region is not a setting; did you mean task.spawn.region?"),
+        (["world=flat", "learning.collector.scenes=1000000"],
+         "learning.collector.scenes must be at most 8192 (got 1000000)"),
+        (["world=flat", "batch_size=64"], "batch_size is not a setting; did you mean learning.batch_size?"),
+        (["world=flat", "max_steps=64"],
+         "max_steps is not a setting; did you mean task.terminations.time_limit.max_steps?"),
+        (["world=flat", "physics.zzz=1"],
+         "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations, "
+         "friction"),
+        (["world=flat", "actors.walker.body.speed_mps=9"],
+         "actors.walker.body.speed_mps must be at most 5.0 (got 9)"),
+        (["world=flat", "actors.1.speed_mps=9"],
+         "actors.1: agent groups have names, not numbers; write walker for 1"),
+        (["world=flat", "actors.walker.speed_mps=9"],
+         "actors.walker.speed_mps is not a setting; did you mean actors.walker.body.speed_mps?"),
+        (["world=flat", "physics.control_hz=30"],
+         "physics: control_hz must divide physics_hz (30 does not divide 200); "
+         "take 10, 20, 25, 40 or 50 with 200"),
+        (["world=flat", "learning.replay.capacity=64"],
+         "learning: replay.capacity must be at least batch_size (got 64 and 512)"),
+        (["world=flat", "actors=external_walkers"],
+         "one agent group is driven here, and rover and walker are external; give all but one another "
+         "controller (actors=walkers has walkers on paths), or take parallel_env or make"),
+        (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
+        (["world=flat", "learning.hidden=[256"],
+         "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "
+         "brackets or equals signs: 'learning.hidden=\"...\"'"),
+        (["world=flat", "seed=1,2"],
+         "seed=1,2 has several values; add -m to run them all, or quote the value"),
+        (["world=flat", "wrold/x=1"],
+         "there is no group 'wrold/x'; "
+         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, sensors, task, "
+         "weather, world"),
+        (["world=flat", "seed=${nowhere}"],
+         "cannot resolve the settings: Interpolation key 'nowhere' not found"),
+    ],
+)  # fmt: skip
+def test_bad_overrides(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose(overrides)
+    assert str(caught.value) == message
+
+
+def test_faults_come_together() -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose(["world=moon", "seed=-1", "blah", "+sensors.lidar.n_beam=5", "actors.walker.body.radius_m=0"])
+    assert sorted(str(caught.value).splitlines()) == [
+        "actors.walker.body.radius_m must be above 0.0 (got 0)",
+        "cannot read 'blah'; write key=value",
+        "seed must be at least 0 (got -1)",
+        "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
+        NO_MOON,
+    ]
+
+
+def test_a_sweep_is_checked_in_every_value() -> None:
+    assert check_sweep(["+world=flat,inspection", "seed=1,2"]) == ["+world=flat,inspection", "seed=1,2"]
+    with pytest.raises(ConfigError) as caught:
+        check_sweep(["+world=flat,moon", "seed=1,-2", "robot.wheel_friction=0.5,1.0,9"])
+    assert str(caught.value).splitlines() == [
+        NO_MOON,
+        "seed must be at least 0 (got -2)",
+        "robot.wheel_friction must be at most 3.0 (got 9)",
+    ]
+
+
+def test_environment_settings_reach_what_the_command_line_reaches() -> None:
+    by_words = compose(["+world=flat", "actors=none", "task.termination.max_steps=100", "world.friction=0.5"])
+    by_settings = compose_environment(
+        {"name": "flat", "friction": 0.5}, (), {"actors": "none", "task": {"termination": {"max_steps": 100}}}
+    )
+    mixed = compose_environment(
+        "flat", ["task.termination.max_steps=100", "world.friction=0.5"], {"actors": []}
+    )
+    expected = EnvConf(**{name: getattr(by_words, name) for name in EnvConf.model_fields})
+    assert by_settings == mixed == expected
+
+
+def test_environment_settings_share_the_messages() -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose_environment("moon", (), {"sensors": {"lidar": {"n_beam": 5}}, "colour": 3})
+    assert sorted(str(caught.value).splitlines()) == [
+        "colour is not a setting; "
+        "the top level has world, weather, agents, robot, robots, actors, sensors, physics, task, metrics, "
+        "randomisation",
+        "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
+        NO_MOON,
+    ]
+
+
+def test_saved_settings_stay_unless_asked() -> None:
+    saved = compose(["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(
+        mode="json"
+    )
+    resumed = compose_resumed(["total_frames=9"], (), saved)
+    assert (resumed.world.name, resumed.actors, resumed.seed) == ("inspection", {}, 5)
+    assert (resumed.learning.tau, resumed.total_frames) == (0.1, 9)
+
+    same = compose_evaluation(["checkpoint=x"], (), saved)
+    assert (same.world.name, same.actors, same.seed) == ("inspection", {}, 0)
+    other = compose_evaluation(["checkpoint=x", "+world=flat", "physics.control_hz=10"], (), saved)
+    assert (other.world, other.actors, other.physics.control_hz) == (FlatConf(), {}, 10)
+
+
+def test_saved_settings_share_the_messages() -> None:
+    saved = compose(["+world=flat"]).model_dump(mode="json")
+    with pytest.raises(ConfigError) as caught:
+        compose_resumed(["total_frames=0", "lerning.tau=1"], (), saved)
+    assert str(caught.value).splitlines() == [
+        "total_frames must be at least 1 (got 0)",
+        "lerning is not a setting; did you mean learning?",
+    ]
+
+
+def test_an_evaluation_has_one_policy_or_several() -> None:
+    with pytest.raises(ConfigError, match="choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal"):
+        compose_evaluation(["+world=flat"])
+    conf = compose_evaluation(["+world=flat", "policy=[random,a:b]", "checkpoint=x", "against=go_to_goal"])
+    assert (conf.checkpoint, conf.policy, conf.against) == (("x",), ("random", "a:b"), ("go_to_goal",))
+
+
+def test_own_folders_add_options(tmp_path: Path) -> None:
+    (tmp_path / "world").mkdir()
+    (tmp_path / "world" / "icy.yaml").write_text("name: flat\nfriction: 0.1\n")
+    assert compose(["+world=icy"], [str(tmp_path)]).world == FlatConf(friction=0.1)
+    with pytest.raises(ConfigError, match="there is no world 'icy'"):
+        compose(["+world=icy"])
+    with pytest.raises(ConfigError, match=r"there is no folder .*absent to read"):
+        compose(["+world=icy"], [str(tmp_path / "absent")])
+
+
+def test_composing_leaves_a_callers_hydra_alone() -> None:
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        before = GlobalHydra.instance().hydra
+        compose(["+world=flat"])
+        assert before is not None
+        assert GlobalHydra.instance().is_initialized()
+        assert hydra.compose("train", ["+world=flat"]).world.name == "flat"
+    GlobalHydra.instance().clear()
+    assert HydraConfig.instance().cfg is None or not GlobalHydra.instance().is_initialized()
+
+
+def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
+    (tmp_path / "world").mkdir()
+    (tmp_path / "world" / "mine.yaml").write_text("name: flat\nname: flat\n")
+    with pytest.raises(ConfigError, match=r"no valid YAML: .*mine\.yaml.*duplicate key name") as caught:
+        compose(["+world=mine"], [str(tmp_path)])
+    assert "\n" not in str(caught.value)
