@@ -3,6 +3,7 @@
 import os
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from dune_rl.learning.checkpoint import (
     find_checkpoint_file,
     read_checkpoint_file,
 )
+from dune_rl.paths import unused_folder
 
 if TYPE_CHECKING:
     from dune_rl.evaluation.running import EvaluationPlan
@@ -171,17 +173,9 @@ def _verify(path: Path, sample: int) -> None:
 
 def default_folder(plan: "EvaluationPlan") -> Path:
     """A folder that no other evaluation has: evaluations/<date>_<policy>_<set or world>."""
-    from datetime import datetime
-
     cases = plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
-    cases += "" if plan.conf.protocol is None else f"_{plan.conf.protocol}"
-    policy = "".join(char if char.isalnum() or char in "-_." else "_" for char in plan.sources[0].name)
-    stem = f"{datetime.now():%Y-%m-%d_%H-%M-%S}_{policy}_{cases}"
-    folder, number = Path("evaluations") / stem, 1
-    while folder.exists():
-        number += 1
-        folder = Path("evaluations") / f"{stem}_{number}"
-    return folder
+    protocol = [] if plan.conf.protocol is None else [plan.conf.protocol]
+    return unused_folder(Path("evaluations"), datetime.now(), [plan.sources[0].name, cases, *protocol])
 
 
 def _check_writable(out: Path) -> None:

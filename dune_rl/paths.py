@@ -1,8 +1,11 @@
-"""Paths of the packaged configuration and assets, in a checkout and in a wheel, and of the cache."""
+"""Paths of the packaged configuration and assets, in a checkout and in a wheel, of the cache and results."""
 
 import os
+from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
 
+_LONGEST_STEM, _LONGEST_WORD = 120, 60
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -40,3 +43,19 @@ def cache_folder() -> Path | None:
     except RuntimeError:
         # No home folder is known.
         return None
+
+
+def unused_folder(parent: Path, now: datetime, words: Iterable[str]) -> Path:
+    """A folder in `parent` that is not there yet: <date>_<words>, with a number behind it where one is."""
+    stem = "_".join([f"{now:%Y-%m-%d_%H-%M-%S}", *map(file_stem, words)])[:_LONGEST_STEM]
+    folder, number = parent / stem, 1
+    while folder.exists():
+        number += 1
+        folder = parent / f"{stem}_{number}"
+    return folder
+
+
+def file_stem(text: str) -> str:
+    """Text as a part of a file's name: letters, digits, - and . alone."""
+    kept = "".join(char if char.isascii() and (char.isalnum() or char in "-.") else "_" for char in text)
+    return "_".join(filter(None, kept.split("_"))).strip("._")[:_LONGEST_WORD] or "unnamed"

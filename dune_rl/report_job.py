@@ -1,8 +1,7 @@
 """What `python -m dune_rl.report` does: read the folders, compute, draw, and write the report."""
 
-import os
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -11,26 +10,28 @@ from rich.console import Console
 
 from dune_rl import command
 from dune_rl.errors import ConfigError
-from dune_rl.learning.run.progress import show_episodes
-from dune_rl.reporting.drawing import FigurePlan, plan_figures
+from dune_rl.paths import unused_folder
+from dune_rl.reporting.drawing import DRAWN, plan_figures
+from dune_rl.reporting.folder import FIGURES, PAGE, TABLES, check_folder, write_aside
 from dune_rl.reporting.layout import (
-    Findings,
     collect_findings,
     compute_steps,
     describe_note,
     figures_of,
-    file_stem,
     lay_out,
     tables_of,
 )
 from dune_rl.reporting.markdown_blocks import rewrite_file
-from dune_rl.reporting.output import FIGURES, PAGE, TABLES, check_folder, write_report
+from dune_rl.reporting.output import write_report
 from dune_rl.reporting.page.blocks import FigureBlock, Section
+from dune_rl.reporting.progress import ReportProgress, show_reading
 from dune_rl.reporting.reading import read_inputs
-from dune_rl.reporting.runs import ReportInputs
+from dune_rl.reporting.runs import Note, ReportInputs
 from dune_rl.reporting.settings import ReportConf, parse_words
 
 _NAMES = 3
+# How long steps take, as the amounts of figures.
+_STATISTICS, _WRITTEN = 6.0, 3.0
 
 
 def run(parsed: Namespace) -> None:
@@ -38,16 +39,18 @@ def run(parsed: Namespace) -> None:
     folders, conf = parse_words(parsed.overrides)
     console = command.make_console()
     if conf.into is not None:
-        _rewrite(Path(conf.into), console)
+        with _say_when_cut_off(console, f"{conf.into} is as it was"):
+            _rewrite(Path(conf.into), console)
     else:
         make_report(folders, conf, console)
 
 
 def _rewrite(file: Path, console: Console) -> None:
-    written = rewrite_file(file)
-    console.print(
-        f"{file}: {written} {'table' if written == 1 else 'tables'} written", highlight=False, soft_wrap=True
-    )
+    rewritten = rewrite_file(file)
+    _print_notes("left out", rewritten.skipped)
+    _print_notes("note", rewritten.notes)
+    tables = "1 table" if rewritten.blocks == 1 else f"{rewritten.blocks} tables"
+    console.print(f"{file}: {tables} written", highlight=False, markup=False, soft_wrap=True)
 
 
 def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> Path:
@@ -55,18 +58,18 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> 
     now = datetime.now()
     out = Path(conf.out) if conf.out else default_folder(folders, now)
     check_folder(out, overwrite=conf.overwrite)
-    with console.status("reading") if _shows(console) else _nothing() as status:
-        inputs = read_inputs(folders, lambda path: status.update(f"reading {path.name}") if status else None)
-    for note in (*inputs.skipped, *inputs.notes):
-        command.print_error(f"{'left out' if note in inputs.skipped else 'note'}: {describe_note(note)}")
-    if not inputs.usable:
-        raise ConfigError(
-            "there is nothing to report; give folders that dune_rl.train or dune_rl.evaluate wrote"
-        )
-    findings = collect_findings(inputs)
-    title = conf.title or default_title(inputs)
-    date = f"{now:%Y-%m-%d %H:%M}"
-    sections = _compute(findings, plan_figures(findings, conf.failures), out, title, date, console)
+    kept = "is as it was" if out.exists() else "was not written"
+    with _say_when_cut_off(console, f"the report in {out} {kept}"):
+        with show_reading(console) as show:
+            inputs = read_inputs(folders, lambda path: show(path.name))
+        _print_notes("left out", inputs.skipped)
+        _print_notes("note", inputs.notes)
+        if not inputs.usable:
+            raise ConfigError(
+                "there is nothing to report; give folders that dune_rl.train or dune_rl.evaluate wrote"
+            )
+        with write_aside(out, overwrite=conf.overwrite) as folder:
+            sections = _write(folder, inputs, conf, now, console)
     console.print(
         f"Report: {out / PAGE}\n"
         f"{len(figures_of(sections))} figures: {out / FIGURES}\n"
@@ -78,43 +81,59 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> 
     return out
 
 
-def _compute(
-    findings: Findings, plans: Sequence[FigurePlan], out: Path, title: str, date: str, console: Console
+def _write(
+    folder: Path, inputs: ReportInputs, conf: ReportConf, now: datetime, console: Console
 ) -> list[Section]:
+    """Compute, draw and write the report; returns the sections of its page."""
+    findings = collect_findings(inputs)
+    progress = ReportProgress(console)
+    plans = plan_figures(findings, conf.failures, progress)
     statistics = compute_steps(findings)
-    # Each figure is drawn, and then written twice.
-    total = len(statistics) + 2 * len(plans)
-    done = 0
-    with _progress(console, total) as show:
-
-        def step() -> None:
-            nonlocal done
-            done += 1
-            show(done)
-
+    progress.expect(_STATISTICS * len(statistics) + sum(plan.amount + _WRITTEN for plan in plans))
+    with progress:
         for compute in statistics:
+            progress.begin("statistics")
             compute()
-            step()
+            progress.advance(_STATISTICS)
         figures: dict[str, list[FigureBlock]] = {}
         for plan in plans:
+            progress.begin(f"drawing: {plan.title}")
             figures.setdefault(plan.section, []).append(plan.block())
-            step()
+            progress.advance(DRAWN)
         sections = lay_out(findings, figures)
-        write_report(out, title, describe_inputs(findings.inputs), sections, date, step)
+        progress.begin("writing the report")
+        write_report(
+            folder,
+            conf.title or default_title(inputs),
+            describe_inputs(inputs),
+            sections,
+            f"{now:%Y-%m-%d %H:%M}",
+            lambda: progress.advance(_WRITTEN),
+        )
     return sections
+
+
+def _print_notes(kind: str, notes: Sequence[Note]) -> None:
+    for note in notes:
+        command.print_error(f"{kind}: {describe_note(note)}")
+
+
+@contextmanager
+def _say_when_cut_off(console: Console, state: str) -> Iterator[None]:
+    """Say in which `state` an interruption leaves the files."""
+    try:
+        yield
+    except (KeyboardInterrupt, command.Terminated):
+        console.print(f"Cut off: {state}", highlight=False, markup=False, soft_wrap=True)
+        raise
 
 
 def default_folder(folders: Sequence[Path], now: datetime) -> Path:
     """A folder that no other report has: reports/<date>_<names>."""
-    names = [file_stem(folder.resolve().name) for folder in folders[:_NAMES]]
+    names = [folder.resolve().name for folder in folders[:_NAMES]]
     if len(folders) > _NAMES:
         names.append(f"and_{len(folders) - _NAMES}_more")
-    stem = f"{now:%Y-%m-%d_%H-%M-%S}_{'_'.join(names)}"[:120]
-    folder, number = Path("reports") / stem, 1
-    while folder.exists():
-        number += 1
-        folder = Path("reports") / f"{stem}_{number}"
-    return folder
+    return unused_folder(Path("reports"), now, names)
 
 
 def default_title(inputs: ReportInputs) -> str:
@@ -138,22 +157,3 @@ def describe_inputs(inputs: ReportInputs) -> list[str]:
     if inputs.skipped:
         line += f" {len(inputs.skipped)} of the inputs could not be used; see below."
     return [line]
-
-
-def _shows(console: Console) -> bool:
-    return console.is_terminal and not os.environ.get("CI")
-
-
-@contextmanager
-def _progress(console: Console, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on a terminal, and nothing elsewhere."""
-    if not _shows(console):
-        yield lambda done: None
-        return
-    with show_episodes(console, "report", total) as show:
-        yield show
-
-
-@contextmanager
-def _nothing() -> Iterator[None]:
-    yield None

@@ -3,8 +3,10 @@
 from pathlib import Path
 
 from dune_rl.errors import ConfigError
-from dune_rl.reporting.comparisons import Method, collect_comparisons
+from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.comparisons.comparison import Method
 from dune_rl.reporting.reading import read_inputs
+from dune_rl.reporting.runs import Note, ReportInputs
 from dune_rl.settings import Settings
 
 
@@ -15,23 +17,40 @@ class SourceConf(Settings):
     policy: str | None = None
 
 
-def find_method(source: str | SourceConf, beside: Path) -> Method:
-    """The episodes of a source, whose folder is relative to the folder `beside`.
+class BlockSources:
+    """The folders that a Markdown file names, relative to its folder `beside`; each is read once.
 
-    Raises ConfigError unless there is exactly one method.
+    `skipped` and `notes` are what a reader must know of those that were read.
     """
-    conf = SourceConf(folder=source) if isinstance(source, str) else source
-    inputs = read_inputs([beside / conf.folder])
-    methods = [
-        method
-        for comparison in collect_comparisons(inputs.evaluations)
-        for method in comparison.methods
-        if conf.policy in (None, method.policy)
-    ]
-    if len(methods) == 1:
-        return methods[0]
-    if not methods:
-        reason = f": {inputs.skipped[0].text}" if inputs.skipped else ""
-        raise ConfigError(f"{conf.folder} has no episodes of {conf.policy or 'a policy'}{reason}")
-    policies = ", ".join(dict.fromkeys(method.policy for method in methods))
-    raise ConfigError(f"{conf.folder} has several methods ({policies}); name one folder and policy")
+
+    def __init__(self, beside: Path) -> None:
+        self.beside = beside
+        self.skipped: list[Note] = []
+        self.notes: list[Note] = []
+        self._read: dict[Path, ReportInputs] = {}
+
+    def find_method(self, source: str | SourceConf) -> Method:
+        """The episodes of a source; raises ConfigError unless there is exactly one method."""
+        conf = SourceConf(folder=source) if isinstance(source, str) else source
+        inputs = self._inputs(self.beside / conf.folder)
+        methods = [
+            method
+            for comparison in collect_comparisons(inputs.evaluations)
+            for method in comparison.methods
+            if conf.policy in (None, method.policy)
+        ]
+        if len(methods) == 1:
+            return methods[0]
+        if not methods:
+            reason = f": {inputs.skipped[0].text}" if inputs.skipped else ""
+            raise ConfigError(f"{conf.folder} has no episodes of {conf.policy or 'a policy'}{reason}")
+        policies = ", ".join(dict.fromkeys(method.policy for method in methods))
+        raise ConfigError(f"{conf.folder} has several methods ({policies}); name one folder and policy")
+
+    def _inputs(self, folder: Path) -> ReportInputs:
+        if folder not in self._read:
+            self._read[folder] = found = read_inputs([folder])
+            # Folders may lie in each other.
+            self.skipped += [note for note in found.skipped if note not in self.skipped]
+            self.notes += [note for note in found.notes if note not in self.notes]
+        return self._read[folder]

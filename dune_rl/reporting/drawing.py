@@ -7,7 +7,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dune_rl.reporting.comparisons import Comparison, Method
+from dune_rl.paths import file_stem
+from dune_rl.reporting.comparisons.comparison import Comparison, Method
 from dune_rl.reporting.figures.aggregates import (
     collect_scores,
     draw_aggregates,
@@ -27,19 +28,22 @@ from dune_rl.reporting.figures.success import draw_success_by
 from dune_rl.reporting.figures.track_data import collect_tracks
 from dune_rl.reporting.figures.tracks import draw_tracks
 from dune_rl.reporting.figures.training import by_world, draw_training_curves
-from dune_rl.reporting.layout import Findings, file_stem
+from dune_rl.reporting.layout import Findings
 from dune_rl.reporting.page.blocks import FigureBlock
 from dune_rl.reporting.page.render import shown_path
+from dune_rl.reporting.progress import ReportProgress
 
 _PROPERTIES = (
     ("goal_distance_m", "the distance to the goal"),
     ("slope_deg", "the steepest ground on the way to the goal"),
 )
+# Amounts of progress: of a figure, and of an episode that is run again.
+DRAWN, _REPLAYED = 1.0, 8.0
 
 
 @dataclass(frozen=True)
 class FigurePlan:
-    """A figure to be drawn for a section of the page."""
+    """A figure to be drawn for a section of the page; `amount` is what of the report's progress it makes."""
 
     section: str
     name: str
@@ -47,20 +51,24 @@ class FigurePlan:
     caption: str
     sources: Sequence[Path]
     draw: Callable[[], Figure]
+    amount: float = DRAWN
 
     def block(self) -> FigureBlock:
         """The figure, drawn."""
         return FigureBlock(self.name, self.title, self.caption, self.draw(), self.sources)
 
 
-def plan_figures(findings: Findings, failures: int) -> list[FigurePlan]:
-    """The figures that the inputs allow, in order; at most so many `failures` are run again for pictures."""
+def plan_figures(findings: Findings, failures: int, progress: ReportProgress) -> list[FigurePlan]:
+    """The figures that the inputs allow, in order; at most so many `failures` are run again for pictures.
+
+    `progress` shows these one by one.
+    """
     return [
         *_training(findings),
         *_distributions(findings),
         *_difficulty(findings),
         *_tracks(findings),
-        *_failures(findings, failures),
+        *_failures(findings, failures, progress),
         *_aggregates(findings),
     ]
 
@@ -172,7 +180,7 @@ def _draw_tracks(methods: Sequence[MethodRun]) -> Figure:
     return draw_tracks(collect_tracks(methods))
 
 
-def _failures(findings: Findings, most: int) -> Iterator[FigurePlan]:
+def _failures(findings: Findings, most: int, progress: ReportProgress) -> Iterator[FigurePlan]:
     everything = [each for one in findings.comparisons for each in method_runs(one)]
     # Nothing tells how the others were run.
     methods = [each for each in everything if each.run.provenance or each.run.steps]
@@ -183,7 +191,7 @@ def _failures(findings: Findings, most: int) -> Iterator[FigurePlan]:
     ]
     if not choose_failures(methods, most=max(most, 1)):
         return
-    gallery = FailureDrawing(methods, most, findings)
+    gallery = FailureDrawing(methods, most, findings, progress)
     yield FigurePlan(
         "failures",
         "failures",
@@ -192,6 +200,7 @@ def _failures(findings: Findings, most: int) -> Iterator[FigurePlan]:
         "could not be run again, its recorded track.",
         _files(findings.comparisons),
         gallery.draw,
+        DRAWN + _REPLAYED * gallery.replays,
     )
 
 
@@ -202,12 +211,30 @@ class FailureDrawing:
     methods: Sequence[MethodRun]
     most: int
     findings: Findings
+    progress: ReportProgress
+
+    @property
+    def replays(self) -> int:
+        """How many failures are run again."""
+        return len(choose_failures(self.methods, most=self.most)) if self.most else 0
 
     def draw(self) -> Figure:
         """The figure; at most `most` episodes are run again."""
-        gallery = collect_failures(self.methods, most=self.most or MOST_FAILURES, simulate=self.most > 0)
+        self._begin(0, self.replays)
+        gallery = collect_failures(
+            self.methods, most=self.most or MOST_FAILURES, progress=self._advance, simulate=self.most > 0
+        )
         self.findings.failures_left_out += gallery.left_out
         return draw_failures(gallery)
+
+    def _advance(self, done: int, total: int) -> None:
+        if self.replays:
+            self.progress.advance(_REPLAYED)
+            self._begin(done, total)
+
+    def _begin(self, done: int, total: int) -> None:
+        if done < total:
+            self.progress.begin(f"running failure {done + 1} of {total} again")
 
 
 def method_runs(comparison: Comparison) -> list[MethodRun]:

@@ -1,14 +1,11 @@
 """Tables in Markdown files of one measure: a row for each set, a column for each method."""
 
-from collections.abc import Mapping
-from pathlib import Path
-
 from pydantic import Field
 
 from dune_rl.errors import ConfigError
-from dune_rl.reporting.block_sources import SourceConf, find_method
-from dune_rl.reporting.comparisons import estimate_rows, measure_of
-from dune_rl.reporting.tables.table import Cell, Table, to_markdown
+from dune_rl.reporting.block_sources import BlockSources, SourceConf
+from dune_rl.reporting.comparisons.estimates import estimate_rows, measure_of
+from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, to_markdown
 from dune_rl.settings import Settings
 
 _MISSING = "not run"
@@ -27,7 +24,7 @@ class GridConf(Settings):
     corner: str = "set"
 
 
-def make_grid(conf: GridConf, folder: Path) -> str:
+def make_grid(conf: GridConf, sources: BlockSources) -> str:
     """The Markdown of the table.
 
     Raises ConfigError where a folder is there without the method or the measure, or where none is there.
@@ -35,24 +32,17 @@ def make_grid(conf: GridConf, folder: Path) -> str:
     measure = measure_of(conf.measure)
     unit = " %" if measure.unit == "%" else ""
 
-    def number(value: float) -> str:
-        return f"{value * measure.scale:.{measure.decimals}f}"
-
-    def cell(row: str, source: SourceConf) -> str:
+    def cell(row: str, source: SourceConf) -> Cell:
         path = source.folder.replace("{row}", row)
-        if not (folder / path).exists():
-            return _MISSING
-        method = find_method(SourceConf(folder=path, policy=source.policy), folder)
+        if not (sources.beside / path).exists():
+            return Cell(_MISSING)
+        method = sources.find_method(SourceConf(folder=path, policy=source.policy))
         found = estimate_rows(method.rows).get(conf.measure)
         if found is None:
             raise ConfigError(f"{path} has no measure {conf.measure}")
-        return f"{number(found.value)}{unit} ({number(found.low)} to {number(found.high)})"
+        return estimate_cell(measure, found, unit=unit)
 
-    cells: Mapping[str, list[str]] = {
-        row: [cell(row, source) for source in conf.columns.values()] for row in conf.rows
-    }
-    if all(text == _MISSING for texts in cells.values() for text in texts):
+    table = [[Cell(row), *(cell(row, source) for source in conf.columns.values())] for row in conf.rows]
+    if all(one.text == _MISSING for _, *cells in table for one in cells):
         raise ConfigError("the grid has no folder that is there")
-    header = [conf.corner, *conf.columns]
-    table = [[Cell(row), *(Cell(text) for text in texts)] for row, texts in cells.items()]
-    return to_markdown(Table("", "", "", header, table, []), escape=False)
+    return to_markdown(Table("", "", "", [conf.corner, *conf.columns], table, []), escape=False)

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 
 from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
-from dune_rl.reporting.comparisons import Comparison, collect_comparisons
+from dune_rl.paths import file_stem
+from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.page.blocks import Block, FigureBlock, HeadingBlock, Section, TableBlock, TextBlock
 from dune_rl.reporting.page.render import shown_path
 from dune_rl.reporting.runs import Note, ReportInputs
@@ -91,12 +93,6 @@ def tables_of(sections: Iterable[Section]) -> list[Table]:
 def figures_of(sections: Iterable[Section]) -> list[FigureBlock]:
     """All figures of a page, in order."""
     return [block for section in sections for block in section.blocks if isinstance(block, FigureBlock)]
-
-
-def file_stem(text: str) -> str:
-    """Text as a part of a file's name: letters, digits, - and . alone."""
-    kept = "".join(char if char.isascii() and (char.isalnum() or char in "-.") else "_" for char in text)
-    return "_".join(filter(None, kept.split("_"))).strip(".")[:60] or "unnamed"
 
 
 def _compared(findings: Findings) -> list[Block]:

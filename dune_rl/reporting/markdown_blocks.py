@@ -17,6 +17,7 @@ Folders are relative to the Markdown file. What is between the comments is writt
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,19 +28,20 @@ from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
 from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_success
 from dune_rl.learning.statistics import Estimate
-from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
-from dune_rl.reporting.block_sources import SourceConf, find_method
-from dune_rl.reporting.comparisons import Method, estimate_rows, measure_of
+from dune_rl.reporting.block_sources import BlockSources, SourceConf
+from dune_rl.reporting.comparisons.comparison import Method
+from dune_rl.reporting.comparisons.estimates import estimate_rows, measure_of
 from dune_rl.reporting.csv_rows import read_rows
 from dune_rl.reporting.grid_block import GridConf, make_grid
-from dune_rl.reporting.tables.methods import format_p
-from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, to_markdown
+from dune_rl.reporting.number_text import format_p, format_value
+from dune_rl.reporting.runs import Note
+from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, estimate_cell, to_markdown
 from dune_rl.settings import Settings
 
-_BEGIN = re.compile(r"<!-- report: (\w+)\n(.*?)^-->\n", flags=re.MULTILINE | re.DOTALL)
+_BEGIN = re.compile(r"<!-- report: (\w+)\r?\n(.*?)^-->(\r?\n)", flags=re.MULTILINE | re.DOTALL)
 _END = "<!-- end report -->"
-_CODE = re.compile(r"(^```.*?^```$)", flags=re.MULTILINE | re.DOTALL)
+_CODE = re.compile(r"(^```.*?^```\r?$)", flags=re.MULTILINE | re.DOTALL)
 
 
 class TableConf(Settings):
@@ -65,8 +67,21 @@ class PairConf(Settings):
     second: str | SourceConf
 
 
-def rewrite_file(file: Path) -> int:
-    """Write the blocks of a Markdown file anew; returns how many there are.
+@dataclass(frozen=True)
+class Rewritten:
+    """The text of a file with its blocks written anew, and how many there are.
+
+    `skipped` and `notes` are what is to be known of the folders that they were made from.
+    """
+
+    text: str
+    blocks: int
+    skipped: Sequence[Note]
+    notes: Sequence[Note]
+
+
+def rewrite_file(file: Path) -> Rewritten:
+    """Write the blocks of a Markdown file anew, with the line endings that they have.
 
     Raises ConfigError, and changes nothing, where there is none, or one that cannot be made.
     """
@@ -76,20 +91,21 @@ def rewrite_file(file: Path) -> int:
         raise ConfigError(f"into={file}: there is no such file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"into={file} cannot be read as text: {error}") from None
-    rewritten, count = rewrite_text(text, file)
-    if not count:
+    found = rewrite_text(text, file)
+    if not found.blocks:
         raise ConfigError(
             f"{file} has no block that begins with <!-- report: table; see docs/how_to/report.md"
         )
-    if rewritten != text:
+    if found.text != text:
         with write_atomically(file) as temporary:
-            temporary.write_text(rewritten, encoding="utf-8", newline="")
-    return count
+            temporary.write_text(found.text, encoding="utf-8", newline="")
+    return found
 
 
-def rewrite_text(text: str, file: Path) -> tuple[str, int]:
-    """The text of `file` with its blocks written anew, and how many there are; code in fences stays."""
+def rewrite_text(text: str, file: Path) -> Rewritten:
+    """The text of `file` with its blocks written anew; code in fences stays."""
     parts = _CODE.split(text)
+    sources = BlockSources(file.parent)
     count, done = 0, ""
     for part in parts:
         if part.startswith("```"):
@@ -100,16 +116,17 @@ def rewrite_text(text: str, file: Path) -> tuple[str, int]:
             following = _BEGIN.search(part, found.end())
             if end < 0 or (following and following.start() < end):
                 raise ConfigError(f"{file}: the block '<!-- report: {found[1]}' has no {_END}")
-            done += part[: found.end()] + make_block(found[1], found[2], file) + _END
+            made = make_block(found[1], found[2], file, sources)
+            done += part[: found.end()] + made.replace("\n", found[3]) + _END
             part = part[end + len(_END) :]
             count += 1
         done += part
-    return done, count
+    return Rewritten(done, count, sources.skipped, sources.notes)
 
 
-def make_block(kind: str, settings: str, file: Path) -> str:
+def make_block(kind: str, settings: str, file: Path, sources: BlockSources) -> str:
     """The Markdown of a block of `file` from its settings; raises ConfigError where they are wrong."""
-    makers: Mapping[str, tuple[type[Settings], Callable[[Any, Path], str]]] = {
+    makers: Mapping[str, tuple[type[Settings], Callable[[Any, BlockSources], str]]] = {
         "table": (TableConf, _make_table),
         "pair": (PairConf, _make_pair),
         "grid": (GridConf, make_grid),
@@ -126,14 +143,14 @@ def make_block(kind: str, settings: str, file: Path) -> str:
         where = ".".join(map(str, first["loc"]))
         raise ConfigError(f"{file}: the block of {kind}: {where}: {first['msg']}") from None
     try:
-        return make(conf, file.parent)
+        return make(conf, sources)
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from None
 
 
-def _make_table(conf: TableConf, folder: Path) -> str:
+def _make_table(conf: TableConf, sources: BlockSources) -> str:
     columns = {
-        title: [find_method(each, folder) for each in (source if isinstance(source, tuple) else (source,))]
+        title: [sources.find_method(each) for each in (source if isinstance(source, tuple) else (source,))]
         for title, source in conf.methods.items()
     }
     estimates = {
@@ -146,12 +163,9 @@ def _make_table(conf: TableConf, folder: Path) -> str:
         )
     cells: dict[str, dict[str, str]] = {}
     for name in conf.measures:
-        measure = _with_decimals(measure_of(name), conf)
-        cells[name] = {
-            title: _cell(name, measure, columns[title], estimates[title], conf, folder) for title in columns
-        }
+        cells[name] = {title: _cell(name, columns[title], estimates[title], conf) for title in columns}
         if conf.paper:
-            unit = " %" if measure.unit == "%" and name in paper else ""
+            unit = " %" if measure_of(name).unit == "%" and name in paper else ""
             cells[name][published.NAME] = f"{paper.get(name, '')}{unit}"
     labels = {name: conf.labels.get(name, _label(name)) for name in conf.measures}
     titles = list(next(iter(cells.values())))
@@ -172,19 +186,8 @@ def _label(name: str) -> str:
     return f"{name} [{measure.unit}]" if measure.unit not in ("", "%") else name
 
 
-def _with_decimals(measure: Measure, conf: TableConf) -> Measure:
-    if measure.name not in conf.decimals:
-        return measure
-    return Measure(**{**vars(measure), "decimals": conf.decimals[measure.name]})
-
-
 def _cell(
-    name: str,
-    measure: Measure,
-    methods: list[Method],
-    estimates: Sequence[Mapping[str, Estimate]],
-    conf: TableConf,
-    folder: Path,
+    name: str, methods: list[Method], estimates: Sequence[Mapping[str, Estimate]], conf: TableConf
 ) -> str:
     if name == "episodes":
         return ", ".join(f"{method.episodes}" for method in methods)
@@ -192,30 +195,28 @@ def _cell(
         return ", ".join(_frames(method) for method in methods)
     if any(name not in found for found in estimates):
         raise ConfigError(f"{methods[0].runs[0].path} has no measure {name}")
-    found = [estimate[name] for estimate in estimates]
+    measure, decimals = measure_of(name), conf.decimals.get(name)
     unit = " %" if measure.unit == "%" else ""
-    values = ", ".join(_number(measure, one.value) for one in found)
-    if len(found) > 1 or not conf.intervals or math.isnan(found[0].low):
-        # One episode, for example, has no interval.
-        return f"{values}{unit}"
-    return f"{values}{unit} ({_number(measure, found[0].low)} to {_number(measure, found[0].high)})"
-
-
-def _number(measure: Measure, value: float) -> str:
-    return f"{value * measure.scale:.{measure.decimals}f}"
+    if len(estimates) == 1 and conf.intervals:
+        return estimate_cell(measure, estimates[0][name], unit=unit, decimals=decimals).plain
+    values = ", ".join(format_value(measure, found[name].value, decimals) for found in estimates)
+    return f"{values}{unit}"
 
 
 def _frames(method: Method) -> str:
     file = method.runs[0].path / "metrics.csv"
     if not file.exists():
         raise ConfigError(f"{file.parent} has no metrics.csv, so that its frames are not known")
-    frames = max(float(row["frames"]) for row in read_rows(file, empty=None))
+    rows = read_rows(file, empty=None)
+    if not rows or any("frames" not in row for row in rows):
+        raise ConfigError(f"{file} lacks the column frames, or has rows without it; its frames are not known")
+    frames = max(float(row["frames"]) for row in rows)
     # The collector's last batch goes a little beyond what was asked for.
     return f"{frames:,.0f}" if frames < 1e6 else f"{frames / 1e6:.1f} million"
 
 
-def _make_pair(conf: PairConf, folder: Path) -> str:
-    first, second = (find_method(source, folder) for source in (conf.first, conf.second))
+def _make_pair(conf: PairConf, sources: BlockSources) -> str:
+    first, second = (sources.find_method(source) for source in (conf.first, conf.second))
     rows = [
         [
             {"agent": 0.0, **{key: row[key] for key in ("episode", "success", *CASE_COLUMNS) if key in row}}
@@ -231,7 +232,9 @@ def _make_pair(conf: PairConf, folder: Path) -> str:
     one, other = names
     clusters, units = cluster_rows(rows[0])
     name = "exact McNemar test" if clusters is None else f"sign-flip test of whole {units}"
+    known = not math.isnan(test.p_value)
+    p_value = f"p = {format_p(test.p_value)}" if known else "p is not defined, as there is nothing to compare"
     return (
         f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in "
-        f"{test.only_b}: {name}, p = {format_p(test.p_value)}.\n"
+        f"{test.only_b}: {name}, {p_value}.\n"
     )

@@ -37,7 +37,15 @@ def total_episodes(provenance: Mapping[str, Any]) -> str:
 
 
 def notes_on_origin(path: Path, provenance: Mapping[str, Any]) -> list[Note]:
-    """What a reader must know of where an evaluation comes from: another set, or another version."""
+    """What a reader must know of where an evaluation comes from: another set or version, or unknown."""
+    if not provenance:
+        return [
+            Note(
+                path,
+                f"has no {PROVENANCE}: nothing says by which command, version and weights its episodes were "
+                "made, nor whether they are complete and as they were written",
+            )
+        ]
     notes = []
     used = provenance.get("set")
     if isinstance(used, dict):

@@ -7,6 +7,7 @@ from itertools import takewhile
 from typing import Any
 
 from dune_rl.reporting.runs import Row, TrainingRun
+from dune_rl.reporting.settings_differences import differing_settings
 
 _SHOWN = 3
 # Settings that change neither what is learnt nor on what.
@@ -51,22 +52,11 @@ def group_runs(runs: Sequence[TrainingRun]) -> list[TrainingGroup]:
 
 def _differences(config: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
     """The settings of `config` that are not the same in all `others`, as name=value."""
-    flat, all_flat = _flatten(config), [_flatten(other) for other in others]
     return [
         f"{path.rpartition('.')[2]}={value}"
-        for path, value in flat.items()
-        if path not in _INDIFFERENT and any(other.get(path) != value for other in all_flat)
+        for path, value in differing_settings(config, others).items()
+        if path not in _INDIFFERENT
     ]
-
-
-def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in config.items():
-        if isinstance(value, Mapping):
-            found |= _flatten(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = value
-    return found
 
 
 def _settings_key(config: Mapping[str, Any]) -> str:

@@ -8,7 +8,11 @@ from typing import Any
 
 import yaml
 
+from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.drawing import method_runs
+from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.origins import installed_version
+from dune_rl.reporting.runs import EvaluationRun
 from dune_rl.seeding import stream
 
 METRICS = ("success", "reached", "collisions", "time_to_goal", "clearance", "vort", "smoothness")
@@ -126,3 +130,8 @@ def write_sweep(folder: Path, rates: Sequence[str], *, direction: str | None = N
         (job / ".hydra" / "hydra.yaml").write_text(yaml.safe_dump({"hydra": hydra}))
     (folder / "multirun.yaml").write_text("hydra: {}\n")
     return folder
+
+
+def methods_of(*evaluations: EvaluationRun) -> list[MethodRun]:
+    """The methods of evaluations, as figures get them."""
+    return [method for one in collect_comparisons(evaluations) for method in method_runs(one)]

@@ -11,7 +11,7 @@ from dune_rl.learning.paired_comparison import compare_policies
 from dune_rl.learning.paired_tests import mcnemar_test
 from dune_rl.learning.statistics import estimate_proportion, estimate_share_difference
 from dune_rl.learning.table import comparison_table, paired_line
-from dune_rl.reporting.comparisons import Cases, Comparison, Method
+from dune_rl.reporting.comparisons.comparison import Cases, Comparison, Method
 
 SITES, EACH = 50, 4
 OF_SITE = np.repeat(np.arange(SITES), EACH)

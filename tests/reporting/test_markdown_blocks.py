@@ -1,11 +1,13 @@
 """Tables in Markdown files: those of this repository are what the command makes of its committed files."""
 
+import sys
 from pathlib import Path
 
 import pytest
 from documents import ROOT
 from report_runs import episode_rows, write_evaluation
 
+from dune_rl import report
 from dune_rl.errors import ConfigError
 from dune_rl.reporting.markdown_blocks import rewrite_file, rewrite_text
 
@@ -28,9 +30,9 @@ def file(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("committed", FILES, ids=lambda file: str(file.relative_to(ROOT)))
 def test_tables_of_the_repository_are_those_of_its_files(committed: Path) -> None:
     text = committed.read_text(encoding="utf-8")
-    made, count = rewrite_text(text, committed)
-    assert made == text, f"run: python -m dune_rl.report into={committed.relative_to(ROOT)}"
-    assert count or "```" in text
+    made = rewrite_text(text, committed)
+    assert made.text == text, f"run: python -m dune_rl.report into={committed.relative_to(ROOT)}"
+    assert made.blocks or "```" in text
 
 
 def test_the_headline_and_the_studies_have_tables_that_are_made() -> None:
@@ -40,7 +42,7 @@ def test_the_headline_and_the_studies_have_tables_that_are_made() -> None:
 
 def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
     file.write_text(f"before\n\n{TABLE}old\n{END}\nbetween\n\n{TABLE}{END} after\n")
-    assert rewrite_file(file) == 2
+    assert rewrite_file(file).blocks == 2
     # One collision: Garwood's interval of 0.0253 to 5.572, by four episodes.
     lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.01 to 1.39) |")
     made = TABLE + "".join(f"{line}\n" for line in lines) + END
@@ -112,7 +114,57 @@ def test_a_pair_is_a_sentence(file: Path) -> None:
 
 def test_blocks_that_a_page_shows_as_code_stay(file: Path) -> None:
     shown = f"```markdown\n{TABLE}{END}\n```\n"
-    assert rewrite_text(shown, file) == (shown, 0)
+    found = rewrite_text(shown, file)
+    assert (found.text, found.blocks) == (shown, 0)
+
+
+def test_line_endings_stay_as_they_are(file: Path) -> None:
+    text = f"before\n\n{TABLE}old\n{END}\nafter\n"
+    file.write_bytes(text.replace("\n", "\r\n").encode())
+    assert rewrite_file(file).blocks == 1
+    windows = file.read_bytes()
+    file.write_bytes(text.encode())
+    rewrite_file(file)
+    assert b"75 %" in windows and windows == file.read_bytes().replace(b"\n", b"\r\n")
+    fenced = f"```markdown\n{TABLE}{END}\n```\n".replace("\n", "\r\n")
+    assert rewrite_text(fenced, file).blocks == 0
+
+
+def test_what_is_to_be_known_of_the_sources_is_told_once(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_evaluation(file.parent / "b", episode_rows("x", 4), packages={"dune_rl": "0.0.1"})
+    write_evaluation(file.parent / "b" / "half", episode_rows("x", 4), complete=False)
+    (file.parent / "a" / "provenance.json").unlink()
+    of_b = TABLE.replace("folder: a", "folder: b")
+    file.write_text(f"{TABLE}{END}\n{TABLE}{END}\n{of_b}{END}\n")
+    monkeypatch.setattr(sys, "argv", ["report", f"into={file}"])
+    with pytest.raises(SystemExit) as ended:
+        report.main()
+    told = capsys.readouterr()
+    assert ended.value.code == 0 and "3 tables written" in told.out
+    assert told.err.count("has no provenance.json: nothing says by which command") == 1
+    assert told.err.count("was made with dune_rl 0.0.1") == 1
+    assert told.err.count("left out: ") == 1 and "was cut off" in told.err
+
+
+def test_frames_that_are_not_known_are_named(file: Path) -> None:
+    table = TABLE.replace("[SR, TC]", "[frames]")
+    for text in ("kind,SR\neval,0.5\n", "kind,frames\neval,10\neval,\n", "kind,frames\n"):
+        (file.parent / "a" / "metrics.csv").write_text(text)
+        with pytest.raises(ConfigError, match=r"metrics\.csv.* frames"):
+            rewrite_text(f"{table}{END}\n", file)
+    (file.parent / "a" / "metrics.csv").write_text("kind,frames\neval,10\neval,2000\n")
+    assert "| ours | 2,000 |" in rewrite_text(f"{table}{END}\n", file).text
+
+
+def test_numbers_are_written_as_in_reports(file: Path) -> None:
+    rows = [{**row, "clearance": -0.0001 * row["episode"]} for row in episode_rows("x", 4)]
+    write_evaluation(file.parent / "b", rows)
+    table = TABLE.replace("folder: a", "folder: b").replace("[SR, TC]", "[OC]")
+    rewritten = rewrite_text(f"{table}{END}\n", file).text
+    # No minus before a zero that rounding made.
+    assert "| ours | 0.00 (0.00 to 0.00) |" in rewritten
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from report_runs import CONFIG, episode_rows, write_evaluation, write_rows, write_sweep, write_training
 
 from dune_rl.episode_sets import read_episode_set
-from dune_rl.reporting.comparisons import collect_comparisons
+from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.tables.table import NOTHING
 from dune_rl.reporting.tables.training import sweep_table
@@ -48,6 +48,8 @@ def test_a_study_without_provenance_is_a_run_and_an_evaluation(tmp_path: Path) -
     inputs = read_inputs([folder])
     assert len(inputs.training) == len(inputs.evaluations) == 1
     assert inputs.evaluations[0].provenance == {}
+    (note,) = inputs.notes
+    assert "has no provenance.json: nothing says by which command, version and weights" in note.text
 
 
 def test_what_is_no_run_is_named(tmp_path: Path) -> None:
@@ -159,7 +161,8 @@ def test_policies_of_several_folders_meet_where_the_cases_are_the_same(tmp_path:
     assert pairs["x (a)", "x (b)"].difference.value == pytest.approx(1.0)
     # Episodes that end otherwise do not pair.
     assert [method.name for method in second.methods] == ["x"]
-    assert "settings of the episodes differ" in second.notes[0]
+    assert "task.terminations.time_limit.max_steps" in second.notes[0]
+    assert "do not compare" in second.notes[0]
 
 
 def test_different_numbers_of_episodes_pair_on_those_in_common(tmp_path: Path) -> None:

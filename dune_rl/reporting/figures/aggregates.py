@@ -19,7 +19,7 @@ from dune_rl.reporting.aggregates import (
     run_scores,
     site_scores,
 )
-from dune_rl.reporting.figures.results import Results, measure_of
+from dune_rl.reporting.figures.results import Results, measure_of_metric
 from dune_rl.reporting.figures.style import (
     COLUMN_IN,
     FAINT,
@@ -51,7 +51,7 @@ class MethodScores:
     @property
     def label(self) -> str:
         """What the scores are."""
-        return "success rate" if self.metric == "success" else measure_of(self.metric).name
+        return "success rate" if self.metric == "success" else measure_of_metric(self.metric).name
 
 
 def collect_scores(

@@ -7,18 +7,19 @@ from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.reporting import published
-from dune_rl.reporting.comparisons import Comparison, measure_of
+from dune_rl.reporting.comparisons.comparison import Comparison
+from dune_rl.reporting.comparisons.estimates import measure_of
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.figures.endings import COLLISION, FAILURES
-from dune_rl.reporting.tables.table import (
+from dune_rl.reporting.number_text import (
     MINUS,
     NOTHING,
-    Cell,
-    Table,
-    estimate_cell,
+    format_difference,
+    format_p,
+    format_range,
     format_value,
-    measure_title,
 )
+from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, measure_title
 
 PAPER_MEASURES = ("SR", "TR", "TC", "MTT", "OC", "VR", "VORT", "TSR")
 Estimates = Mapping[str, Mapping[str, Estimate]]
@@ -102,7 +103,7 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
     for one in pairs:
         measure = one.measure
         difference = [
-            _signed(measure, value)
+            format_difference(measure, value)
             for value in (one.difference.value, one.difference.low, one.difference.high)
         ]
         known = not math.isnan(one.difference.value)
@@ -115,7 +116,7 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
                 if known
                 else Cell(NOTHING),
                 Cell(str(one.difference.count)),
-                Cell(format_p(one.p_value)),
+                Cell(format_p(one.p_value), _why_no_p(one)),
                 Cell(format_p(one.adjusted_p)),
                 Cell(NOTHING if math.isnan(one.effect) else f"{one.effect:.2f}"),
             ]
@@ -143,6 +144,11 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
         "paired samples, for ratios their quotient (1: none). Times are compared on the episodes in which "
         "both arrive."
     )
+    if any(_why_no_p(one) for one in pairs):
+        caption += (
+            " Where p has a dash, it is not defined: no episode has a value of both methods (no pairs), or "
+            "the sum by which a ratio divides is 0 for one of them (ratio by 0)."
+        )
     if comparison.sites:
         caption += f" Intervals and tests, all of permutations, are over {comparison.sites} whole sites."
     return Table(
@@ -219,11 +225,6 @@ def vort_note(comparison: Comparison) -> str:
     )
 
 
-def format_p(value: float) -> str:
-    """A p-value with two digits."""
-    return NOTHING if math.isnan(value) else f"{value:.2g}"
-
-
 def _intervals(comparison: Comparison) -> str:
     if comparison.sites:
         return f"In brackets: 95 % intervals, over {comparison.sites} whole sites."
@@ -232,9 +233,15 @@ def _intervals(comparison: Comparison) -> str:
 
 
 def _episodes(comparison: Comparison) -> str:
-    counts = sorted({method.episodes for method in comparison.methods})
-    told = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    return f"{comparison.cases.title}: {told} episodes"
+    counts = [method.episodes for method in comparison.methods]
+    return f"{comparison.cases.title}: {format_range(counts)} episodes"
+
+
+def _why_no_p(one: PairedComparison) -> str:
+    """Why a pair has no p-value; nothing where it has one."""
+    if not math.isnan(one.p_value):
+        return ""
+    return "no pairs" if one.measure.per is None else "ratio by 0"
 
 
 def _count(episodes: int, agents: int) -> str:
@@ -255,14 +262,6 @@ def _is_best(measure: Measure, method: str, estimates: Estimates) -> bool:
     best = (max if measure.better == "higher" else min)(values, key=lambda name: values[name])
     # What reads the same is equally good; if all do, none is the best.
     return shown[method] == shown[best] and len(set(shown.values())) > 1
-
-
-def _signed(measure: Measure, value: float) -> str:
-    if math.isnan(value):
-        return NOTHING
-    text = format_value(measure, abs(value))
-    zero = not any(digit in text for digit in "123456789")
-    return text if zero else f"{MINUS if value < 0 else '+'}{text}"
 
 
 def _data(

@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dune_rl.reporting.comparisons import Comparison
+from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.number_text import NOTHING, format_range
 from dune_rl.reporting.origins import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row
-from dune_rl.reporting.tables.table import NOTHING, Cell, Table
+from dune_rl.reporting.tables.table import Cell, Table
 from dune_rl.reporting.training_groups import TrainingGroup
 
 _SHOWN = 12
@@ -27,7 +28,7 @@ def cases_table(comparisons: Sequence[Comparison]) -> Table:
                 "world": cases.world,
                 "sites": describe_sites(one, rows),
                 "set's checksum": _checksum(one),
-                "episodes": _range(sorted({method.episodes for method in one.methods})),
+                "episodes": format_range([method.episodes for method in one.methods]),
                 "seed": NOTHING if cases.seed is None else str(cases.seed),
                 "engine": cases.engine or NOTHING,
                 "robot": ", ".join(_robots(one)),
@@ -108,7 +109,7 @@ def training_origin_table(groups: Sequence[TrainingGroup]) -> Table:
                 "site": _trained_sites(world, randomisation),
                 "seeds": ", ".join(group.seeds),
                 "algorithm": str(learning.get("name", NOTHING)),
-                "frames": _range(sorted({round(one) for one in frames})),
+                "frames": format_range([round(one) for one in frames]),
                 "of": f"{total:,}" if isinstance(total, int) else NOTHING,
             }
         )
@@ -173,10 +174,6 @@ def _distances(rows: Sequence[Row]) -> str:
         if all(is_number(row.get(name)) for name in names)
     ]
     return f"{min(distances):.1f} to {max(distances):.1f}" if distances else NOTHING
-
-
-def _range(values: Sequence[int]) -> str:
-    return f"{values[0]:,}" if len(values) == 1 else f"{values[0]:,} to {values[-1]:,}"
 
 
 def _mapping(value: object) -> Mapping[str, Any]:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
+from dune_rl.reporting.number_text import MINUS, NOTHING, format_value
 
-NOTHING, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
 _LATEX = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -135,26 +135,22 @@ def escape_markdown(text: str) -> str:
     return _MARKDOWN.sub(lambda found: "\\" + found[0], " ".join(text.split()))
 
 
-def estimate_cell(measure: Measure, estimate: Estimate | None, *, best: bool = False, unit: str = "") -> Cell:
-    """A value with its interval; `unit` is put behind both."""
+def estimate_cell(
+    measure: Measure,
+    estimate: Estimate | None,
+    *,
+    best: bool = False,
+    unit: str = "",
+    decimals: int | None = None,
+) -> Cell:
+    """A value with its interval; `unit` is put behind it, and `decimals` are the measure's by default."""
     if estimate is None or math.isnan(estimate.value):
         return Cell(NOTHING)
-    value = f"{format_value(measure, estimate.value)}{unit}"
+    value = f"{format_value(measure, estimate.value, decimals)}{unit}"
     if math.isnan(estimate.low):
         return Cell(value, best=best)
-    low, high = (format_value(measure, end) for end in (estimate.low, estimate.high))
+    low, high = (format_value(measure, end, decimals) for end in (estimate.low, estimate.high))
     return Cell(value, f"{low} to {high}", best)
-
-
-def format_value(measure: Measure, value: float) -> str:
-    """A value of a measure with its scale and decimals; of those of users' own, three digits count."""
-    scaled = value * measure.scale
-    if measure.source or measure.meaning:
-        text = f"{scaled:.{measure.decimals}f}"
-    else:
-        text = f"{scaled:.3g}" if abs(scaled) < 1e4 else f"{scaled:.4g}"
-    # No minus before a zero that rounding made.
-    return text.removeprefix("-") if not any(digit in text for digit in "123456789") else text
 
 
 def measure_title(measure: Measure) -> str:

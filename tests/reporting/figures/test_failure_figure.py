@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from report_runs import methods_of
 
 from dune_rl import evaluate
 from dune_rl.reporting.figures.failure_replay import replay_failures
@@ -19,7 +20,7 @@ from dune_rl.reporting.figures.failures import (
     collect_failures,
     draw_failures,
 )
-from dune_rl.reporting.figures.results import MethodRun, collect_methods
+from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.runs import EvaluationRun
 
 TEXT = {"policy", "set", "world", "engine", "agent"}
@@ -90,7 +91,7 @@ def evaluated(call: Callable[..., int], folder: Path) -> EvaluationRun:
 
 
 def test_pictures_are_of_the_seconds_before_the_same_failure(evaluated: EvaluationRun) -> None:
-    gallery = collect_failures(collect_methods([evaluated]))
+    gallery = collect_failures(methods_of(evaluated))
     (shown,) = gallery.shown
     assert (shown.kind, shown.episode, shown.reason, shown.track) == ("timeout", 0, "", None)
     assert shown.replay is not None and shown.replay.time_s == pytest.approx(1.5)
@@ -109,7 +110,7 @@ def test_pictures_are_of_the_seconds_before_the_same_failure(evaluated: Evaluati
 def test_an_episode_that_comes_out_otherwise_is_shown_from_its_steps(evaluated: EvaluationRun) -> None:
     for row in evaluated.episodes:
         row["steps"] = 29.0
-    (shown,) = collect_failures(collect_methods([evaluated])).shown
+    (shown,) = collect_failures(methods_of(evaluated)).shown
     assert shown.replay is None and "came out differently" in shown.reason
     assert shown.track is not None
     figure = draw_failures(FailureGallery([shown]))
@@ -123,7 +124,7 @@ def test_an_episode_that_comes_out_otherwise_is_shown_from_its_steps(evaluated: 
 
 def test_functions_of_users_and_changed_weights_are_not_run(evaluated: EvaluationRun) -> None:
     config = yaml.safe_load((evaluated.path / "config.yaml").read_text())
-    (method,) = collect_methods([evaluated])
+    (method,) = methods_of(evaluated)
     ((_, wanted),) = choose_failures([method])
     provenance = json.loads((evaluated.path / "provenance.json").read_text())
     config["policy"] = ["os:getcwd"]

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from report_runs import methods_of
 
 from dune_rl.config.build import build_world
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
 from dune_rl.reporting.figures.endings import FAILURES, REACHED, ending_of, failures_of
-from dune_rl.reporting.figures.results import MethodRun, collect_methods
+from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.figures.site_ground import SiteGround
 from dune_rl.reporting.figures.track_data import collect_tracks, until_failure
 from dune_rl.reporting.figures.tracks import draw_tracks, view_of
@@ -56,7 +57,7 @@ def ways(axes: Any) -> list[LineCollection]:
 
 
 def test_a_track_has_the_places_speeds_collisions_and_walkers_of_its_steps(make_rows: Callable) -> None:
-    (site,) = collect_tracks(collect_methods([make_evaluation(make_rows, ["planner"])]))
+    (site,) = collect_tracks(methods_of(make_evaluation(make_rows, ["planner"])))
     assert (site.cases, site.world_seed, site.title, site.reason) == ("flat-v1", None, "flat-v1", "")
     assert site.world is not None and site.world.extent == (-20.0, 20.0, -20.0, 20.0)
     first, second = site.tracks["planner"]
@@ -71,7 +72,7 @@ def test_a_track_has_the_places_speeds_collisions_and_walkers_of_its_steps(make_
 
 
 def test_the_figure_draws_each_way_in_the_colours_of_its_speeds(make_rows: Callable) -> None:
-    sites = collect_tracks(collect_methods([make_evaluation(make_rows, ["planner", "random"])]))
+    sites = collect_tracks(methods_of(make_evaluation(make_rows, ["planner", "random"])))
     figure = draw_tracks(sites)
     panels = [axes for axes in figure.axes if axes.get_title(loc="left")]
     assert [axes.get_title(loc="left") for axes in panels] == [
@@ -89,7 +90,7 @@ def test_the_figure_draws_each_way_in_the_colours_of_its_speeds(make_rows: Calla
 
 
 def test_the_ends_of_tracks_are_their_last_seconds_before_the_failure(make_rows: Callable) -> None:
-    (site,) = collect_tracks(collect_methods([make_evaluation(make_rows, ["planner"])]))
+    (site,) = collect_tracks(methods_of(make_evaluation(make_rows, ["planner"])))
     track = site.tracks["planner"][1]
     crash = until_failure(track, "collision", 0.5)
     np.testing.assert_allclose(crash.points, [[1, 1], [2, 1]])
@@ -108,14 +109,14 @@ def test_sites_and_episodes_are_bounded(make_rows: Callable) -> None:
     evaluation = make_evaluation(make_rows, ["planner"], episodes=20)
     for row in evaluation.episodes:
         row["world_seed"] = 500.0 + row["episode"] // 5
-    sites = collect_tracks(collect_methods([evaluation]), most_sites=2, most_episodes=3)
+    sites = collect_tracks(methods_of(evaluation), most_sites=2, most_episodes=3)
     assert [(site.world_seed, len(site.tracks["planner"])) for site in sites] == [(500, 3), (501, 3)]
     assert sites[1].title == "flat-v1, site 501"
 
 
 def test_a_site_that_cannot_be_built_is_drawn_without_a_map(make_rows: Callable) -> None:
     config = {"world": {"name": "mesh", "path": "nowhere.obj"}}
-    (site,) = collect_tracks(collect_methods([make_evaluation(make_rows, ["planner"], config=config)]))
+    (site,) = collect_tracks(methods_of(make_evaluation(make_rows, ["planner"], config=config)))
     assert site.world is None and site.reason
     panel = draw_tracks([site]).axes[0]
     assert "cannot be built" in panel.get_ylabel() and len(ways(panel)) == 2
@@ -136,18 +137,18 @@ def test_the_map_is_white_beyond_the_world_and_shows_its_objects() -> None:
 def test_steps_that_are_not_finite_are_left_out(make_rows: Callable) -> None:
     evaluation = make_evaluation(make_rows, ["planner"], episodes=1)
     evaluation.steps[2]["x_m"] = np.nan
-    (site,) = collect_tracks(collect_methods([evaluation]))
+    (site,) = collect_tracks(methods_of(evaluation))
     np.testing.assert_allclose(site.tracks["planner"][0].points[:, 0], [0, 1, 3])
 
 
 def test_twelve_methods_go_on_in_further_rows_and_none_is_told(make_rows: Callable) -> None:
     twelve = make_evaluation(make_rows, [f"runs/{i}" for i in range(12)], episodes=1)
-    figure = draw_tracks(collect_tracks(collect_methods([twelve])))
+    figure = draw_tracks(collect_tracks(methods_of(twelve)))
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
     assert titles == [f"{i}: 1 of 1 succeed" for i in range(12)]
     assert "no evaluation has steps" in draw_tracks([]).texts[0].get_text()
     without = EvaluationRun(Path("e"), "e", FLAT, {}, twelve.episodes, [])
-    assert collect_tracks(collect_methods([without])) == []
+    assert collect_tracks(methods_of(without)) == []
 
 
 @pytest.mark.parametrize(
@@ -170,6 +171,6 @@ def test_policies_of_one_name_with_other_rows_are_told_apart(make_rows: Callable
     one = make_evaluation(make_rows, ["planner"])
     other = make_evaluation(make_rows, ["planner"], success=0.0)
     again = EvaluationRun(Path("f"), "f", FLAT, {}, other.episodes, other.steps)
-    names = [method.name for method in collect_methods([one, again, one])]
+    names = [method.name for method in methods_of(one, again, one)]
     assert names == ["planner", "planner (f)"]
-    assert all(isinstance(method, MethodRun) for method in collect_methods([one]))
+    assert all(isinstance(method, MethodRun) for method in methods_of(one))

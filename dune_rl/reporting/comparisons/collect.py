@@ -1,0 +1,136 @@
+"""Sorts evaluations into comparisons: methods that met the same episodes, whatever folders they are in."""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from dune_rl.reporting.comparisons.comparison import Cases, Comparison, Method
+from dune_rl.reporting.comparisons.oddities import describe_oddities
+from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.runs import EvaluationRun, Row
+from dune_rl.reporting.settings_differences import differing_settings
+
+# What decides how an episode runs, apart from the policy: it must be equal for results to pair.
+_DECISIVE = ("world", "weather", "agents", "robots", "actors", "randomisation", "protocol", "run_steps")
+_DECISIVE_IN_TASK = ("spawn", "terminations")
+_SETTINGS_SHOWN, _SHOWN_OF_SUM = 3, 12
+
+
+def collect_comparisons(evaluations: Sequence[EvaluationRun]) -> list[Comparison]:
+    """The comparisons that evaluations give, by cases; each group of agents has its own.
+
+    A policy of one name in several folders is one method where its rows are the same, and else each
+    is called after its folder too.
+    """
+    comparisons: dict[str, Comparison] = {}
+    for run in evaluations:
+        for group, rows in _by_group(run.episodes).items():
+            cases = cases_of(run, group)
+            comparison = comparisons.setdefault(cases.key, Comparison(cases, []))
+            for policy in dict.fromkeys(str(row["policy"]) for row in rows):
+                mine = [row for row in rows if str(row["policy"]) == policy]
+                _add_method(comparison, policy, mine, run)
+    for comparison in comparisons.values():
+        _name_apart(comparison.methods)
+        comparison.notes += describe_oddities(comparison)
+    _tell_apart(list(comparisons.values()))
+    return list(comparisons.values())
+
+
+def cases_of(run: EvaluationRun, group: str) -> Cases:
+    """The cases of a group of agents in an evaluation whose episodes are all of one set, world and seed."""
+    first = run.episodes[0]
+    groups = len(_by_group(run.episodes))
+    name, world, engine = (str(first.get(key, "")) for key in ("set", "world", "engine"))
+    seed = int(first["seed"]) if is_number(first.get("seed")) else None
+    used = run.provenance.get("set")
+    checksum = str(used.get("sha256", "")) if isinstance(used, dict) else ""
+    if name:
+        decisive: Any = [name, checksum]
+        title = name
+    else:
+        decisive = [world, seed, _decisive_settings(run.config)]
+        title = world if seed is None else f"{world}, seed {seed}"
+    text = json.dumps([decisive, engine, group], sort_keys=True, default=str)
+    key = hashlib.sha256(text.encode()).hexdigest()
+    protocol = run.config.get("protocol")
+    title += "" if protocol is None else f", protocol={protocol}"
+    title += f" ({engine})" if engine not in ("", "bullet") else ""
+    title += f", {group}" if groups > 1 else ""
+    return Cases(key, title, world, name, checksum, engine, seed, group)
+
+
+def _decisive_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    task = config.get("task")
+    parts = {name: config.get(name) for name in _DECISIVE}
+    if isinstance(task, dict):
+        parts |= {f"task.{name}": task.get(name) for name in _DECISIVE_IN_TASK}
+    return parts
+
+
+def _by_group(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows by the group of their agents, which are called GROUP_NUMBER."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(re.sub(r"_\d+$", "", str(row["agent"])), []).append(row)
+    return found
+
+
+def _add_method(comparison: Comparison, policy: str, rows: list[Row], run: EvaluationRun) -> None:
+    for known in comparison.methods:
+        if known.policy == policy and _same_rows(known.rows, rows):
+            known.runs.append(run)
+            return
+    ordered = sorted(rows, key=lambda row: (row["episode"], str(row["agent"])))
+    comparison.methods.append(Method(policy, policy, ordered, [run]))
+
+
+def _same_rows(first: Sequence[Row], second: Sequence[Row]) -> bool:
+    ids = ("episode", "agent")
+    a, b = ({tuple(row[key] for key in ids): row for row in rows} for rows in (first, second))
+    return a.keys() == b.keys() and all(_same_row(row, b[key]) for key, row in a.items())
+
+
+def _same_row(first: Row, second: Row) -> bool:
+    return all(
+        first[name] == second[name] or (first[name] != first[name] and second[name] != second[name])
+        for name in first.keys() & second.keys()
+    )
+
+
+def _name_apart(methods: list[Method]) -> None:
+    for policy in {method.policy for method in methods}:
+        same = [method for method in methods if method.policy == policy]
+        if len(same) > 1:
+            for method in same:
+                folder = method.runs[0].name
+                method.name = folder if policy in ("trained", Path(folder).name) else f"{policy} ({folder})"
+
+
+def _tell_apart(comparisons: Sequence[Comparison]) -> None:
+    """Number the comparisons of equal titles, and say in what they differ."""
+    titles = [one.cases.title for one in comparisons]
+    for title in {title for title in titles if titles.count(title) > 1}:
+        same = [one for one in comparisons if one.cases.title == title]
+        note = (
+            f"{len(same)} kinds of cases are called {title}, and have numbers here: {_difference(same)}. "
+            "Methods on one of them met other episodes than methods on another, and do not compare with them."
+        )
+        for number, one in enumerate(same, 1):
+            one.cases = replace(one.cases, title=f"{title} (cases {number})")
+            one.notes.append(note)
+
+
+def _difference(same: Sequence[Comparison]) -> str:
+    """In what the cases of these comparisons differ."""
+    if same[0].cases.set_name:
+        sums = ", ".join(one.cases.checksum[:_SHOWN_OF_SUM] or "unknown" for one in same)
+        return f"the set's episodes are not the same (checksums {sums})"
+    settings = [_decisive_settings(one.methods[0].runs[0].config) for one in same]
+    names = list(dict.fromkeys(name for each in settings for name in differing_settings(each, settings)))
+    more = f" and {len(names) - _SETTINGS_SHOWN} others" if len(names) > _SETTINGS_SHOWN else ""
+    return f"their episodes have other settings ({', '.join(names[:_SETTINGS_SHOWN])}{more})"

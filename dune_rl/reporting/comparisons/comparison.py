@@ -1,0 +1,122 @@
+"""Methods on the same cases: their episodes, their estimates and how they differ in pairs."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, cluster_rows
+from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
+from dune_rl.learning.statistics import Estimate
+from dune_rl.reporting.comparisons.estimates import (
+    column_names,
+    estimate_rows,
+    measured_names,
+    numeric_rows,
+)
+from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.runs import EvaluationRun, Row
+
+
+@dataclass(frozen=True)
+class Cases:
+    """The episodes that methods are measured on; `key` is equal where they are the same."""
+
+    key: str
+    title: str
+    world: str
+    set_name: str
+    checksum: str
+    engine: str
+    seed: int | None
+    group: str
+
+
+@dataclass
+class Method:
+    """A policy on some cases: its episodes, and the evaluations that they come from."""
+
+    name: str
+    policy: str
+    rows: list[Row]
+    runs: list[EvaluationRun] = field(default_factory=list)
+
+    @property
+    def episodes(self) -> int:
+        """Number of its episodes."""
+        return len({row["episode"] for row in self.rows})
+
+    @property
+    def agents(self) -> int:
+        """Number of its agents in an episode."""
+        return len({row["agent"] for row in self.rows})
+
+
+@dataclass
+class Comparison:
+    """Methods on the same cases, and what a reader must know of them."""
+
+    cases: Cases
+    methods: list[Method]
+    notes: list[str] = field(default_factory=list)
+
+    def estimates(self) -> dict[str, dict[str, Estimate]]:
+        """Each measure with its interval, by method."""
+        return {method.name: estimate_rows(method.rows) for method in self.methods}
+
+    def paired(self) -> list[PairedComparison]:
+        """All pairs of methods on the episodes that all of them have; empty where there are none."""
+        common = self.common_episodes()
+        if len(self.methods) < 2 or not common:
+            return []
+        results = {method.name: _rows_of(method, common) for method in self.methods}
+        shared = set.intersection(*(measured_names(rows) for rows in results.values()))
+        kept = {*shared, *CASE_COLUMNS, "episode", "agent"}
+        return compare_policies(
+            {
+                name: [{key: value for key, value in row.items() if key in kept} for row in rows]
+                for name, rows in results.items()
+            }
+        )
+
+    @property
+    def sites(self) -> int:
+        """Number of sites, if episodes share them, so that intervals are over whole sites; else 0."""
+        clusters, kind = cluster_rows(self.methods[0].rows)
+        return int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
+
+    def common_episodes(self) -> set[tuple[float, str]]:
+        """The (episode, agent) that all methods have."""
+        return set.intersection(
+            *({(row["episode"], row["agent"]) for row in method.rows} for method in self.methods)
+        )
+
+    @property
+    def files(self) -> list[Path]:
+        """The tables that its figures come from."""
+        return list(dict.fromkeys(run.path / "episodes.csv" for one in self.methods for run in one.runs))
+
+    @property
+    def thresholds(self) -> list[float]:
+        """The tilts above which ground counts as uneven for VORT [°]: one, unless the evaluations differ."""
+        found = {_uneven_tilt(run.config) for method in self.methods for run in method.runs}
+        return sorted(value for value in found if value is not None)
+
+
+def _rows_of(method: Method, ids: set[tuple[float, str]]) -> list[MetricsRow]:
+    rows = [row for row in method.rows if (row["episode"], row["agent"]) in ids]
+    return numeric_rows(rows, sorted(measured_names(rows), key=column_names(rows).index))
+
+
+def _uneven_tilt(config: Mapping[str, Any]) -> float | None:
+    metrics = config.get("metrics")
+    if not isinstance(metrics, dict):
+        return None
+    terms = metrics.get("terms")
+    vort = terms.get("vort") if isinstance(terms, dict) else None
+    if isinstance(vort, dict) and is_number(vort.get("uneven_tilt_deg")):
+        return float(vort["uneven_tilt_deg"])
+    # Settings of earlier versions.
+    old = metrics.get("uneven_tilt_rad")
+    return round(math.degrees(float(old)), 6) if isinstance(old, int | float) else None
