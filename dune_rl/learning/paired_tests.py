@@ -4,6 +4,7 @@
 exchange whole clusters, and hold for new ones.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from dune_rl.learning.bootstrap import ROUNDING
 from dune_rl.learning.statistics import sum_by_cluster
 from dune_rl.seeding import stream
 
@@ -18,9 +20,9 @@ Array = NDArray[np.float64]
 
 _PERMUTATIONS = 9_999
 _EXACT_UP_TO = 13
+# Up to so many signs are drawn once and kept; more are drawn in parts of at most so many.
+_MOST_KEPT, _MOST_AT_A_TIME = 2**23, 2**20
 _LEAST_UNITS = 2
-# Relative differences below this are rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,10 @@ def sign_flip_test(differences: ArrayLike, clusters: ArrayLike | None = None) ->
         return float("nan")
     sums = sum_by_cluster(values, clusters)
     # A sum whose sign makes no difference has no part in it; rounding must not make one.
-    sums = sums[np.abs(sums) > _ROUNDING * np.abs(values).sum()]
+    sums = sums[np.abs(sums) > ROUNDING * np.abs(values).sum()]
     if len(sums) < _LEAST_UNITS:
         return 1.0
-    return _p_value(sums.sum(), _signs(len(sums)) @ sums)
+    return _p_value(sums.sum(), *_exchanged_sums(sums))
 
 
 def ratio_exchange_test(
@@ -77,10 +79,9 @@ def ratio_exchange_test(
         return float("nan")
     if differ.sum() < _LEAST_UNITS:
         return 1.0
-    signs = _signs(int(differ.sum()))
     above, below = (a + c).sum(), (b + d).sum()
     # What of the sums goes to the first, less what goes to the second.
-    more, longer = signs @ (a - c)[differ], signs @ (b - d)[differ]
+    more, longer = _exchanged_sums((a - c)[differ], (b - d)[differ])
     with np.errstate(divide="ignore", invalid="ignore"):
         found = (above + more) / (below + longer) - (above - more) / (below - longer)
     # Without a denominator on one side, the ratios are as far apart as can be.
@@ -92,11 +93,34 @@ def _signs(count: int) -> Array:
     """Signs (R, count): all that there are, or random ones."""
     if count <= _EXACT_UP_TO:
         return np.asarray(1.0 - 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1), np.float64)
-    drawn = stream(0, "permutation", count).integers(0, 2, (_PERMUTATIONS, count), np.int8)
+    return np.concatenate(list(_random_signs(count, _PERMUTATIONS)))
+
+
+def _random_signs(count: int, rows: int) -> Iterator[Array]:
+    """Random signs, at most `rows` exchanges at a time, (r, count); they are the same whatever `rows` is."""
+    draws = stream(0, "permutation", count)
     # The observed signs are one of the permutations.
-    return np.concatenate([np.ones((1, count)), 1.0 - 2.0 * drawn])
+    yield np.ones((1, count))
+    for first in range(0, _PERMUTATIONS, rows):
+        shape = (min(rows, _PERMUTATIONS - first), count)
+        yield 1.0 - 2.0 * draws.integers(0, 2, shape, np.int8)
+
+
+def _sign_parts(count: int) -> Iterator[Array]:
+    """Signs for some exchanges at a time; these take no more memory for more entries."""
+    if count <= _EXACT_UP_TO or count * _PERMUTATIONS <= _MOST_KEPT:
+        yield _signs(count)
+        return
+    # NumPy draws four numbers of 8 bits at a time, and forgets the rest of them at the end of a call.
+    yield from _random_signs(count, max(4, _MOST_AT_A_TIME // count // 4 * 4))
+
+
+def _exchanged_sums(*parts: Array) -> list[Array]:
+    """The sum of each of `parts` (n,) in each exchange, (R,)."""
+    sums = [[signs @ part for part in parts] for signs in _sign_parts(len(parts[0]))]
+    return [np.concatenate(each) for each in zip(*sums, strict=True)]
 
 
 def _p_value(observed: float, permuted: Array) -> float:
     """The share of `permuted` values at least as far from 0 as the one `observed`, which is among them."""
-    return float(np.mean(np.abs(permuted) >= abs(observed) * (1 - _ROUNDING)))
+    return float(np.mean(np.abs(permuted) >= abs(observed) * (1 - ROUNDING)))

@@ -7,19 +7,14 @@ new sites, not for further episodes on the same.
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from dune_rl.seeding import stream
+from dune_rl.learning.bootstrap import ROUNDING, studentised_interval
 
 CONFIDENCE = 0.95
-_RESAMPLES = 5_000
-# Relative errors below this are rounding: all entries are equal.
-_ROUNDING = 1e-9
 # With fewer entries above 0 than this, and more that are 0, events are rare: a bootstrap covers too seldom.
 _FEW_EVENTS = 10
 
@@ -133,7 +128,7 @@ def _estimate(
     if events < min(_FEW_EVENTS, n - events):
         low, high = _rare_event_interval(above / below.sum(), 1.0 / below.sum(), are_counts, signed=signed)
     else:
-        low, high = _studentised_interval(above, below, _bootstrap_weights(n))
+        low, high = studentised_interval(above, below, CONFIDENCE)
         # A ratio of what is nowhere below 0 is not below 0 either.
         low = low if signed else max(low, 0.0)
     return Estimate(value, low, high, count, n)
@@ -143,7 +138,7 @@ def _design_effect(residuals: Array, variance: float, clusters: ArrayLike) -> fl
     """Variance of a mean over `clusters`, by that of independent entries of this `variance`; at least 1."""
     sums = np.bincount(np.unique(np.asarray(clusters), return_inverse=True)[1], residuals)
     independent = variance * len(residuals)
-    if independent <= _ROUNDING:
+    if independent <= ROUNDING:
         return 1.0
     return max(1.0, float((sums**2).sum()) * len(sums) / (len(sums) - 1) / independent)
 
@@ -186,44 +181,6 @@ def _gamma_interval(weights: Array, heaviest: float) -> tuple[float, float, floa
     more, spread = value + heaviest, variance + heaviest**2
     high = spread / more / 2 * stats.chi2.ppf(1 - tail, 2 * more**2 / spread)
     return value, float(low), float(high)
-
-
-@lru_cache(maxsize=4)
-def _bootstrap_weights(count: int) -> Array:
-    """How often each of `count` entries is drawn in each resample, (R, count)."""
-    drawn = stream(0, "bootstrap", count).multinomial(count, np.full(count, 1 / count), size=_RESAMPLES)
-    return drawn.astype(float)
-
-
-def _studentised_interval(above: Array, below: Array, weights: Array) -> tuple[float, float]:
-    """The interval of sum(above) / sum(below), entries (n,), from the weights (R, n) of its resamples."""
-    sums = {"a": weights @ above, "b": weights @ below}
-    squares = {"aa": weights @ above**2, "ab": weights @ (above * below), "bb": weights @ below**2}
-    ratios, errors = _ratio_and_error(**sums, **squares)
-    ratio, error = _ratio_and_error(
-        above.sum(), below.sum(), (above**2).sum(), (above * below).sum(), (below**2).sum()
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        studentised = (ratios - ratio) / errors
-    if error <= _ROUNDING * abs(ratio):
-        return float(ratio), float(ratio)
-    tail = (1 - CONFIDENCE) / 2
-    usable = np.isfinite(studentised)
-    if usable.mean() < 1 - tail:
-        # Too few entries differ for that: a resample often has none of them, and no spread.
-        low, high = np.quantile(ratios[np.isfinite(ratios)], [tail, 1 - tail])
-    else:
-        low, high = ratio - error * np.quantile(studentised[usable], [1 - tail, tail])
-    return float(low), float(high)
-
-
-def _ratio_and_error(a: Any, b: Any, aa: Any, ab: Any, bb: Any) -> tuple[Any, Any]:
-    """The ratio a / b of sums and its standard error to first order, up to a factor; arguments are sums."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = a / b
-        # The sum of the squares of what is left of each numerator.
-        residual = np.maximum(aa - 2 * ratio * ab + ratio**2 * bb, 0.0)
-        return ratio, np.sqrt(residual) / np.abs(b)
 
 
 def estimate_share_difference(a: ArrayLike, b: ArrayLike, clusters: ArrayLike | None = None) -> Estimate:
