@@ -61,7 +61,18 @@ def _run_hydra(words: Sequence[str]) -> None:
     try:
         hydra.main(version_base="1.3", config_path=str(paths.conf_folder()), config_name="train")(_job)()
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
+        raise ConfigError(_explain(str(error).splitlines()[0], words)) from error
+
+
+def _explain(message: str, words: Sequence[str]) -> str:
+    """Hydra's message with the settings of Hydra's own that it may be about, which it does not name."""
+    own = [word for word in words if word.lstrip("+~").startswith("hydra.")]
+    if not own:
+        return message
+    return (
+        f"{' '.join(own)}: {message}; quote a value that holds a comma, as in 'hydra.sweep.dir=\"a,b\"', and "
+        r"write \${ for ${ that is no reference"
+    )
 
 
 def _job(config: DictConfig) -> float | None:

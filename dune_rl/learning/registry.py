@@ -1,6 +1,7 @@
 """Registry of algorithms: built-in ones, those of installed packages, and those registered at run time."""
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dune_rl.errors import CheckpointError, ConfigError
@@ -8,6 +9,9 @@ from dune_rl.learning.settings import LearningConf
 from dune_rl.registry import Registry
 
 if TYPE_CHECKING:
+    import torch
+    from torchrl.envs import EnvBase
+
     from dune_rl.learning.algorithm import Algorithm, LearnerContext
 
 # Our algorithms' settings, which can be imported without PyTorch.
@@ -48,6 +52,30 @@ def build_learner(conf: LearningConf, context: "LearnerContext") -> "Algorithm":
             f"the algorithm {conf.name!r} must be a class derived from Algorithm, and is {learner!r:.80}"
         )
     return learner
+
+
+def build_learners(
+    conf: LearningConf, env: "EnvBase", total_frames: int, folder: Path, device: "torch.device"
+) -> "dict[str, Algorithm]":
+    """The learner of each group of agents of `env`, whose training writes to `folder`."""
+    from dune_rl.learning.algorithm import LearnerContext
+    from dune_rl.learning.policy_spec import PolicySpec
+
+    return {
+        group: build_learner(
+            conf,
+            LearnerContext(
+                group=group,
+                num_agents=len(agents),
+                spec=PolicySpec.of(env, group),
+                total_frames=total_frames,
+                folder=folder,
+                device=device,
+                algorithm=conf.name,
+            ),
+        )
+        for group, agents in env.group_map.items()
+    }
 
 
 def algorithm_class(name: str, source: str) -> "type[Algorithm]":

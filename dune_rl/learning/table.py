@@ -92,6 +92,8 @@ def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> T
     """
     chosen = [one for one in comparisons if one.measure.name == measure]
     caption = "brackets: 95 % intervals; p by Holm's method over all pairs"
+    if any(math.isnan(one.adjusted_p) for one in chosen):
+        caption += "\n-: not defined, as no episode has a value of both"
     table = Table(title=f"{measure}, in pairs", caption=caption, caption_justify="left", title_justify="left")
     table.add_column("first - second")
     for name in ("difference", "p", "effect"):
@@ -107,7 +109,7 @@ def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> T
         table.add_row(
             Text(f"{one.first} - {one.second}"),
             "-" if math.isnan(one.difference.value) else f"{value}{unit}{interval}",
-            f"{one.adjusted_p:.2g}",
+            "-" if math.isnan(one.adjusted_p) else f"{one.adjusted_p:.2g}",
             "-" if math.isnan(one.effect) else f"{one.effect:.2f}",
         )
     return table

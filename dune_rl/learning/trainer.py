@@ -14,25 +14,24 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import DuneWarning, TrainingError
-from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures
 from dune_rl.learning.group_batch import select_group
-from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.interrupts import StopRequest, stop_on_signals
 from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.random_state import random_state, set_random_state
-from dune_rl.learning.registry import build_learner
+from dune_rl.learning.registry import build_learners
 from dune_rl.learning.run.events import HParam
 from dune_rl.learning.run.folder import RunFolder, restore_learners
 from dune_rl.learning.run.log import RunLog
 from dune_rl.learning.run.progress import Reporter, SilentReporter
 from dune_rl.learning.run.status import RunStatus
 from dune_rl.learning.settings import LearningConf
+from dune_rl.learning.warmup import WarmUp
 
 
 @dataclass(frozen=True)
@@ -104,11 +103,11 @@ class Trainer:
         env = make_env(min(evaluation.scenes, evaluation.episodes), evaluation_seed)
         torch.manual_seed(seed)
         np.random.seed(seed % 2**32)
-        self._learners = self._make_learners(env, torch.device(device))
+        self._learners = build_learners(learning, env, total_frames, run_dir, torch.device(device))
         self._evaluation = PeriodicEvaluation(evaluation, env, self._learners, evaluation_seed)
         self.frames = 0
         self._next_save = learning.checkpoint.every_frames
-        self._warming_up: frozenset[str] = frozenset()
+        self._warmup = WarmUp(self._learners)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
         if self._saved is not None and source is not None:
             restore_learners(self._learners, self._saved["groups"], source)
@@ -123,23 +122,6 @@ class Trainer:
         if self._saved is not None:
             self._log.restore(self._saved["log"])
         self._log.begin_session(hyperparameters or {})
-
-    def _make_learners(self, env: EnvBase, device: torch.device) -> dict[str, Algorithm]:
-        return {
-            group: build_learner(
-                self._conf,
-                LearnerContext(
-                    group=group,
-                    num_agents=len(agents),
-                    spec=PolicySpec.of(env, group),
-                    total_frames=self._total_frames,
-                    folder=self._folder.path,
-                    device=device,
-                    algorithm=self._conf.name,
-                ),
-            )
-            for group, agents in env.group_map.items()
-        }
 
     @property
     def config(self) -> dict[str, Any]:
@@ -170,7 +152,7 @@ class Trainer:
             try:
                 if self.frames < end:
                     self._loop(collector, end, stop)
-                if self._warming_up and self.frames < end and not stop():
+                if self._warmup.scripted and self.frames < end and not stop():
                     collector.close()
                     collector = self._make_collector()
                     self._loop(collector, end, stop)
@@ -210,7 +192,7 @@ class Trainer:
     def _loop(self, collector: TransitionCollector, end: int, stop: StopRequest) -> None:
         for batch in collector:
             self._learn(batch)
-            collector.send(self._own_policies())
+            collector.send(self._warmup.learners_policies())
             self._report()
             if self._evaluation.is_due(self.frames) and not stop():
                 self._evaluate(stop)
@@ -218,76 +200,55 @@ class Trainer:
                 while self._next_save <= self.frames:
                     self._next_save += self._conf.checkpoint.every_frames
                 self._save(collector, with_experience=self._conf.checkpoint.replay)
-            if self.frames >= end or stop() or (self._warming_up and not self._warmup_policies()):
+            if self.frames >= end or stop() or self._warmup.is_over(self.frames):
                 return
 
     def _learn(self, batch: TensorDictBase) -> None:
-        warmed_up = self._is_warmup()
+        warmed_up = self._warmup.goes_on(self.frames)
         self.frames += batch.numel()
         for group, learner in self._learners.items():
             learner.absorb(select_group(batch, group), self.frames)
         self._log.log_batch(batch, self.frames, self._updates, "warmup" if warmed_up else "train")
         for group, learner in self._learners.items():
             self._log.scalars(group, learner.update(), self.frames)
-        if warmed_up and not self._is_warmup():
+        if warmed_up and not self._warmup.goes_on(self.frames):
             # What the learners' policies do is not to be mixed with what others did, nor with their speed.
             self._log.clear_recent()
             self._status.restart_speed()
-
-    def _is_warmup(self) -> bool:
-        """Whether a scripted policy or random actions drive at present, at least in one group."""
-        return any(self.frames < learner.warmup_frames for learner in self._learners.values())
-
-    def _own_policies(self) -> dict[str, GroupPolicy]:
-        """The learners' policies of the groups without an active warm-up policy."""
-        return {
-            group: learner.policy
-            for group, learner in self._learners.items()
-            if group not in self._warming_up
-        }
-
-    def _warmup_policies(self) -> dict[str, TensorDictModuleBase]:
-        """The warm-up policies that act at present, by group."""
-        policies = {
-            group: learner.warmup_policy()
-            for group, learner in self._learners.items()
-            if self.frames < learner.warmup_frames
-        }
-        return {group: policy for group, policy in policies.items() if policy is not None}
 
     def _make_collector(self) -> TransitionCollector:
         """A collector for the present phase: warm-up policies in this process, then the learners'."""
         policies: dict[str, TensorDictModuleBase] = {
             group: learner.make_policy() for group, learner in self._learners.items()
         }
-        warmup = self._warmup_policies()
-        self._warming_up = frozenset(warmup)
+        scripted = self._warmup.begin_phase(self.frames)
         conf = self._conf.collector
-        if self._warming_up:
+        if scripted:
             conf = conf.model_copy(update={"mode": "serial"})
-        random_frames = max(learner.warmup_frames for learner in self._learners.values()) - self.frames
         # New networks and first resets must not advance the random state: a resumed run repeats them.
         before = random_state() if self._saved is None else self._saved["random"]
         collector = TransitionCollector(
             conf,
             self._make_env,
-            {**policies, **warmup},
+            {**policies, **scripted},
             self._seed,
             frames=self.frames,
-            random_frames=0 if self._warming_up else random_frames,
+            random_frames=self._warmup.random_frames(self.frames),
             state=self._scenes_to_resume(),
             threads=self._threads,
-            stage=1 if self._warming_up else 0,
+            stage=1 if scripted else 0,
         )
-        collector.send(self._own_policies())
+        collector.send(self._warmup.learners_policies())
         set_random_state(before)
         self._saved = None
         return collector
 
     def _report(self) -> None:
-        warmup = ("scripted" if self._warming_up else "random") if self._is_warmup() else None
         speeds = self._status.report_batch(
-            self.frames, self.updates, warmup=warmup, success_rate=self._log.success_rate
+            self.frames,
+            self.updates,
+            warmup=self._warmup.describe(self.frames),
+            success_rate=self._log.success_rate,
         )
         self._log.scalars(None, speeds, self.frames)
 
@@ -319,7 +280,7 @@ class Trainer:
             "collector": {
                 "mode": conf.mode,
                 "scenes": conf.scenes,
-                "warming": bool(self._warming_up),
+                "warming": bool(self._warmup.scripted),
                 "state": collector.state(),
             },
             "log": self._log.state(),
@@ -330,5 +291,5 @@ class Trainer:
         if self._saved is None:
             return None
         then, now = self._saved["collector"], self._conf.collector
-        here = (now.mode, now.scenes, bool(self._warming_up))
+        here = (now.mode, now.scenes, bool(self._warmup.scripted))
         return then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None

@@ -138,7 +138,7 @@ def _pairs(findings: Findings) -> list[Block]:
         if shown:
             blocks.append(TableBlock(paired_table(name, comparison, shown), folded=folded))
         if others:
-            table = paired_table(f"{name}_further", comparison, others)
+            table = paired_table(f"{name}_further", comparison, others, further=True)
             blocks.append(TableBlock(table, folded=True))
     return blocks
 

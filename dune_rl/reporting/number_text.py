@@ -33,6 +33,11 @@ def format_difference(measure: Measure, value: float) -> str:
     return text if zero else f"{MINUS if value < 0 else '+'}{text}"
 
 
+def format_effect(value: float) -> str:
+    """An effect size with two decimals; a dash where it is not defined."""
+    return NOTHING if math.isnan(value) else f"{value:.2f}".replace("-", MINUS)
+
+
 def format_p(value: float) -> str:
     """A p-value with two digits; a dash where it is not defined."""
     return NOTHING if math.isnan(value) else f"{value:.2g}"

@@ -12,6 +12,12 @@ from report_runs import episode_rows, write_evaluation, write_sweep, write_train
 
 from dune_rl import report
 from dune_rl.help_page import show_help
+from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.figures.style import draw_legend, method_styles, new_figure
+from dune_rl.reporting.number_text import NOTHING
+from dune_rl.reporting.reading import read_inputs
+from dune_rl.reporting.tables.methods import paired_table
+from dune_rl.reporting.tables.table import escape_latex, to_markdown
 
 ODD = 'a<b>&"c" | $x_1$ {d} 100% [e](http://f)'
 Call = Callable[..., int]
@@ -111,6 +117,45 @@ def test_names_of_users_are_text_everywhere(call: Call, tmp_path: Path) -> None:
     assert row.startswith(r'| a\<b>&"c" \| $x_1$ {d} 100% [e]\(http://f) | ')
     with file.with_suffix(".csv").open(newline="", encoding="utf-8") as opened:
         assert ODD in {line["method"] for line in csv.DictReader(opened)}
+
+
+def test_names_that_look_like_formulae_are_drawn_as_they_read(call: Call, tmp_path: Path) -> None:
+    rows = [*episode_rows(r"$\bad$", 4, share=1.0), *episode_rows("_y", 4)]
+    write_evaluation(tmp_path / "a", rows)
+    assert call("a", "out=r", r"title=$\frac$") == 0
+    assert len(list((tmp_path / "r" / "figures").glob("*.pdf"))) > 4
+
+
+def test_a_name_with_an_underscore_is_in_legends() -> None:
+    figure = new_figure(3.0, 1.0)
+    draw_legend(figure, method_styles(["_y", "x"]))
+    assert [text.get_text().strip() for text in figure.legends[0].get_texts()] == ["_y", "x"]
+
+
+@pytest.mark.parametrize(
+    ("text", "latex"),
+    [
+        (r"<b>x&_%$\\", r"\textless{}b\textgreater{}x\&\_\%\$\textbackslash{}\textbackslash{}"),
+        ("a--b 'c'' `` ?`", "a-{}-b 'c'{}' `{}` ?{}`"),
+        ("5° − 3 – {x}", r"5$^\circ$ $-$ 3 -- \{x\}"),
+    ],
+)
+def test_latex_shows_text_letter_by_letter(text: str, latex: str) -> None:
+    assert escape_latex(text) == latex
+
+
+def test_a_p_value_that_is_not_defined_is_a_dash_with_its_reason(tmp_path: Path) -> None:
+    rows = [*episode_rows("x", 4, share=1.0), *episode_rows("y", 4, share=0.0)]
+    # Each arrives where the other does not.
+    for row in rows:
+        row["time_to_goal"] = 3.0 if (row["policy"] == "x") == (row["episode"] < 2) else "nan"
+    write_evaluation(tmp_path / "a", rows)
+    (comparison,) = collect_comparisons(read_inputs([tmp_path / "a"]).evaluations)
+    table = paired_table("t", comparison, comparison.paired())
+    row = next(cells for cells in table.rows if cells[0].text.startswith("MTT"))
+    assert [cell.plain for cell in row[2:6]] == [NOTHING, "0", f"{NOTHING} (no pairs)", NOTHING]
+    assert "no episode has a value of both" in table.caption
+    assert "nan" not in to_markdown(table)
 
 
 def test_equal_input_gives_equal_bytes(call: Call, tmp_path: Path) -> None:

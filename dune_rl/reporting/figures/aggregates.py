@@ -27,9 +27,11 @@ from dune_rl.reporting.figures.style import (
     RC,
     SMALL,
     draw_legend,
+    legend_height_in,
     method_styles,
     new_figure,
     note_figure,
+    scale_as_share,
     short_names,
     tidy,
 )
@@ -123,7 +125,7 @@ def draw_profiles(found: MethodScores) -> Figure:
     low, high = min(0.0, float(every.min())), max(1.0, float(every.max()))
     styles = method_styles(list(found.scores))
     with rc_context(RC):
-        figure = new_figure(COLUMN_IN, 2.1 + 0.17 * -(-len(styles) // 2))
+        figure = new_figure(COLUMN_IN, 2.1 + legend_height_in(max(2, len(styles)), COLUMN_IN))
         axes = figure.subplots()
         for name, scores in found.scores.items():
             profile = performance_profile(scores, np.linspace(low, high, _THRESHOLDS))
@@ -138,8 +140,7 @@ def draw_profiles(found: MethodScores) -> Figure:
             )  # fmt: skip
         tidy(axes, "both")
         axes.set_xlim(low, high)
-        axes.set_ylim(-0.02, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+        scale_as_share(axes)
         axes.set_xlabel(f"threshold of the {found.label}")
         axes.set_ylabel("units above the threshold")
         draw_legend(figure, styles)

@@ -150,7 +150,7 @@ def draw_failures(gallery: FailureGallery) -> Figure:
     filmed = [one for one in gallery.shown if one.replay is not None]
     mapped = [one for one in gallery.shown if one.track is not None]
     if not gallery.shown:
-        return note_figure("no failure to show")
+        return note_figure("no failure to show" + (": the list below says why" if gallery.left_out else ""))
     with rc_context(RC):
         side = (PAGE_IN - _LABEL_IN) / len(BEFORE_S)
         heights = [

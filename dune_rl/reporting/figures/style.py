@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import PercentFormatter
 
 # Widths of a column and of a page of two columns [in]: printed at these, fonts have their size.
 COLUMN_IN, PAGE_IN = 3.45, 7.16
@@ -23,6 +24,7 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
 _LONGEST_NAME = 26
 # Entries of a legend that fit side by side on a page, at most.
 _ACROSS = 4
+_LEGEND_ROW_IN = 0.17
 
 # Fonts are embedded as outlines that journals accept; give it to `rc_context` when a figure is saved, too.
 RC: dict[Any, Any] = {
@@ -44,6 +46,8 @@ RC: dict[Any, Any] = {
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
     "axes.unicode_minus": True,
+    # Names of methods and sets are text, with any dollar sign.
+    "text.parse_math": False,
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
 }
@@ -108,11 +112,11 @@ def draw_legend(figure: Figure, styles: dict[str, MethodStyle], *, marks: bool =
     handles = [
         Line2D(
             [], [], color=style.colour, linestyle=style.line,  # type: ignore[arg-type]
-            marker=style.mark if marks else "", markersize=3.5, linewidth=1.3, label=name,
+            marker=style.mark if marks else "", markersize=3.5, linewidth=1.3, label=_entry(name),
         )
         for name, style in zip(short_names(styles), styles.values(), strict=True)
     ]  # fmt: skip
-    across = max(1, min(len(handles), _ACROSS if figure.get_figwidth() > COLUMN_IN + 1 else 2))
+    across = max(1, min(len(handles), _legend_columns(figure.get_figwidth())))
     # Legends fill columns first; names shall be read along rows.
     rows = ceil(len(handles) / across)
     ordered = [
@@ -122,6 +126,26 @@ def draw_legend(figure: Figure, styles: dict[str, MethodStyle], *, marks: bool =
         if row * across + column < len(handles)
     ]
     figure.legend(handles=ordered, loc="outside upper center", ncols=across, frameon=False, handlelength=2.8)
+
+
+def _entry(name: str) -> str:
+    # Matplotlib leaves out of legends what begins with an underscore.
+    return f" {name}" if name.startswith("_") else name
+
+
+def legend_height_in(count: int, width_in: float) -> float:
+    """The height that `draw_legend` needs for so many methods in a figure of this width [in]; 0 for one."""
+    return _LEGEND_ROW_IN * ceil(count / _legend_columns(width_in)) if count > 1 else 0.0
+
+
+def _legend_columns(width_in: float) -> int:
+    return _ACROSS if width_in > COLUMN_IN + 1 else 2
+
+
+def scale_as_share(axes: Axes) -> None:
+    """A vertical axis from 0 to 100 %."""
+    axes.set_ylim(-0.02, 1.02)
+    axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
 
 
 def panel_grid(count: int, most_across: int) -> tuple[int, int]:

@@ -21,6 +21,7 @@ from dune_rl.reporting.figures.style import (
     SMALL,
     MethodStyle,
     draw_legend,
+    legend_height_in,
     method_styles,
     new_figure,
     note_figure,
@@ -126,8 +127,8 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
     edges = round_edges(values, _LEAST_COUNT * len(styles))
     with rc_context(RC):
         down, across = panel_grid(len(shown), _MOST_ACROSS)
-        legend = 0.17 * -(-len(styles) // (4 if across > 1 else 2)) if len(styles) > 1 else 0.0
-        figure = new_figure(COLUMN_IN if across == 1 else PAGE_IN, 0.5 + legend + 1.75 * down)
+        width = COLUMN_IN if across == 1 else PAGE_IN
+        figure = new_figure(width, 0.5 + legend_height_in(len(styles), width) + 1.75 * down)
         grid = panels(figure, len(shown), _MOST_ACROSS, sharex=True, sharey=True)
         for axes, (cases, methods) in zip(grid, shown.items(), strict=True):
             _panel(axes, methods, name, edges, styles)

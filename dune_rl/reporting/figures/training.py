@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, PercentFormatter
+from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -19,9 +19,11 @@ from dune_rl.reporting.figures.style import (
     SMALL,
     MethodStyle,
     draw_legend,
+    legend_height_in,
     method_styles,
     new_figure,
     note_figure,
+    scale_as_share,
     tidy,
 )
 from dune_rl.reporting.runs import Row, TrainingRun
@@ -119,8 +121,7 @@ def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
         return note_figure("no episode has ended in these trainings")
     styles = method_styles(list(groups))
     with rc_context(RC):
-        several = len(styles) > 1
-        height = 0.45 + 1.55 * len(shown) + (0.17 * -(-len(styles) // 4) if several else 0.0)
+        height = 0.45 + 1.55 * len(shown) + legend_height_in(len(styles), PAGE_IN)
         figure = new_figure(PAGE_IN, height)
         grid = figure.subplots(len(shown), len(_KINDS), sharex=True, sharey="row", squeeze=False)
         for row, (agent, metric, label) in zip(grid, shown, strict=True):
@@ -129,8 +130,7 @@ def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
                     _draw(axes, training_band(runs, kind, metric, agent), styles[name], kind, name)
                 tidy(axes)
                 if metric == "SR":
-                    axes.set_ylim(-0.02, 1.02)
-                    axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+                    scale_as_share(axes)
             row[0].set_ylabel(f"{agent}: {label}" if agent else label)
         for axes, (kind, title) in zip(grid[0], _KINDS, strict=True):
             axes.set_title(f"{title}: {_counts(groups, kind)}", loc="left")
@@ -138,7 +138,7 @@ def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
             axes.set_xlabel("frames (control steps of all scenes)")
             axes.set_xlim(left=0)
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-        if several:
+        if len(styles) > 1:
             draw_legend(figure, styles)
         figure.supxlabel(_caption(groups), fontsize=SMALL, x=0.995, ha="right")
     return figure
@@ -191,7 +191,7 @@ def draw_learning_curve(groups: Mapping[str, Sequence[TrainingRun]], metric: str
     styles = method_styles(list(groups))
     label = dict(_ROWS).get(metric, metric)
     with rc_context(RC):
-        figure = new_figure(COLUMN_IN, 2.2 + (0.17 * -(-len(styles) // 2) if len(styles) > 1 else 0.0))
+        figure = new_figure(COLUMN_IN, 2.2 + legend_height_in(len(styles), COLUMN_IN))
         axes = figure.subplots()
         for name, runs in groups.items():
             _draw(axes, training_band(runs, "eval", metric), styles[name], "eval", name)
@@ -201,8 +201,7 @@ def draw_learning_curve(groups: Mapping[str, Sequence[TrainingRun]], metric: str
         axes.set_xlim(left=0)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if metric == "SR":
-            axes.set_ylim(-0.02, 1.02)
-            axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+            scale_as_share(axes)
         axes.set_title(_counts(groups, "eval"), loc="left")
         if len(styles) > 1:
             draw_legend(figure, styles)

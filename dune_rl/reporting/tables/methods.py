@@ -15,6 +15,7 @@ from dune_rl.reporting.number_text import (
     MINUS,
     NOTHING,
     format_difference,
+    format_effect,
     format_p,
     format_range,
     format_value,
@@ -97,8 +98,10 @@ def all_measures_table(name: str, comparison: Comparison, estimates: Estimates) 
     )
 
 
-def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedComparison]) -> Table:
-    """Differences of each pair of methods on the same episodes, by measure."""
+def paired_table(
+    name: str, comparison: Comparison, pairs: Sequence[PairedComparison], *, further: bool = False
+) -> Table:
+    """Differences of each pair of methods on the same episodes, by measure, of the paper or `further`."""
     rows = []
     for one in pairs:
         measure = one.measure
@@ -118,7 +121,7 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
                 Cell(str(one.difference.count)),
                 Cell(format_p(one.p_value), _why_no_p(one)),
                 Cell(format_p(one.adjusted_p)),
-                Cell(NOTHING if math.isnan(one.effect) else f"{one.effect:.2f}"),
+                Cell(format_effect(one.effect)),
             ]
         )
     data = [
@@ -153,7 +156,7 @@ def paired_table(name: str, comparison: Comparison, pairs: Sequence[PairedCompar
         caption += f" Intervals and tests, all of permutations, are over {comparison.sites} whole sites."
     return Table(
         f"{name}_pairs",
-        f"{comparison.cases.title}: in pairs",
+        f"{comparison.cases.title}: {'further measures ' if further else ''}in pairs",
         caption,
         ["measure", "methods", "difference", "pairs", "p", "p (Holm)", "effect"],
         rows,

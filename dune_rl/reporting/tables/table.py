@@ -36,6 +36,8 @@ _LATEX = {
     "\n": " ",
     "\r": " ",
 }
+# Letters that LaTeX joins to others: -- to a dash, '' and `` to quotation marks, and ?` to a Spanish one.
+_LIGATURES = re.compile(r"([-'`,?!])(?=[-'`,])")
 _MARKDOWN = re.compile(r"[\\`*<|]|(?<=\])\(")
 
 
@@ -122,7 +124,8 @@ def to_csv(table: Table) -> str:
 
 def escape_latex(text: str) -> str:
     """Text as LaTeX shows it letter by letter."""
-    return "".join(_LATEX.get(letter, letter) for letter in text)
+    escaped = "".join(_LATEX.get(letter, letter) for letter in _LIGATURES.sub("\\1\0", text))
+    return escaped.replace("\0", "{}")
 
 
 def _protected(cell: str) -> str:

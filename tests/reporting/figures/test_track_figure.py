@@ -172,5 +172,5 @@ def test_policies_of_one_name_with_other_rows_are_told_apart(make_rows: Callable
     other = make_evaluation(make_rows, ["planner"], success=0.0)
     again = EvaluationRun(Path("f"), "f", FLAT, {}, other.episodes, other.steps)
     names = [method.name for method in methods_of(one, again, one)]
-    assert names == ["planner", "planner (f)"]
+    assert names == ["planner (e)", "planner (f)"]
     assert all(isinstance(method, MethodRun) for method in methods_of(one))
