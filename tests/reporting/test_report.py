@@ -14,7 +14,7 @@ from dune_rl import report
 from dune_rl.help_page import show_help
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.figures.style import draw_legend, method_styles, new_figure
-from dune_rl.reporting.number_text import NOTHING
+from dune_rl.reporting.number_text import MINUS, NOTHING
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.tables.methods import paired_table
 from dune_rl.reporting.tables.table import escape_latex, to_markdown
@@ -137,7 +137,7 @@ def test_a_name_with_an_underscore_is_in_legends() -> None:
     [
         (r"<b>x&_%$\\", r"\textless{}b\textgreater{}x\&\_\%\$\textbackslash{}\textbackslash{}"),
         ("a--b 'c'' `` ?`", "a-{}-b 'c'{}' `{}` ?{}`"),
-        ("5° − 3 – {x}", r"5$^\circ$ $-$ 3 -- \{x\}"),
+        (f"5° {MINUS} 3 {NOTHING} {{x}}", r"5$^\circ$ $-$ 3 -- \{x\}"),
     ],
 )
 def test_latex_shows_text_letter_by_letter(text: str, latex: str) -> None:
