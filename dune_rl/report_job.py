@@ -96,8 +96,8 @@ def _write(
             compute()
             progress.advance(_STATISTICS)
         figures: dict[str, list[FigureBlock]] = {}
-        for plan in plans:
-            progress.begin(f"drawing: {plan.title}")
+        for number, plan in enumerate(plans, 1):
+            progress.begin(f"drawing figure {number} of {len(plans)}")
             figures.setdefault(plan.section, []).append(plan.block())
             progress.advance(DRAWN)
         sections = lay_out(findings, figures)
