@@ -14,7 +14,6 @@ PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 SUFFIXES = {FIGURES: (".png", ".pdf"), TABLES: (".tex", ".md", ".csv")}
 # The page comes last: a folder without it has no whole report.
 _ENTRIES = (FIGURES, TABLES, PAGE)
-_NEW, _OLD = "new", "old"
 
 
 def check_folder(out: Path, *, overwrite: bool) -> None:
@@ -51,11 +50,11 @@ def write_aside(out: Path, *, overwrite: bool) -> Iterator[Path]:
     place = out.resolve()
     aside = place.with_name(f".{place.name}.part")
     made = [each for each in place.parents if not each.exists()]
+    new, old = aside / "new", aside / "old"
     lock = _lock(aside, out)
     try:
         # Another process may have ended since this one looked.
         check_folder(out, overwrite=overwrite)
-        new, old = aside / _NEW, aside / _OLD
         for left_over in (new, old):
             _remove(left_over)
         new.mkdir()
@@ -64,8 +63,7 @@ def write_aside(out: Path, *, overwrite: bool) -> Iterator[Path]:
         _put_in_place(new, place, old)
         made = []
     finally:
-        for name in (_NEW, _OLD):
-            _remove(aside / name)
+        _remove(new)
         lock.release()
         for folder in (aside, *made):
             with contextlib.suppress(OSError):
@@ -107,7 +105,9 @@ def _put_in_place(new: Path, place: Path, old: Path) -> None:
                 _remove(place / name)
             if (old / name).exists():
                 shutil.move(old / name, place / name)
+        old.rmdir()
         raise
+    _remove(old)
 
 
 def _remove(path: Path) -> None:

@@ -154,7 +154,14 @@ def _measures(findings: Findings) -> list[Block]:
 
 
 def _failures(findings: Findings) -> list[Block]:
-    return [TableBlock(endings_table(findings.comparisons))] if findings.comparisons else []
+    if not findings.comparisons:
+        return []
+    blocks: list[Block] = [TableBlock(endings_table(findings.comparisons))]
+    numbered = list(filter(None, dict.fromkeys(one.numbered for one in findings.comparisons)))
+    if numbered:
+        # Pictures have the numbers beside them, far from the main comparison.
+        blocks.append(TextBlock("", numbered, warning=True))
+    return blocks
 
 
 def _training(findings: Findings) -> list[Block]:

@@ -162,7 +162,7 @@ def test_policies_of_several_folders_meet_where_the_cases_are_the_same(tmp_path:
     # Episodes that end otherwise do not pair.
     assert [method.name for method in second.methods] == ["x"]
     assert "task.terminations.time_limit.max_steps" in second.notes[0]
-    assert "do not compare" in second.notes[0]
+    assert "do not compare" in second.notes[0] and first.numbered == second.numbered == second.notes[0]
 
 
 def test_different_numbers_of_episodes_pair_on_those_in_common(tmp_path: Path) -> None:

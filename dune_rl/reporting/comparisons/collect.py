@@ -122,6 +122,7 @@ def _tell_apart(comparisons: Sequence[Comparison]) -> None:
         )
         for number, one in enumerate(same, 1):
             one.cases = replace(one.cases, title=f"{title} (cases {number})")
+            one.numbered = note
             one.notes.append(note)
 
 

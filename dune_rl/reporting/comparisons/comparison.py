@@ -55,11 +55,15 @@ class Method:
 
 @dataclass
 class Comparison:
-    """Methods on the same cases, and what a reader must know of them."""
+    """Methods on the same cases, and what a reader must know of them.
+
+    `numbered`, which is among the notes, says why the title of the cases has a number: others have the same.
+    """
 
     cases: Cases
     methods: list[Method]
     notes: list[str] = field(default_factory=list)
+    numbered: str = ""
 
     def estimates(self) -> dict[str, dict[str, Estimate]]:
         """Each measure with its interval, by method."""
