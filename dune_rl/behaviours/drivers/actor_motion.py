@@ -27,8 +27,8 @@ class ActorMotion:
         self._begun = self._begun | mask
 
     def estimate(self, poses: Array, begins: Flags, step_s: float, radius_m: float) -> Array:
-        """The bodies at `poses` (N, K, 4: x, y, z, yaw), as (N, K, 6): x, y [m], velocities [m/s], yaw rate
-        [rad/s] and `radius_m`; at rest in rows that begin.
+        """The bodies at `poses` (N, K, 4 or more: x, y, z, yaw, ...), as (N, K, 6): x, y [m], velocities [m/s],
+        yaw rate [rad/s] and `radius_m`; at rest in rows that begin.
         """
         if self._poses.shape != poses.shape:
             self._poses, self._yaw_rates = poses.copy(), np.zeros(poses.shape[:2])
