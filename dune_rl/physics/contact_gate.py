@@ -75,7 +75,10 @@ class ContactGate:
             for row, tyre in zip(own, body.tyres, strict=False):
                 row[:] = _dimensions(tyre)
         self.needed_tyres: list[frozenset[int]] = [frozenset()] * len(robots)
-        self._found, self._found_kinematics = np.zeros((len(robots), FOUND_COLUMNS)), np.zeros(len(kinematics))
+        self._found, self._found_kinematics = (
+            np.zeros((len(robots), FOUND_COLUMNS)),
+            np.zeros(len(kinematics)),
+        )
 
     def find_contacts(
         self,

@@ -12,7 +12,8 @@ ROBOT_COLUMNS = 14
 # Columns of a tyre: position in the base link's frame (3), its length, and the distance of the tyre's edge
 # from it [m].
 TYRE_COLUMNS = 5
-# Columns of a kinematic body: x and y before and after the step, and the radius [m] of a disc that contains it.
+# Columns of a kinematic body: x and y before and after the step, and the radius of a disc about them that
+# contains it [m].
 KINEMATIC_COLUMNS = 5
 # Columns of what is found of a robot: x, y and radius [m] of its disc, whether it can touch anything, and the
 # bits of its tyres, of which there may be 53: numbers are exact up to there.
@@ -117,7 +118,7 @@ def _find_motion(robot: Any, duration_s: float) -> float:
 
 @compile_function
 def _find_room(body: Any) -> Any:
-    """Disc (x, y, radius) [m] that contains all places of a kinematic body (KINEMATIC_COLUMNS) in a control step."""
+    """Disc (x, y, radius) [m] that contains a body (KINEMATIC_COLUMNS) throughout a control step."""
     x, y = body[2], body[3]
     return x, y, body[4] + abs(x - body[0]) + abs(y - body[1])
 

@@ -68,6 +68,6 @@ class MovingMesh:
         return self._copies.hits(origins, directions, order, poses, farthest, view, ranges)
 
     def colours(self, light: Light, face: NDArray[np.int32], normal: Floats) -> NDArray[np.uint8]:
-        """SRGB bytes (R, 3) of faces `face` (R,) of all frames with unit world `normal` (R, 3), unshadowed."""
+        """SRGB bytes (R, 3) of faces (R,), as in `PosedHits`, with unit world `normal` (R, 3), unshadowed."""
         full = np.ones(len(face), np.float32)
         return to_srgb_bytes(light.shade(self.albedo[face], normal, full, full))

@@ -24,7 +24,7 @@ from dune_rl.worlds.world import World
 
 # Full grass where x > 2, from 2 cells before it on interpolated.
 AHEAD = FULL * (np.arange(80) >= 48)
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 STANDING = np.array([[0.0, 0.0, 0.125]])
 LEVEL = np.eye(3)[None]
 

@@ -11,7 +11,7 @@ from dune_rl.sensors.past_scan import PastScan
 
 CONF = lidar_conf()
 STANDING = np.array([0.0, 0.0, 0.125])
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 ALL = np.array([True])
 # Walls on three sides, at 4, 3 and 5 m.
 WALLS = [(4.0, 0.0, 0.0, 0.2, 12.0), (0.0, 3.0, 0.0, 12.0, 0.2), (0.0, -5.0, 0.0, 12.0, 0.2)]

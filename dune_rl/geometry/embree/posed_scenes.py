@@ -191,9 +191,7 @@ def _cast_at_copies(
                     faces[ray] = -1
             frame = np.int64(pose[6]) % len(handles)
             for axis in range(3):
-                start = np.float32(
-                    rotation[0, axis] * dx + rotation[1, axis] * dy + rotation[2, axis] * dz
-                )
+                start = np.float32(rotation[0, axis] * dx + rotation[1, axis] * dy + rotation[2, axis] * dz)
                 for k in range(WIDTH):
                     numbers[axis, k] = start
             # From outside, a ray that passes the sphere goes at least as far along as its tangent.

@@ -210,10 +210,8 @@ def _turned(old: float, new: float) -> float:
     return (new - old + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def _outward(
-    normal: Sequence[float], point: Sequence[float], centre: Sequence[float]
-) -> tuple[float, float]:
-    """x and y of the `normal` (3) of a box at a point (3) on its surface, from inside to outside.
+def _outward(normal: Sequence[float], point: Sequence[float], centre: Sequence[float]) -> tuple[float, float]:
+    """X and y of the `normal` (3) of a box at a point (3) on its surface, from inside to outside.
 
     PyBullet's normals may have either sense.
     """

@@ -15,7 +15,9 @@ class Push:
         self._x = self._y = self._moment_nm = self._power_w = self._fastest_mps = self._farthest_m = 0.0
         self._points = 0
 
-    def add(self, force: tuple[float, float], arm: tuple[float, float], velocity: tuple[float, float]) -> None:
+    def add(
+        self, force: tuple[float, float], arm: tuple[float, float], velocity: tuple[float, float]
+    ) -> None:
         """Add the force (x, y) [N] at a point of a robot with a horizontal velocity [m/s].
 
         The point is at `arm` (x, y) [m] from the body's origin.
