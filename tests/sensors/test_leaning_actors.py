@@ -57,7 +57,7 @@ def distance_to_front(pose: np.ndarray, origin: np.ndarray, direction: np.ndarra
 
 
 LEANING = [
-    np.array([4.0, 0.2, 0.1, 0.2, 0.0, 0.35, 0.0]),
+    np.array([4.0, 0.2, -0.1, 0.2, 0.0, 0.35, 0.0]),
     np.array([4.0, -0.2, -0.1, -0.3, 0.3, -0.4, 1.0]),
     np.array([4.0, 0.0, 0.0, 3.0 * np.pi, -0.5, 0.0, 1.0]),
 ]

@@ -151,7 +151,7 @@ def test_actors_of_two_sizes_keep_their_own_shapes():
 def test_an_actor_stands_on_its_ground_height():
     lidar = lidar_in(build_flat(FlatConf()), (PERSON,))
     for height, seen in ((0.0, True), (MAST_M - 1.74, True), (MAST_M - 1.76, False), (MAST_M + 0.01, False)):
-        ranges = lidar.ranges(STANDING[None], LEVEL[None], np.array([[[3.0, 0.0, height, 0.0]]]))[0]
+        ranges = lidar.ranges(STANDING[None], LEVEL[None], seen_at([[[3.0, 0.0, height, 0.0]]]))[0]
         # Near its ends a capsule is narrow, so its middle is all that is asked for.
         assert (ranges[64] < 12.0) == seen
 
@@ -160,7 +160,7 @@ def test_boxes_hide_actors_and_actors_boxes():
     world = flat_with((4.0, 0.0, 0.0, 1.0, 1.0))
     lidar = lidar_in(world, (PERSON,))
     for x, expected in ((6.0, 3.5), (2.0, 1.75)):
-        ranges = lidar.ranges(STANDING[None], LEVEL[None], np.array([[[x, 0.0, 0.0, 0.0]]]))[0]
+        ranges = lidar.ranges(STANDING[None], LEVEL[None], seen_at([[[x, 0.0, 0.0, 0.0]]]))[0]
         assert ranges[64] == pytest.approx(expected - 0.174, abs=2e-3)
 
 
@@ -257,7 +257,7 @@ def test_whatever_the_pose_ranges_are_within_range(x, y, z, quaternion, actor):
     world = World("lumpy", HeightField(heights, 1.0, (-6.0, -6.0)), region=(-4, 4, -4, 4))
     lidar = lidar_in(world, (PERSON,))
     unit = np.array(quaternion) / np.linalg.norm(quaternion)
-    ranges = lidar.ranges(np.array([[x, y, z]]), rotation_matrices(unit)[None], np.array([[actor]]))
+    ranges = lidar.ranges(np.array([[x, y, z]]), rotation_matrices(unit)[None], seen_at([[actor]]))
     assert ranges.dtype == np.float32
     assert (ranges >= np.float32(0.1)).all()
     assert (ranges <= np.float32(12.0)).all()

@@ -264,7 +264,7 @@ def test_readings_have_the_shapes_and_types_of_their_bounds():
 def test_whatever_the_pose_readings_are_within_bounds(position, quaternion, actor):
     lidar = _LUMPY
     rotation = rotation_matrices(np.array(quaternion) / np.linalg.norm(quaternion))
-    for name, values in lidar.scan(np.array([position]), rotation[None], np.array([[actor]])).items():
+    for name, values in lidar.scan(np.array([position]), rotation[None], seen_at([[actor]])).items():
         low, high = lidar.bounds()[name]
         assert (values >= low).all()
         assert (values <= high).all()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from poses import seen_at
 from scanning import flat_with, lidar_in, turned
 from sensors_of_rover_zero import lidar_conf
 
@@ -86,7 +87,7 @@ def test_it_is_as_old_as_asked_for_and_no_older_than_its_episode():
     position = np.stack([STANDING] * 2)
 
     def look(step: int) -> tuple[np.ndarray, np.ndarray]:
-        walkers = np.array([[[2.0 + step, 0.0, 0.0, 0.0]]] * 2)
+        walkers = seen_at([[[2.0 + step, 0.0, 0.0, 0.0]]] * 2)
         origin = lidar.origin(position, rotation)
         return ends_of(lidar, origin, rotation, lidar.ranges(position, rotation, walkers)), origin
 
