@@ -69,8 +69,8 @@ def test_what_moved_is_where_it_was():
     walker = PersonConf(radius_m=0.3)
     lidar = lidar_in(flat_with(), (walker,))
     past = PastScan(CONF, 1, 1)
-    past.restart(ALL, sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 0.0, 0.0, 0.0]]]))[1])
-    now, ends, origin = sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 2.0, 0.0, 0.0]]]))
+    past.restart(ALL, sensed(lidar, STANDING, np.eye(3), seen_at([[[3.0, 0.0, 0.0, 0.0]]]))[1])
+    now, ends, origin = sensed(lidar, STANDING, np.eye(3), seen_at([[[3.0, 2.0, 0.0, 0.0]]]))
     past.advance()[:] = ends
     carried = past.seen_from(origin, np.eye(3)[None])[0]
     # Segment 16 begins straight ahead, and 2 m aside at 3 m is 0.59 rad: three segments on.
