@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import ConfigError
-from dune_rl.geometry.frames import rotation_from_yaw, to_body
+from dune_rl.geometry.frames import rotation_from_angles, rotation_from_yaw, to_body
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -49,7 +49,7 @@ class ProximityQueries(Protocol):
         ...
 
     def neighbours(self, group: str) -> Array:
-        """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
+        """Poses (N, K, 7) of the other moving bodies of each agent's scene: see `GroupState.neighbours`."""
         ...
 
 
@@ -104,8 +104,10 @@ class Motion:
     step without gravity; `joints` are the motors' joints, None if nothing reads them. `diverged` (N,) marks
     bodies whose physics gave an invalid state: they keep their last valid one.
 
-    Quantities that are not passed are computed on first access, for bodies that rotate about the world's z
-    axis only.
+    `frames` (N,) are the numbers of the frames in which sensors see bodies whose parts move (`MovingMesh`),
+    and 0 for all others.
+
+    Quantities that are not passed are computed on first access; those of rotation from `roll_pitch_yaw`.
     """
 
     def __init__(
@@ -118,7 +120,7 @@ class Motion:
         joints: JointState | None = None,
         **derived: Array,
     ) -> None:
-        """`derived` may have `rotation`, `velocity_b`, `angular_b` and `acceleration_b`."""
+        """`derived` may have `rotation`, `velocity_b`, `angular_b`, `acceleration_b` and `frames`."""
         self.position_w, self.roll_pitch_yaw = position_w, roll_pitch_yaw
         self.velocity_w, self.angular_w = velocity_w, angular_w
         self.diverged, self.joints = diverged, joints
@@ -127,7 +129,8 @@ class Motion:
     @cached_property
     def rotation(self) -> Array:
         """Rotation matrices from body to world, (N, 3, 3)."""
-        return rotation_from_yaw(self.roll_pitch_yaw[:, 2])
+        angles = self.roll_pitch_yaw
+        return rotation_from_angles(angles) if angles[:, :2].any() else rotation_from_yaw(angles[:, 2])
 
     @cached_property
     def velocity_b(self) -> Array:
@@ -143,6 +146,11 @@ class Motion:
     def acceleration_b(self) -> Array:
         """Mean acceleration of the origin over the control step, in the body frame [m/s²], (N, 3)."""
         return np.zeros_like(self.velocity_w)
+
+    @cached_property
+    def frames(self) -> Array:
+        """Numbers of the frames of the bodies' meshes, (N,), whole numbers."""
+        return np.zeros(len(self.position_w))
 
     @property
     def yaw(self) -> Array:
@@ -245,7 +253,10 @@ class GroupState:
 
     @cached_property
     def neighbours(self) -> Array:
-        """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
+        """Poses (N, K, 7) of the other moving bodies of each agent's scene.
+
+        x, y, z [m], yaw, roll and pitch [rad], and the number of the frame of its mesh: see `Motion.frames`.
+        """
         return self.proximity.neighbours(self.name)
 
     def ended_by(self, termination: str) -> Flags:

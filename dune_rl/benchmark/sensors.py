@@ -12,6 +12,7 @@ from dune_rl.config.schema import BenchmarkConf
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
+from dune_rl.geometry.frames import POSE_COLUMNS
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.physics.bullet.reference import BulletReference
@@ -79,7 +80,7 @@ def _compare_lidar(
     settings = suite.conf.lidar
     solid = world.solid_mesh()
     lidar = Lidar(settings, RayScene(solid.vertices, solid.faces), [])
-    no_neighbours = np.zeros((conf.scenes, 0, 4))
+    no_neighbours = np.zeros((conf.scenes, 0, POSE_COLUMNS))
     position, rotation = _first_agents(simulation)
     angles = beam_angles(settings)
     beams = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
@@ -103,7 +104,7 @@ def _compare_camera(
         position = position.copy()
         position[:, :2] -= position[:, :2].mean(axis=0)
         position[:, 2] = world.terrain.height(position[:, :2]) + 0.125
-    no_neighbours = np.zeros((conf.scenes, 0, 4))
+    no_neighbours = np.zeros((conf.scenes, 0, POSE_COLUMNS))
     eyes = camera.origin(position, rotation)
     settings = camera.conf
 

@@ -214,7 +214,7 @@ class AgentGroup:
         self.body.command(actions, known, engines)
 
     def hold_back(self, scenes: NDArray[np.int64], poses: Array) -> None:
-        """Set the kinematic bodies of `scenes` (S,) to `poses` (S, G, 4), where robots blocked them."""
+        """Set the kinematic bodies of `scenes` (S,) to `poses` (S, G, 6), where robots blocked them."""
         assert isinstance(self.body, KinematicBody)
         self.body.hold_back(scenes, poses)
         if self.setup.is_scripted:

@@ -23,6 +23,9 @@ from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
+# Of kinematic bodies in physics: x, y, z, yaw, roll and pitch.
+_POSE_COLUMNS = 6
+
 
 class EpisodeStart:
     """Samples start poses of all agents of a scene: first robots, then agents on paths, away from them."""
@@ -163,7 +166,7 @@ class EpisodeStart:
         return found
 
     def hold_back(self, held: Mapping[int, Array]) -> None:
-        """Set the kinematic bodies of scenes to `held` (K, 4), by scene, where robots blocked them."""
+        """Set the kinematic bodies of scenes to `held` (K, 6), by scene, where robots blocked them."""
         if not held:
             return
         scenes, poses = np.array(list(held)), np.array(list(held.values()))
@@ -173,10 +176,16 @@ class EpisodeStart:
             first += group.count
 
     def kinematic_poses(self) -> Array:
-        """Poses (M, K, 4) of all kinematic bodies, in the order of their groups."""
+        """Poses (M, K, 6) of all kinematic bodies, in the order of their groups."""
         scenes = len(self._scenes.worlds)
-        poses = [group.body.poses.reshape(scenes, group.count, 4) for group in self._kinematic]
-        return np.concatenate(poses, axis=1) if poses else np.zeros((scenes, 0, 4))
+        poses = np.zeros((scenes, sum(group.count for group in self._kinematic), _POSE_COLUMNS))
+        first = 0
+        for group in self._kinematic:
+            own = group.body.poses
+            # Bodies that never lean leave out roll and pitch.
+            poses[:, first : first + group.count, : own.shape[1]] = own.reshape(scenes, group.count, -1)
+            first += group.count
+        return poses
 
 
 def _check_apart(placed: Sequence[tuple[str, Placement, float]]) -> None:

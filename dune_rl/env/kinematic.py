@@ -118,7 +118,7 @@ class KinematicBody:
         self.blocked = ~free
 
     def hold_back(self, scenes: Scenes, poses: Array) -> None:
-        """Set x and y of the bodies of `scenes` (S,) to those of `poses` (S, G, 4), after robots blocked
+        """Set x and y of the bodies of `scenes` (S,) to those of `poses` (S, G, 6), after robots blocked
         bodies.
         """
         reached = self.poses.copy()
@@ -146,7 +146,7 @@ class KinematicBody:
 
 @compile_function
 def _set_reached(poses: Any, scenes: Any, reached: Any, heights: Any) -> None:
-    """Move those of `poses` (M, G, 4) to the x and y of `reached` (S, G, 4) that differ, in `scenes` (S,).
+    """Move those of `poses` (M, G, 4) to the x and y of `reached` (S, G, 6) that differ, in `scenes` (S,).
 
     `heights` (S, G) are the ground's at `reached`.
     """

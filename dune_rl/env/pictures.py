@@ -11,7 +11,6 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -101,9 +100,8 @@ class Pictures:
         if group.name in self._robots:
             angles = self._simulation.joint_angles(group.name, row)
             return self._robots[group.name].posed_meshes(motion.position_w[row], motion.rotation[row], angles)
-        yaw = float(motion.yaw[row])
-        turn = rotation_matrices(np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
-        return [PosedMesh(self._meshes[group.name], motion.position_w[row].copy(), turn)]
+        shape = self._meshes[group.name].frame(motion.frames[row])
+        return [PosedMesh(shape, motion.position_w[row].copy(), motion.rotation[row].copy())]
 
     def _flag_at(self, scene: int, goal: Array) -> PosedMesh:
         return PosedMesh(self._flag, np.array([*goal, self._ground(scene, goal)]), np.eye(3))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.compiled import compile_function
+from dune_rl.geometry.frames import POSE_COLUMNS
 from dune_rl.state import GroundQueries, Motion
 
 Array = NDArray[np.float64]
@@ -64,23 +65,24 @@ class Proximity:
         self._each = tuple(layouts.values())
 
     def neighbours(self, group: str) -> Array:
-        """Poses (N, K, 4: x, y, z, yaw) [m, rad] of the other moving bodies of each agent's scene."""
+        """Poses (N, K, 7) of the other moving bodies of each agent's scene: see `GroupState.neighbours`."""
         layout = self._layouts[group]
         columns = layout.neighbours
         poses = self._poses
         if layout.count == 1:
             return _without(poses, layout)
-        return poses[:, columns].reshape(-1, columns.shape[1], 4)
+        return poses[:, columns].reshape(-1, columns.shape[1], POSE_COLUMNS)
 
     @cached_property
     def _poses(self) -> Array:
-        """Poses (M, T, 4) of all moving bodies of each scene."""
+        """Poses (M, T, 7) of all moving bodies of each scene."""
         parts = []
         for index in self._movers:
             motion = self._motions[index]
-            poses = np.empty((len(motion.position_w), 4))
+            poses = np.empty((len(motion.position_w), POSE_COLUMNS))
             poses[:, :3], poses[:, 3] = motion.position_w, motion.yaw
-            parts.append(poses.reshape(-1, self._each[index].count, 4))
+            poses[:, 4:6], poses[:, 6] = motion.roll_pitch_yaw[:, :2], motion.frames
+            parts.append(poses.reshape(-1, self._each[index].count, POSE_COLUMNS))
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def clearance(self, group: str) -> Array:
@@ -180,7 +182,7 @@ def _measure_from_outlines(points: Any, position: Any, yaw: Any, half_size: Any,
 
 
 def _without(poses: Array, layout: GroupLayout) -> Array:
-    """`poses` (M, T, 4) without those of the single agent of a group, (M, T - 1, 4)."""
+    """`poses` (M, T, 7) without those of the single agent of a group, (M, T - 1, 7)."""
     columns = layout.neighbours[0]
     # Slices, which copy nothing, if the agent is the first or the last of the bodies.
     if not len(columns) or columns[0] == 1:

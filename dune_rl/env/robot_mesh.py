@@ -12,10 +12,7 @@ from dune_rl.robots.visual import RobotVisual
 
 @lru_cache(maxsize=8)
 def robot_mesh(body: RobotBody) -> MovingMesh:
-    """Mesh of a robot with its joints at zero, in the base link's frame; cached by robot description.
-
-    Like every `MovingMesh` it is posed by position and yaw: sensors do not see it roll and pitch.
-    """
+    """Mesh of a robot with its joints at zero, in the base link's frame; cached by robot description."""
     parts = RobotVisual(body.look or body.urdf).posed_meshes(np.zeros(3), np.eye(3))
     shapes = [
         ColouredMesh(

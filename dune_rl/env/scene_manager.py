@@ -12,7 +12,7 @@ from dune_rl.env.domain_randomizer import DomainRandomizer, Values
 from dune_rl.env.scene_spec import scene_spec
 from dune_rl.errors import WorldError
 from dune_rl.physics.interface import (
-    KinematicCapsule,
+    KinematicShape,
     PhysicsConf,
     PhysicsRobot,
     PhysicsScene,
@@ -36,7 +36,7 @@ class SceneBodies:
     """Robots and kinematic bodies of each scene, both in the order of the groups."""
 
     robots: tuple[RobotBody, ...]
-    kinematics: tuple[KinematicCapsule, ...]
+    kinematics: tuple[KinematicShape, ...]
 
 
 class RoomCheck(Protocol):
@@ -77,12 +77,12 @@ class SceneManager:
         self._rejected: dict[Any, str] = {}
         self._physics: list[PhysicsScene | None] = [None] * num_scenes
         self._specs: WeakKeyDictionary[World, SceneSpec] = WeakKeyDictionary()
-        self._kinematic_poses = np.zeros((num_scenes, 0, 4))
+        self._kinematic_poses = np.zeros((num_scenes, 0, 6))
 
     def build(self, bodies: SceneBodies) -> None:
         """Build the physics of the scenes with `bodies`, unless the first reset draws their worlds."""
         self._bodies = bodies
-        self._kinematic_poses = np.zeros((len(self.worlds), len(bodies.kinematics), 4))
+        self._kinematic_poses = np.zeros((len(self.worlds), len(bodies.kinematics), 6))
         if not self.randomizer.randomizes_worlds:
             for scene in range(len(self.worlds)):
                 self._build_scene(scene, self._world)
@@ -156,7 +156,7 @@ class SceneManager:
         return {world for world, _ in self.worlds.worlds.groups} | {self._world}
 
     def reset(self, scene: int, kinematic_poses: NDArray[np.float64]) -> None:
-        """Reset a scene: robots to their start poses, kinematic bodies to `kinematic_poses` (K, 4)."""
+        """Reset a scene: robots to their start poses, kinematic bodies to `kinematic_poses` (K, 6)."""
         self._kinematic_poses[scene] = kinematic_poses
         self._scene(scene).reset(kinematic_poses)
 
@@ -168,9 +168,9 @@ class SceneManager:
     # -- a step -----------------------------------------------------------------------------------
 
     def step(self, kinematic_poses: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
-        """Advance the physics of all scenes by a control step; kinematic bodies move to poses (M, K, 4).
+        """Advance the physics of all scenes by a control step; kinematic bodies move to poses (M, K, 6).
 
-        Returns, by scene, the poses (K, 4) reached where a robot blocked any of the bodies.
+        Returns, by scene, the poses (K, 6) reached where a robot blocked any of the bodies.
         """
         substeps, scenes = self.conf.substeps, self.built
         held_back = {}

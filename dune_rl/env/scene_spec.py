@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
-from dune_rl.physics.interface import KinematicCapsule, PhysicsConf, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.interface import KinematicShape, PhysicsConf, RobotBody, SceneSpec, StaticBody
 from dune_rl.robots.robot import Robot
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import World
@@ -18,7 +18,7 @@ _DROP_M = 0.005
 def scene_spec(
     world: World,
     robots: tuple[RobotBody, ...],
-    kinematics: tuple[KinematicCapsule, ...],
+    kinematics: tuple[KinematicShape, ...],
     physics: PhysicsConf,
     measures_work: bool = False,
 ) -> SceneSpec:

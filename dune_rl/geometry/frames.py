@@ -7,6 +7,9 @@ from dune_rl.geometry.frame_loops import find_angles, rotate
 
 Array = NDArray[np.float64]
 
+# Of a body in its scene: x, y, z [m], yaw, roll, pitch [rad], and the number of the frame of its mesh.
+POSE_COLUMNS = 7
+
 
 def wrap_angle(angle: Array) -> Array:
     """The same angle [rad] in [-pi, pi), any shape."""

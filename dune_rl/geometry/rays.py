@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.embree import PosedHits, TriangleScene
+from dune_rl.geometry.embree.triangle_scene import TriangleScene
 
 Floats = NDArray[np.float32]
 
@@ -25,7 +25,7 @@ class Hits(NamedTuple):
 class RayScene:
     """A static set of triangles to cast rays against.
 
-    `vertices` (V, 3) [m] and `faces` (F, 3) are copied. Rays have C-contiguous
+    `vertices` (V, 3) [m] and `faces` (F, 3) are copied, into `triangles`. Rays have C-contiguous
     float32 `origins` (S, 3) and `directions` (N, 3): each origin serves N / S
     consecutive rays. Ranges are metres if directions have unit length.
     Rays are cast in packets of 16 consecutive ones, which is fastest where
@@ -34,7 +34,7 @@ class RayScene:
     """
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
-        self._triangles = TriangleScene(vertices, faces)
+        self.triangles = TriangleScene(vertices, faces)
 
     def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScene":
         """Itself, since all scenes share it; see `RayScenes`."""
@@ -48,47 +48,21 @@ class RayScene:
         A range that is already shorter than the first hit stays as it is, so
         that several ray scenes can be queried one after another.
         """
-        self._triangles.intersect(origins, directions, ranges, _NO_FACES, _NO_NORMALS, order)
+        self.triangles.intersect(origins, directions, ranges, _NO_FACES, _NO_NORMALS, order)
 
     def hit_faces(
         self, origins: Floats, directions: Floats, ranges: Floats, order: Order = None
     ) -> NDArray[np.int32]:
         """Faces of the first hits, (N,), -1 for a miss; `ranges` (N,) are shortened in place."""
         faces = np.empty(len(directions), np.int32)
-        self._triangles.intersect(origins, directions, ranges, faces, _NO_NORMALS, order)
+        self.triangles.intersect(origins, directions, ranges, faces, _NO_NORMALS, order)
         return faces
-
-    def shorten_posed(
-        self,
-        origins: NDArray[np.float64],
-        directions: NDArray[np.floating],
-        poses: NDArray[np.float64],
-        sphere: tuple[float, float],
-        farthest: float,
-        ranges: Floats,
-    ) -> None:
-        """As `TriangleScene.intersect_posed`: first hits of copies of the scene at `poses` (N, K, 4)."""
-        self._triangles.intersect_posed(origins, directions, poses, sphere, farthest, ranges)
-
-    def hit_posed(
-        self,
-        origins: NDArray[np.float64],
-        directions: NDArray[np.floating],
-        order: NDArray[np.int64],
-        poses: NDArray[np.float64],
-        sphere: tuple[float, float],
-        farthest: float,
-        view: tuple[NDArray[np.float64], float],
-        ranges: Floats,
-    ) -> PosedHits:
-        """As `TriangleScene.hit_posed`: what rays hit of copies of the scene at `poses` (N, K, 4)."""
-        return self._triangles.hit_posed(origins, directions, order, poses, sphere, farthest, view, ranges)
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats, order: Order = None) -> Hits:
         """First hits of the rays; `ranges` (N,) are shortened in place as by `shorten_ranges`."""
         faces = np.empty(len(directions), np.int32)
         normals = np.empty((len(directions), 3), np.float32)
-        self._triangles.intersect(origins, directions, ranges, faces, normals, order)
+        self.triangles.intersect(origins, directions, ranges, faces, normals, order)
         return Hits(faces, ranges, normals)
 
     def first_hit(
@@ -103,4 +77,4 @@ class RayScene:
 
     def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
         """Whether each ray, of unlimited length, hits any triangle, (N,)."""
-        return self._triangles.occluded(origins, directions)
+        return self.triangles.occluded(origins, directions)

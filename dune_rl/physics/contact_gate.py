@@ -12,13 +12,13 @@ from typing import Protocol
 import numpy as np
 
 from dune_rl.physics.gate_loops import (
-    CAPSULE_COLUMNS,
     FOUND_COLUMNS,
+    KINEMATIC_COLUMNS,
     ROBOT_COLUMNS,
     TYRE_COLUMNS,
     find_near,
 )
-from dune_rl.physics.interface import KinematicCapsule, RobotBody, StaticBody, Tyre
+from dune_rl.physics.interface import KinematicShape, RobotBody, StaticBody, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
 
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
@@ -27,7 +27,7 @@ _MAX_ACCELERATION_MPS2 = 40.0
 # Upper bound of the distance below which engines treat two shapes as in contact.
 _CONTACT_MARGIN_M = 0.05
 
-_NO_CAPSULES = np.zeros((0, CAPSULE_COLUMNS))
+_NO_KINEMATICS = np.zeros((0, KINEMATIC_COLUMNS))
 
 
 class GatedRobot(Protocol):
@@ -64,18 +64,21 @@ class ContactGate:
     def __init__(
         self,
         statics: tuple[StaticBody, ...],
-        kinematics: Sequence[KinematicCapsule],
+        kinematics: Sequence[KinematicShape],
         robots: Sequence[RobotBody],
     ) -> None:
         self.obstacles = load_shared_map(statics)
-        self._radii_m = [body.radius_m for body in kinematics]
+        self._kinematics = kinematics
         most = max((len(body.tyres) for body in robots), default=0)
         self._tyres = np.full((len(robots), most, TYRE_COLUMNS), np.nan)
         for own, body in zip(self._tyres, robots, strict=True):
             for row, tyre in zip(own, body.tyres, strict=False):
                 row[:] = _dimensions(tyre)
         self.needed_tyres: list[frozenset[int]] = [frozenset()] * len(robots)
-        self._found, self._found_capsules = np.zeros((len(robots), FOUND_COLUMNS)), np.zeros(len(kinematics))
+        self._found, self._found_kinematics = (
+            np.zeros((len(robots), FOUND_COLUMNS)),
+            np.zeros(len(kinematics)),
+        )
 
     def find_contacts(
         self,
@@ -88,7 +91,7 @@ class ContactGate:
         """Indices of the kinematic bodies that robots can touch, and whether each robot can touch anything.
 
         The step takes `duration_s` [s]. `forces` [N] are the external ones, by index of the robot. The K
-        kinematic bodies move from `old_poses` (x, y, ...) [m] to `new_poses`.
+        kinematic bodies move from `old_poses` (x, y, z [m], yaw, roll, pitch [rad]) to `new_poses`.
         """
         if not robots:
             return [], []
@@ -100,14 +103,17 @@ class ContactGate:
             x, y, _, qx, qy, qz, qw, *_, wx, wy, wz = robot.body_state()
             motion = robot.planar_motion()
             rows.append((*motion, robot.reach_m, acceleration, x, y, qx, qy, qz, qw, wx, wy, wz))
-        ways = zip(old_poses, new_poses, self._radii_m, strict=True)
-        capsules = [(old[0], old[1], new[0], new[1], radius) for old, new, radius in ways]
-        found, near = self._found, self._found_capsules
+        ways = zip(old_poses, new_poses, self._kinematics, strict=True)
+        moves = [
+            (old[0], old[1], new[0], new[1], shape.reach_m(max(_lean(old), _lean(new))))
+            for old, new, shape in ways
+        ]
+        found, near = self._found, self._found_kinematics
         find_near(
             *self.obstacles.arrays,
             np.array(rows).reshape(-1, ROBOT_COLUMNS),
             self._tyres,
-            np.array(capsules) if capsules else _NO_CAPSULES,
+            np.array(moves) if moves else _NO_KINEMATICS,
             duration_s,
             _CONTACT_MARGIN_M,
             found,
@@ -122,6 +128,11 @@ class ContactGate:
     def statics_near(self, robot: int) -> list[int]:
         """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
         return self.obstacles.bodies_near(*self._found[robot, :3].tolist())
+
+
+def _lean(pose: Sequence[float]) -> float:
+    """Upper bound of the angle [rad] between the z axes of a pose and of the world."""
+    return abs(pose[4]) + abs(pose[5])
 
 
 def _dimensions(tyre: Tyre) -> tuple[float, ...]:

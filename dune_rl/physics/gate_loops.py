@@ -12,8 +12,9 @@ ROBOT_COLUMNS = 14
 # Columns of a tyre: position in the base link's frame (3), its length, and the distance of the tyre's edge
 # from it [m].
 TYRE_COLUMNS = 5
-# Columns of a capsule: x and y before and after the step, and radius [m].
-CAPSULE_COLUMNS = 5
+# Columns of a kinematic body: x and y before and after the step, and the radius of a disc about them that
+# contains it [m].
+KINEMATIC_COLUMNS = 5
 # Columns of what is found of a robot: x, y and radius [m] of its disc, whether it can touch anything, and the
 # bits of its tyres, of which there may be 53: numbers are exact up to there.
 FOUND_COLUMNS = 5
@@ -60,20 +61,20 @@ def find_near(
     quarters: Any,
     robots: Any,
     tyres: Any,
-    capsules: Any,
+    kinematics: Any,
     duration_s: float,
     margin_m: float,
     found_robots: Any,
-    found_capsules: Any,
+    found_kinematics: Any,
 ) -> None:
-    """Find what R robots and K kinematic capsules can touch in a control step of `duration_s`.
+    """Find what R robots and K kinematic bodies can touch in a control step of `duration_s`.
 
     `grid` and `quarters` are an obstacle map's. `robots` are (R, ROBOT_COLUMNS), their `tyres`
-    (R, T, TYRE_COLUMNS), NaN where a robot has fewer; `capsules` (K, CAPSULE_COLUMNS).
+    (R, T, TYRE_COLUMNS), NaN where a robot has fewer; `kinematics` (K, KINEMATIC_COLUMNS).
 
     `found_robots` (R, FOUND_COLUMNS) are discs (x, y, radius) that contain all places of each robot in the
-    step, whether it can touch anything, and which of its tyres can, as bits; `found_capsules` (K,) tells
-    which capsules can touch any.
+    step, whether it can touch anything, and which of its tyres can, as bits; `found_kinematics` (K,) tells
+    which of the bodies can touch any.
     """
     for one in range(len(robots)):
         x, y, own = robots[one, 0], robots[one, 1], found_robots[one]
@@ -85,13 +86,13 @@ def find_near(
             theirs = found_robots[other]
             if not np.hypot(x - theirs[0], y - theirs[1]) > span + theirs[2]:
                 own[3] = theirs[3] = 1.0
-    for body in range(len(capsules)):
-        found_capsules[body] = 0.0
-        x, y, room = _find_room(capsules[body])
+    for body in range(len(kinematics)):
+        found_kinematics[body] = 0.0
+        x, y, room = _find_room(kinematics[body])
         for one in range(len(robots)):
             disc = found_robots[one]
             if not np.hypot(x - disc[0], y - disc[1]) > disc[2] + room:
-                found_capsules[body] = disc[3] = 1.0
+                found_kinematics[body] = disc[3] = 1.0
     for one in range(len(robots)):
         found_robots[one, 4] = 0.0
         if found_robots[one, 3]:
@@ -101,11 +102,11 @@ def find_near(
                 robots,
                 one,
                 tyres[one],
-                capsules,
+                kinematics,
                 duration_s,
                 margin_m,
                 found_robots,
-                found_capsules,
+                found_kinematics,
             )
 
 
@@ -116,10 +117,10 @@ def _find_motion(robot: Any, duration_s: float) -> float:
 
 
 @compile_function
-def _find_room(capsule: Any) -> Any:
-    """Disc (x, y, radius) [m] that contains all places of a capsule (CAPSULE_COLUMNS) in a control step."""
-    x, y = capsule[2], capsule[3]
-    return x, y, capsule[4] + abs(x - capsule[0]) + abs(y - capsule[1])
+def _find_room(body: Any) -> Any:
+    """Disc (x, y, radius) [m] that contains a body (KINEMATIC_COLUMNS) throughout a control step."""
+    x, y = body[2], body[3]
+    return x, y, body[4] + abs(x - body[0]) + abs(y - body[1])
 
 
 @compile_function
@@ -129,11 +130,11 @@ def _find_tyres(
     robots: Any,
     one: int,
     tyres: Any,
-    capsules: Any,
+    kinematics: Any,
     duration_s: float,
     margin_m: float,
     found_robots: Any,
-    found_capsules: Any,
+    found_kinematics: Any,
 ) -> int:
     """The tyres (T, TYRE_COLUMNS) of robot `one` that can touch anything, as bits."""
     robot = robots[one]
@@ -156,9 +157,9 @@ def _find_tyres(
         tyre_y = y + ahead * forward_y + aside * left_y + above * up_y
         reach = size + motion + turn * arm + margin_m
         meets = find_distance(grid, quarters, tyre_x, tyre_y) < reach
-        for body in range(len(capsules)):
-            if found_capsules[body]:
-                body_x, body_y, room = _find_room(capsules[body])
+        for body in range(len(kinematics)):
+            if found_kinematics[body]:
+                body_x, body_y, room = _find_room(kinematics[body])
                 meets = meets or np.hypot(tyre_x - body_x, tyre_y - body_y) < reach + room
         for other in range(len(robots)):
             apart = np.hypot(tyre_x - found_robots[other, 0], tyre_y - found_robots[other, 1])

@@ -89,6 +89,60 @@ class KinematicCapsule:
     height_m: float
     max_push_n: float = 250.0
 
+    @property
+    def centre_height_m(self) -> float:
+        """Height of the centre above the origin."""
+        return self.height_m / 2
+
+    def reach_m(self, lean_rad: float) -> float:
+        """Upper bound of the horizontal distance [m] of its points from its origin; it does not lean."""
+        return self.radius_m
+
+
+@dataclass(frozen=True)
+class KinematicBox:
+    """Box whose motion is prescribed; its origin is on the ground below its centre, and it leans about it.
+
+    It is from `clearance_m`, such as a truck's underside, to `height_m` above the ground, `length_m` along
+    its x axis and `width_m` along y. It pushes robots as a `KinematicCapsule` does: robots can hold back or
+    push away its origin, but not its turns.
+    """
+
+    name: str
+    length_m: float
+    width_m: float
+    height_m: float
+    clearance_m: float = 0.0
+    max_push_n: float = 250.0
+
+    def __post_init__(self) -> None:
+        if self.height_m <= self.clearance_m:
+            raise ValueError(
+                f"the box {self.name!r} has no height: it is from clearance_m ({self.clearance_m}) to "
+                f"height_m ({self.height_m}) above the ground"
+            )
+
+    @property
+    def size_m(self) -> tuple[float, float, float]:
+        """Length, width and height of the box itself [m]."""
+        return self.length_m, self.width_m, self.height_m - self.clearance_m
+
+    @property
+    def centre_height_m(self) -> float:
+        """Height of the centre above the origin."""
+        return (self.clearance_m + self.height_m) / 2
+
+    def reach_m(self, lean_rad: float) -> float:
+        """Upper bound of the horizontal distance [m] of its points from its origin.
+
+        It leans by at most `lean_rad`, the sum of the amounts of roll and pitch.
+        """
+        farthest = max(abs(self.clearance_m), abs(self.height_m))
+        return math.hypot(self.length_m, self.width_m) / 2 + farthest * min(lean_rad, 1.0)
+
+
+KinematicShape = KinematicCapsule | KinematicBox
+
 
 @dataclass(frozen=True)
 class PassiveJoint:
@@ -193,7 +247,7 @@ class SceneSpec:
     """
 
     statics: tuple[StaticBody, ...]
-    kinematics: tuple[KinematicCapsule, ...]
+    kinematics: tuple[KinematicShape, ...]
     robots: tuple[RobotBody, ...]
     timestep_s: float
     solver_iterations: int
@@ -311,8 +365,9 @@ class PhysicsScene(Protocol):
         ...
 
     def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
-        """Put robots at their start poses, at rest, and kinematic bodies at theirs (K, 4: x, y, z, yaw).
+        """Put robots at their start poses, at rest, and kinematic bodies at theirs (K, 6).
 
+        Poses are x, y, z [m], yaw, roll and pitch [rad]; capsules stand upright at any.
         The result does not depend on anything before: the same calls after it give the same bytes.
         """
         ...
@@ -320,8 +375,8 @@ class PhysicsScene(Protocol):
     def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         """Prepare the `count` physics steps of a control step, under the robots' present commands and forces.
 
-        Kinematic bodies reach `kinematic_poses` (K, 4: x, y, z, yaw) at the
-        end; those near a robot move there in `count` equal parts. Bodies that
+        Kinematic bodies reach `kinematic_poses` (K, 6), as for `reset`, at the
+        end; those near a robot move there, boxes turn and lean too, in `count` equal parts. Bodies that
         a robot holds back do not get there: see `held_back_poses`.
         """
         ...
@@ -333,7 +388,7 @@ class PhysicsScene(Protocol):
     def held_back_poses(self) -> NDArray[np.float64] | None:
         """Where the kinematic bodies are after a step in which a robot held any of them back, else None.
 
-        Poses (K, 4: x, y, z, yaw), with z and yaw as commanded. The next step
+        Poses (K, 6) as for `reset`, of which x and y alone differ from those commanded. The next step
         moves the bodies from there.
         """
         ...

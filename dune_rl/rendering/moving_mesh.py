@@ -1,10 +1,11 @@
-"""Meshes of moving agents: one ray scene in the mesh's own frame serves all agents of a shape."""
+"""Meshes of moving agents: their ray scenes, in the mesh's own frame, serve all agents of a shape."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.embree.posed_scenes import PosedHits, PosedScenes
 from dune_rl.rendering.baked_scenery import to_srgb_bytes
 from dune_rl.rendering.light import Light
 from dune_rl.rendering.posed_mesh import RayMesh
@@ -14,31 +15,41 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 
-class MeshHits(NamedTuple):
-    """What H rays hit: their numbers (H,) among N * P, faces (H,), and unit normals (H, 3), world frame."""
+class MovingMesh:
+    """A closed mesh that may be anywhere and lean; F of them, in `frames`, where its parts move.
 
-    ray: NDArray[np.int64]
-    face: NDArray[np.int32]
-    normal: Floats
-
-
-class MovingMesh(RayMesh):
-    """A closed mesh with four degrees of freedom: position and yaw. It is drawn upright.
-
-    `radius_m` is that of a sphere around `centre` (3,), in the mesh's frame, that encloses it.
+    Frames are the phases of a motion that repeats, such as a stride or the turn of a propeller. A pose
+    (x, y, z [m], yaw, roll, pitch [rad], frame) has the number of the frame that is seen there.
+    `albedo` (faces of all frames, 3) is in linear RGB.
     """
 
-    def __init__(self, shape: ColouredMesh, segment: Segment = Segment.ACTOR) -> None:
-        super().__init__(shape)
+    def __init__(
+        self, shape: ColouredMesh | Sequence[ColouredMesh], segment: Segment = Segment.ACTOR
+    ) -> None:
+        """`shape` is a rigid mesh, or the meshes of the frames in their order."""
+        shapes = (shape,) if isinstance(shape, ColouredMesh) else tuple(shape)
+        self.frames = tuple(RayMesh(each) for each in shapes)
         self.segment = segment
-        # On the yaw axis, so that yaw does not move it.
-        self.centre = np.array([0.0, 0.0, self.centre[2]])
-        self.radius_m = float(np.linalg.norm(shape.vertices - self.centre, axis=1).max())
+        self.albedo = np.concatenate([each.albedo for each in shapes])
+        # Round a centre on the yaw axis, which yaw does not move.
+        corners = np.concatenate([each.vertices for each in shapes])
+        height = float(corners[:, 2].min() + corners[:, 2].max()) / 2
+        radius = float(np.linalg.norm(corners - [0.0, 0.0, height], axis=1).max())
+        self._copies = PosedScenes([frame.rays.triangles for frame in self.frames], (height, radius))
 
-    @property
-    def sphere(self) -> tuple[float, float]:
-        """Height of the centre of the enclosing sphere, and its radius [m]."""
-        return float(self.centre[2]), self.radius_m
+    def frame(self, number: float) -> RayMesh:
+        """The mesh of a frame, by its number in a pose."""
+        return self.frames[int(number) % len(self.frames)]
+
+    def shorten_ranges(
+        self, origins: Array, directions: NDArray[np.floating], poses: Array, farthest: float, ranges: Floats
+    ) -> None:
+        """Shorten `ranges` (N, P), at most `farthest`, in place to the first hits of meshes at `poses`.
+
+        Rays have `origins` (N, 3) and unit `directions` (N, P, 3), world frame; those of row n meet the
+        meshes at `poses` (N, K, 7).
+        """
+        self._copies.shorten_ranges(origins, directions, poses, farthest, ranges)
 
     def first_hits(
         self,
@@ -49,23 +60,14 @@ class MovingMesh(RayMesh):
         farthest: float,
         view: tuple[Array, float],
         ranges: Floats,
-    ) -> MeshHits:
-        """What the rays of N views hit of meshes at `poses` (N, K, 4: x, y, z, yaw), nearer than `ranges`.
+    ) -> PosedHits:
+        """As `shorten_ranges`, and what the rays that are shortened have hit.
 
-        `origins` (N, 3) and unit `directions` (N, P, 3) are in the world frame; `ranges` (N, P), at most
-        `farthest`, are shortened in place. `view` and `order` are as for `TriangleScene.hit_posed`.
+        `view` and `order` are as for `PosedScenes.hits`.
         """
-        hit = self.rays.hit_posed(origins, directions, order, poses, self.sphere, farthest, view, ranges)
-        normal = hit.normal / np.maximum(np.linalg.norm(hit.normal, axis=1, keepdims=True), 1e-12)
-        yaw = poses.reshape(-1, 4)[hit.copy, 3]
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        world = np.empty((len(yaw), 3), np.float32)
-        world[:, 0] = cos * normal[:, 0] - sin * normal[:, 1]
-        world[:, 1] = sin * normal[:, 0] + cos * normal[:, 1]
-        world[:, 2] = normal[:, 2]
-        return MeshHits(hit.ray, hit.face, world)
+        return self._copies.hits(origins, directions, order, poses, farthest, view, ranges)
 
     def colours(self, light: Light, face: NDArray[np.int32], normal: Floats) -> NDArray[np.uint8]:
-        """SRGB bytes (R, 3) of faces `face` (R,) with unit world `normal` (R, 3), unshadowed."""
+        """SRGB bytes (R, 3) of faces (R,), as in `PosedHits`, with unit world `normal` (R, 3), unshadowed."""
         full = np.ones(len(face), np.float32)
-        return to_srgb_bytes(light.shade(self.shape.albedo[face], normal, full, full))
+        return to_srgb_bytes(light.shade(self.albedo[face], normal, full, full))

@@ -113,7 +113,7 @@ class Camera:
         """A picture (M, height, width, channels) of each output.
 
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `neighbours` (M, K, 4) the other moving bodies' x, y, z and yaw.
+        `neighbours` (M, K, 7) the poses of the other moving bodies.
         """
         scenes, pixels, outputs = len(position_w), len(self._directions_b), self.conf.outputs
         origin = self.origin(position_w, rotation)
@@ -214,7 +214,7 @@ class Camera:
         ranges: Floats,
         looks: tuple[NDArray[np.uint32] | None, NDArray[np.uint8] | None, Floats | None],
     ) -> None:
-        """Put the bodies at `poses` (M, K, 4) into the pictures, where they are nearer than what is there."""
+        """Put the bodies at `poses` (M, K, 7) into the pictures, where they are nearer than what is there."""
         colour, segments, normal = looks
         scenes, farthest = len(origin), self.conf.range_m
         view = (rotation @ self._tilt[:, 0], self._half_angle)

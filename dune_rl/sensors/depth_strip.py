@@ -93,7 +93,7 @@ class DepthStrip:
     def depths(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
         """The reading of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
 
-        `neighbours` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
+        `neighbours` (M, K, 7) are the poses of the actors: see `GroupState.neighbours`.
         """
         conf = self.conf
         ranges = self._beams.ranges(position_w, rotation, neighbours)

@@ -104,8 +104,8 @@ class Beams:
     def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
         """Range along every ray [m], (N, P): `range_m` where nothing returns.
 
-        `position_w` (N, 3) and `rotation` (N, 3, 3) are the robots' poses, `neighbours` (N, K, 4) the other
-        moving bodies' x, y, z and yaw.
+        `position_w` (N, 3) and `rotation` (N, 3, 3) are the robots' poses, `neighbours` (N, K, 7) the
+        poses of the other moving bodies: see `GroupState.neighbours`.
         """
         rows, count = len(position_w), len(self.directions_b)
         origin = self.origin(position_w, rotation)
@@ -118,7 +118,7 @@ class Beams:
         )
         for mesh, columns in self._meshes:
             poses = neighbours if len(self._meshes) == 1 else neighbours[:, columns]
-            mesh.rays.shorten_posed(origin, directions, poses, mesh.sphere, self._range_m, ranges)
+            mesh.shorten_ranges(origin, directions, poses, self._range_m, ranges)
         return ranges
 
 
@@ -152,7 +152,7 @@ class Lidar:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
 
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `neighbours` (M, K, 4) the actors' x, y, z and yaw.
+        `neighbours` (M, K, 7) the actors' poses.
         """
         ranges = self._beams.ranges(position_w, rotation, neighbours)
         return np.maximum(ranges, np.float32(self.conf.min_range_m), out=ranges)

@@ -97,7 +97,7 @@ class Lidar3d:
         self._faults = faults
         self._solid, self._surface = solid, surface
         self._groups = columns_by_mesh(meshes)
-        self._brightness = [luminance(mesh.shape.albedo) for mesh, _ in self._groups]
+        self._brightness = [luminance(mesh.albedo) for mesh, _ in self._groups]
         highest, lowest, fov = np.deg2rad(
             [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
         )
@@ -152,7 +152,7 @@ class Lidar3d:
     def scan(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, Reading]:
         """The readings in clear air of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
 
-        `neighbours` (M, K, 4) are the actors' x, y, z [m] and yaw [rad].
+        `neighbours` (M, K, 7) are the poses of the actors: see `GroupState.neighbours`.
         """
         return self._outputs(*self._cast(position_w, rotation, neighbours))
 
@@ -208,7 +208,7 @@ class Lidar3d:
             poses = neighbours[:, columns]
             own = directions.reshape(scenes, -1, 3), ranges.reshape(scenes, -1)
             if self._range_only:
-                mesh.rays.shorten_posed(origin, own[0], poses, mesh.sphere, conf.range_m, own[1])
+                mesh.shorten_ranges(origin, own[0], poses, conf.range_m, own[1])
                 continue
             hit = mesh.first_hits(origin, own[0], self._order, poses, conf.range_m, view, own[1])
             segments[hit.ray] = mesh.segment

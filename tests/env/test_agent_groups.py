@@ -214,7 +214,7 @@ def test_gymnasium_of_a_person_among_robots() -> None:
 def test_members_of_a_team_see_each_other() -> None:
     core = simulation("team", 2)
     now = state_of_group(core)
-    assert now.neighbours.shape == (6, 2, 4)
+    assert now.neighbours.shape == (6, 2, 7)
     position = now.by_scene(now.motion.position_w)
     for row in range(6):
         others = np.delete(position[row // 3], row % 3, axis=0)
@@ -240,9 +240,13 @@ def test_clearance_of_a_team_is_to_its_nearest_member() -> None:
 
 def test_neighbours_are_all_moving_bodies_of_the_scene() -> None:
     core = simulation("kinds", 2)
-    poses = {group.name: group.body.poses.reshape(2, group.count, 4) for group in core.groups}
+    poses = {}
     for group in core.groups:
-        seen = state_of_group(core, group.name).neighbours.reshape(2, group.count, 5, 4)
+        motion = group.body.motion
+        parts = motion.position_w, motion.roll_pitch_yaw[:, [2, 0, 1]], motion.frames
+        poses[group.name] = np.column_stack(parts).reshape(2, group.count, 7)
+    for group in core.groups:
+        seen = state_of_group(core, group.name).neighbours.reshape(2, group.count, 5, 7)
         for scene in range(2):
             for agent in range(group.count):
                 others = [
@@ -362,8 +366,8 @@ def test_groups_without_ends_do_not_keep_an_episode() -> None:
 def test_a_crowd_has_one_body_for_each() -> None:
     core = simulation("crowd")
     assert core.group("walker").count == 20
-    assert state_of_group(core, "rover").neighbours.shape == (1, 20, 4)
-    assert state_of_group(core, "walker").neighbours.shape == (20, 20, 4)
+    assert state_of_group(core, "rover").neighbours.shape == (1, 20, 7)
+    assert state_of_group(core, "walker").neighbours.shape == (20, 20, 7)
     assert len({name for group in core.groups for name in group.names}) == 21
     start = motion_of_group(core, "walker").position_w.copy()
     ahead = np.zeros((20, 2))

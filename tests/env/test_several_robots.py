@@ -190,7 +190,7 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
     # Leo's rockers ask for 20 iterations: so many for both, alone and together.
     physics = PhysicsConf(solver_iterations=20)
     poses = [standing_pose(world, robot, 4.0 * index, 0.0, 0.3) for index, robot in enumerate(robots)]
-    none = np.zeros((0, 4))
+    none = np.zeros((0, 6))
     wanted = [np.array([[0.3, 0.4 * (1 - 2 * index)]]) for index in range(2)]
 
     class Standing:

@@ -2,6 +2,7 @@
 
 import numpy as np
 from people import meshes_of
+from poses import seen_at
 from sensors_of_rover_zero import camera_conf
 
 from dune_rl.bodies.person import PersonConf
@@ -18,6 +19,7 @@ STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
 PERSON = PersonConf()
 HALF_M = 15.0
+NOBODY = np.zeros((1, 0, 7))
 # x, y, yaw, length, width and height of a box that stands on the ground.
 Box = tuple[float, float, float, float, float, float]
 AHEAD: Box = (5.5, 0.0, 0.0, 1.0, 2.0, 1.0)
@@ -48,8 +50,8 @@ def camera_in(world: World, actors: tuple[PersonConf, ...] = (), light=None, **s
 
 
 def look(camera: Camera, position=STANDING, rotation=LEVEL, actors=()) -> dict[str, np.ndarray]:
-    """What one camera sees, without the axis of scenes; `actors` are (K, 4)."""
-    poses = np.reshape(np.asarray(actors, float), (1, -1, 4))
+    """What one camera sees, without the axis of scenes; `actors` are (K, 4 or more)."""
+    poses = seen_at(np.asarray(actors, float).reshape(1, len(actors), -1) if len(actors) else NOBODY)
     frames = camera.frames(np.asarray(position)[None], np.asarray(rotation)[None], poses)
     return {name: frame[0] for name, frame in frames.items()}
 

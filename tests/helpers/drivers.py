@@ -50,7 +50,7 @@ class DrivenBodies:
         away = self.goals - self.poses[:, :2]
         distance = np.hypot(*away.T)
         goal = GoalState(self.goals, distance, distance, wrap_angle(np.arctan2(away[:, 1], away[:, 0]) - yaw))
-        neighbours = np.zeros((rows, self.walkers.shape[1], 4))
+        neighbours = np.zeros((rows, self.walkers.shape[1], 7))
         neighbours[..., :2] = self.walkers[..., :2]
         group = group_state(motion_of(states), neighbours, steps=self.steps, goal=goal)
         return State({group.name: group}, self.ground, rows), group

@@ -53,7 +53,7 @@ class RoverOnGround:
         position, quaternion = standing_pose(world, self.robot, *at, yaw)
         position[2] += drop_m
         self.engine.set_start_pose(position.tolist(), quaternion.tolist())
-        self.scene.reset(np.zeros((0, 4)))
+        self.scene.reset(np.zeros((0, 6)))
         self.traction.begin(0, world, self.engine, position, quaternion)
         self._read()
 
@@ -67,7 +67,7 @@ class RoverOnGround:
             if force is not None:
                 self.engine.apply_force(force[0].tolist())
             self.engine.set_command([wheels] * 4)
-            step_scene(self.scene, substeps or self.physics.substeps, np.zeros((0, 4)))
+            step_scene(self.scene, substeps or self.physics.substeps, np.zeros((0, 6)))
             self._read()
 
     @property

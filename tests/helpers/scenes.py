@@ -19,6 +19,7 @@ from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.physics.dart.scene import DartScene
 from dune_rl.physics.interface import (
     KinematicCapsule,
+    KinematicShape,
     PhysicsRobot,
     PhysicsScene,
     RobotBody,
@@ -132,13 +133,21 @@ def about(axis: Sequence[float], angle: float) -> np.ndarray:
     return np.array([*(np.sin(angle / 2) * np.asarray(axis)), np.cos(angle / 2)])
 
 
+def poses_of(actors: Sequence[Sequence[float]]) -> np.ndarray:
+    """Poses (K, 6) of kinematic bodies, whose roll and pitch are zero where they are left out."""
+    poses = np.zeros((len(actors), 6))
+    for pose, given in zip(poses, actors, strict=True):
+        pose[: len(given)] = given
+    return poses
+
+
 @dataclass
 class Stage:
     """A scene of any backend, put to use step by step; arrays instead of tuples."""
 
     backend: Backend
     statics: Sequence[StaticBody] = field(default_factory=lambda: [plane()])
-    kinematics: Sequence[KinematicCapsule] = ()
+    kinematics: Sequence[KinematicShape] = ()
     robot: RobotBody = field(default_factory=rover_body)
     gravity_mps2: float = GRAVITY_MPS2
     measures_work: bool = False
@@ -156,7 +165,7 @@ class Stage:
             )
         )
         self.engine: PhysicsRobot = self.scene.robots[0]
-        self.actors = np.zeros((len(self.kinematics), 4))
+        self.actors = np.zeros((len(self.kinematics), 6))
         self.actors[:, 0] = 15.0 + np.arange(len(self.kinematics))
 
     def place(
@@ -166,7 +175,7 @@ class Stage:
         actors: Sequence[Sequence[float]] | None = None,
     ) -> None:
         if actors is not None:
-            self.actors = np.array(actors, float)
+            self.actors = poses_of(actors)
         self.engine.set_start_pose([float(x) for x in position_w], [float(x) for x in quaternion])
         self.scene.reset(self.actors)
 
@@ -177,7 +186,7 @@ class Stage:
         actors: Sequence[Sequence[float]] | None = None,
     ) -> None:
         if actors is not None:
-            self.actors = np.array(actors, float)
+            self.actors = poses_of(actors)
         joints = len(self.robot.drive_joints)
         self.engine.set_command(np.broadcast_to(np.asarray(wheels, float), joints).tolist())
         step_scene(self.scene, count, self.actors)
@@ -248,7 +257,7 @@ class Company:
         backend: Backend,
         robots: Sequence[RobotBody],
         statics: Sequence[StaticBody] | None = None,
-        kinematics: Sequence[KinematicCapsule] = (),
+        kinematics: Sequence[KinematicShape] = (),
         gravity_mps2: float = GRAVITY_MPS2,
     ) -> None:
         self.scene = backend(
@@ -271,12 +280,12 @@ class Company:
     ) -> None:
         for robot, place in zip(self.robots, places_w, strict=True):
             robot.set_start_pose([float(part) for part in place], quaternion)
-        self.actors = np.array(actors, float).reshape(-1, 4)
+        self.actors = poses_of(actors)
         self.scene.reset(self.actors)
 
     def step(self, count: int = SUBSTEPS, actors: Sequence[Sequence[float]] | None = None) -> None:
         if actors is not None:
-            self.actors = np.array(actors, float)
+            self.actors = poses_of(actors)
         step_scene(self.scene, count, self.actors)
 
     @property

@@ -1,6 +1,7 @@
 """States of groups for sensors to read, made without a simulation."""
 
 import numpy as np
+from poses import seen_at
 from scenes import about
 
 from dune_rl.geometry.frames import multiply_quaternions, roll_pitch_yaw, rotation_matrices, to_body
@@ -91,7 +92,7 @@ def group_state(
         GoalState(np.zeros((rows, 2)), zero, zero, zero) if goal is None else goal,
         none > 0,
         FixedProximity(
-            np.zeros((rows, 0, 4)) if neighbours is None else np.asarray(neighbours, float),
+            seen_at(np.zeros((rows, 0, 4)) if neighbours is None else neighbours),
             np.full(rows, np.inf),
         ),
     )
@@ -116,7 +117,7 @@ def standing_at(positions: np.ndarray, yaws: np.ndarray, pitch: float = 0.0) -> 
 def state_at(
     positions: np.ndarray, yaws: np.ndarray, neighbours: np.ndarray | None = None, pitch: float = 0.0
 ) -> GroupState:
-    """A group at rest at `positions` (N, 3), heading `yaws` (N,); `neighbours` are (N, K, 4)."""
+    """A group at rest at `positions` (N, 3), heading `yaws` (N,); `neighbours` are (N, K, 4 or more)."""
     return group_state(standing_at(positions, yaws, pitch), neighbours)
 
 

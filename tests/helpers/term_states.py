@@ -105,7 +105,7 @@ def agents(
         ContactState(numbers(touching, bool), numbers(new, int), numbers(total, int)),
         GoalState(np.zeros((rows, 2)), distances, distances + numbers(progress), numbers(bearing)),
         numbers(done, bool),
-        FixedProximity(np.zeros((rows, 0, 4)), numbers(clearance)),
+        FixedProximity(np.zeros((rows, 0, 7)), numbers(clearance)),
         radius_m,
         None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
         {key: numbers(flags, bool) for key, flags in (endings or {}).items()},

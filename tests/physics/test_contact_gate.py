@@ -15,6 +15,7 @@ from scenes import (
     every_backend,
     ground,
     plane,
+    poses_of,
     rover_body,
     rover_without_tyres,
     walker,
@@ -163,7 +164,7 @@ class Puck:
 def exposed(statics, *pucks: Puck, forces=None, kinematics=(), old=(), new=()) -> list[bool]:
     """Whether each of the pucks can touch anything in a control step of 0.05 s."""
     gate = ContactGate(tuple(statics), kinematics, [rover_without_tyres() for _ in pucks])
-    return gate.find_contacts(pucks, 0.05, forces or {}, old, new)[1]
+    return gate.find_contacts(pucks, 0.05, forces or {}, poses_of(old), poses_of(new))[1]
 
 
 def test_a_robot_is_exposed_within_its_reach_of_an_obstacle_and_not_far_from_it():

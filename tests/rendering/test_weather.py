@@ -25,7 +25,7 @@ from dune_rl.worlds.world import Prop, World
 
 FOG = WeatherConf(fog_visibility_m=20.0)
 CLEAR = WeatherConf()
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 STANDING = np.array([[0.0, 0.0, 0.125]])
 LEVEL = np.eye(3)[None]
 RANGE_M = 12.0

@@ -12,6 +12,7 @@ from cameras import EVERYTHING, PERSON, camera_in, look, standing
 from conformance import check_gymnasium, check_kept, check_parallel_api, check_seeding, check_torchrl
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from poses import seen_at
 from simulations import rest, started_simulation
 from states import begin, measure, state_at
 
@@ -49,7 +50,7 @@ def poses_in(scenes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         [rng.uniform(-6, 6, (scenes, 3, 2)), np.zeros((scenes, 3, 1)), rng.uniform(-3, 3, (scenes, 3, 1))],
         axis=-1,
     )
-    return positions, rotations, actors
+    return positions, rotations, seen_at(actors)
 
 
 @pytest.mark.parametrize("size", [(16, 16), (21, 13)])

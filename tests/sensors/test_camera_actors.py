@@ -120,7 +120,7 @@ def test_no_pixel_of_an_actor_is_left_out(lens, x, y, z, quaternion):
     turned = rotation_from_yaw(np.array(1.0))
     local = (camera.origin(STANDING[None], rotation[None]) - [x, y, z]) @ turned
     ranges = np.full(len(rays), 100.0, np.float32)
-    hit = mesh.rays.hits(local.astype(np.float32), (rays @ turned).astype(np.float32), ranges)
+    hit = mesh.frame(0).rays.hits(local.astype(np.float32), (rays @ turned).astype(np.float32), ranges)
     axial = 1.0 if lens[0] == "fisheye" else (rays @ (rotation @ [1.0, 0.0, 0.0]))
     depth = np.where(hit.face >= 0, hit.range * axial, np.inf).reshape(18, 24)
     bare = nobody["depth"][..., 0]

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from people import meshes_of
+from poses import seen_at
 from pydantic import ValidationError
 from scanning import flat_with, turned
 from scenes import about
@@ -21,7 +22,7 @@ from dune_rl.worlds.world import Prop, World
 
 STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 PERSON = PersonConf()
 # The middles of 32 columns over 86 degrees, and the lowest elevation.
 BEARINGS = np.deg2rad(86.0) * ((np.arange(32) + 0.5) / 32 - 0.5)
@@ -42,7 +43,7 @@ def depths(
     rotation: np.ndarray = LEVEL,
     actors: np.ndarray = NOBODY,
 ) -> np.ndarray:
-    return strip.depths(position[None], rotation[None], actors)[0]
+    return strip.depths(position[None], rotation[None], seen_at(actors))[0]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
@@ -114,7 +115,7 @@ def test_people_are_seen_and_the_nearest_counts():
         assert found[15:17].max() == pytest.approx(1.5 - 0.25 - 0.174, abs=0.02)
         assert (found <= wall + 1e-3).all()
         np.testing.assert_allclose(found[[0, 31]], wall[[0, 31]], rtol=1e-4)
-    gone = depths(strip, actors=np.full((1, 2, 4), 30.0))
+    gone = depths(strip, actors=np.full((1, 2, 3), 30.0))
     np.testing.assert_allclose(gone, wall, rtol=1e-4)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from people import meshes_of
+from poses import seen_at
 from sensors_of_rover_zero import camera_conf, depth_strip_conf, lidar_3d_conf
 from states import begin, episode_state
 
@@ -24,7 +25,7 @@ from dune_rl.worlds.world import World
 
 # Full grass where x > 2, from 2 cells before it on interpolated.
 AHEAD = FULL * (np.arange(80) >= 48)
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 STANDING = np.array([[0.0, 0.0, 0.125]])
 LEVEL = np.eye(3)[None]
 
@@ -91,7 +92,7 @@ def camera_in(world: World, air: ParticipatingMedia, actors: tuple[PersonConf, .
 
 def test_pixels_show_the_grass_that_takes_half_their_light():
     world = ahead_world()
-    person = np.array([[[8.0, -0.26, 0.0, 0.0]]])
+    person = seen_at([[[8.0, -0.26, 0.0, 0.0]]])
     bare = camera_in(world, ParticipatingMedia(), (PersonConf(),)).frames(STANDING, LEVEL, person)
     seen = camera_in(world, ParticipatingMedia(foliage=world.grass.foliage), (PersonConf(),)).frames(
         STANDING, LEVEL, person

@@ -5,6 +5,7 @@ import pybullet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from poses import seen_at
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
@@ -23,7 +24,7 @@ from dune_rl.worlds.world import World
 CONF = lidar_conf()
 LEVEL = np.eye(3)
 STANDING = np.array([0.0, 0.0, 0.125])
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 PERSON = PersonConf()
 MAST_M = 0.125 + CONF.mount_b[2]
 
@@ -119,7 +120,7 @@ def test_a_tilted_lidar_sees_the_ground(pitch):
 def test_people_stand_where_geometry_says(people):
     poses = np.array([[x, y, 0.0, 0.3 * i] for i, (x, y) in enumerate(people)])
     lidar = lidar_in(build_flat(FlatConf()), (PERSON,) * len(people))
-    ranges = lidar.ranges(STANDING[None], LEVEL[None], poses[None])[0]
+    ranges = lidar.ranges(STANDING[None], LEVEL[None], seen_at(poses[None]))[0]
     origin = mount(STANDING, LEVEL)
     # Between the circle and the sixteen sides that are drawn for it lie up to 5 mm.
     near, far = (
@@ -141,7 +142,7 @@ def test_actors_of_two_sizes_keep_their_own_shapes():
     thin, tall = PersonConf(radius_m=0.1, height_m=0.25), PersonConf(radius_m=0.5, height_m=2.0)
     poses = np.array([[0.174, 3.0, 0, 0], [3.0, 0, 0, 0], [0.174, -3.0, 0, 0], [-3.0, 0, 0, 0.0]])
     lidar = lidar_in(build_flat(FlatConf()), (tall, thin, tall, thin))
-    ranges = lidar.ranges(STANDING[None], LEVEL[None], poses[None])[0]
+    ranges = lidar.ranges(STANDING[None], LEVEL[None], seen_at(poses[None]))[0]
     # The thin ones are lower than the mast, which meets the tall ones in their rounded feet.
     tall_range = 3.0 - np.sqrt(0.5**2 - (0.5 - MAST_M) ** 2)
     np.testing.assert_allclose(ranges[[96, 64, 32, 0]], [tall_range, 12.0, tall_range, 12.0], atol=0.01)
@@ -150,7 +151,7 @@ def test_actors_of_two_sizes_keep_their_own_shapes():
 def test_an_actor_stands_on_its_ground_height():
     lidar = lidar_in(build_flat(FlatConf()), (PERSON,))
     for height, seen in ((0.0, True), (MAST_M - 1.74, True), (MAST_M - 1.76, False), (MAST_M + 0.01, False)):
-        ranges = lidar.ranges(STANDING[None], LEVEL[None], np.array([[[3.0, 0.0, height, 0.0]]]))[0]
+        ranges = lidar.ranges(STANDING[None], LEVEL[None], seen_at([[[3.0, 0.0, height, 0.0]]]))[0]
         # Near its ends a capsule is narrow, so its middle is all that is asked for.
         assert (ranges[64] < 12.0) == seen
 
@@ -159,7 +160,7 @@ def test_boxes_hide_actors_and_actors_boxes():
     world = flat_with((4.0, 0.0, 0.0, 1.0, 1.0))
     lidar = lidar_in(world, (PERSON,))
     for x, expected in ((6.0, 3.5), (2.0, 1.75)):
-        ranges = lidar.ranges(STANDING[None], LEVEL[None], np.array([[[x, 0.0, 0.0, 0.0]]]))[0]
+        ranges = lidar.ranges(STANDING[None], LEVEL[None], seen_at([[[x, 0.0, 0.0, 0.0]]]))[0]
         assert ranges[64] == pytest.approx(expected - 0.174, abs=2e-3)
 
 
@@ -170,6 +171,7 @@ def test_scenes_do_not_see_each_other_s_actors():
     positions = np.column_stack([rng.uniform(-3, 3, (6, 2)), np.full(6, 0.125)])
     rotations = np.array([turned(yaw) for yaw in rng.uniform(-3, 3, 6)])
     poses = np.concatenate([rng.uniform(-5, 5, (6, 2, 2)), np.zeros((6, 2, 2))], axis=-1)
+    poses = seen_at(poses)
     together = lidar.ranges(positions, rotations, poses)
     assert len({row.tobytes() for row in together}) == 6
     for i in range(6):
@@ -255,7 +257,7 @@ def test_whatever_the_pose_ranges_are_within_range(x, y, z, quaternion, actor):
     world = World("lumpy", HeightField(heights, 1.0, (-6.0, -6.0)), region=(-4, 4, -4, 4))
     lidar = lidar_in(world, (PERSON,))
     unit = np.array(quaternion) / np.linalg.norm(quaternion)
-    ranges = lidar.ranges(np.array([[x, y, z]]), rotation_matrices(unit)[None], np.array([[actor]]))
+    ranges = lidar.ranges(np.array([[x, y, z]]), rotation_matrices(unit)[None], seen_at([[actor]]))
     assert ranges.dtype == np.float32
     assert (ranges >= np.float32(0.1)).all()
     assert (ranges <= np.float32(12.0)).all()

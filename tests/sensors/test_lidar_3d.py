@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from people import meshes_of
+from poses import seen_at
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
@@ -27,7 +28,7 @@ from dune_rl.worlds.world import Prop, World
 EVERYTHING = ("range", "intensity", "segmentation")
 STANDING = np.array([0.0, 0.0, 0.125])
 LEVEL = np.eye(3)
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 PERSON = PersonConf()
 # The mount's height over ground on which the rover stands.
 MAST_M = 0.125 + 0.196
@@ -51,7 +52,7 @@ def scan(
     lidar: Lidar3d, position: np.ndarray = STANDING, rotation: np.ndarray = LEVEL, actors: np.ndarray = NOBODY
 ) -> dict[str, np.ndarray]:
     """Each output of one rover as (n_rings, n_beams)."""
-    found = lidar.scan(position[None], rotation[None], actors)
+    found = lidar.scan(position[None], rotation[None], seen_at(actors))
     return {name.removeprefix("lidar_3d_"): values[0, ..., 0] for name, values in found.items()}
 
 
@@ -76,7 +77,7 @@ def test_its_level_ring_is_the_planar_lidar():
         position = np.array([*xy, world.terrain.height(xy) + 0.2])
         rotation = turned(rng.uniform(-3, 3)) @ rotation_matrices(about([1, 0, 0], rng.uniform(-0.2, 0.2)))
         poses = np.column_stack([xy + rng.uniform(-4, 4, (2, 2)), [position[2] - 0.3] * 2, [0.3, 2.0]])
-        expected = planar.ranges(position[None], rotation[None], poses[None])[0]
+        expected = planar.ranges(position[None], rotation[None], seen_at(poses[None]))[0]
         found = scan(rings, position, rotation, poses[None])["range"][1]
         assert np.mean(np.abs(found - expected) < 1e-3) > 0.98
 
@@ -229,7 +230,7 @@ def test_scenes_are_independent_and_only_those_that_begin_scan_anew():
     measure(lidar, now)
     whole = lidar.read()
     for scene in range(3):
-        alone = lidar.scan(*(of[[scene]] for of in (positions, rotations, actors)))
+        alone = lidar.scan(*(of[[scene]] for of in (positions, rotations, seen_at(actors))))
         for name, values in alone.items():
             np.testing.assert_array_equal(whole[name][scene], values[0])
     begin(lidar, np.array([False, True, False]), state_at(positions + 0.1, yaws, actors))
@@ -263,7 +264,7 @@ def test_readings_have_the_shapes_and_types_of_their_bounds():
 def test_whatever_the_pose_readings_are_within_bounds(position, quaternion, actor):
     lidar = _LUMPY
     rotation = rotation_matrices(np.array(quaternion) / np.linalg.norm(quaternion))
-    for name, values in lidar.scan(np.array([position]), rotation[None], np.array([[actor]])).items():
+    for name, values in lidar.scan(np.array([position]), rotation[None], seen_at([[actor]])).items():
         low, high = lidar.bounds()[name]
         assert (values >= low).all()
         assert (values <= high).all()

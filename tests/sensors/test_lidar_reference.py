@@ -5,6 +5,7 @@ import pybullet
 import pytest
 import trimesh
 from people import meshes_of
+from poses import seen_at
 from scanning import lidar_in, turned
 from scenes import about
 from sensors_of_rover_zero import camera_conf, lidar_3d_conf, lidar_conf
@@ -95,7 +96,7 @@ class Site:
             pybullet.resetBasePositionAndOrientation(
                 body, (x, y, z + conf.height_m / 2), about([0, 0, 1], yaw), physicsClientId=self.client
             )
-        return np.array([*xy, height(xy) + 0.2]), rotation, people
+        return np.array([*xy, height(xy) + 0.2]), rotation, seen_at(people)
 
     def cast(
         self, origin: np.ndarray, directions: np.ndarray, range_m: float
@@ -182,7 +183,7 @@ def test_the_planar_lidar_is_pybullet_s(site):
     bearing = -np.pi + 2 * np.pi / 128 * np.arange(128)
     beams_b = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(128)])
     shares, returns, people_seen = [], 0, 0
-    away = np.full((1, 3, 4), 99.0)
+    away = seen_at(np.full((1, 3, 3), 99.0))
     for _ in range(30):
         position, rotation, people = site.draw()
         found = lidar.ranges(position[None], rotation[None], people[None])[0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from poses import seen_at
 from scanning import flat_with, lidar_in, turned
 from sensors_of_rover_zero import lidar_conf
 
@@ -11,7 +12,7 @@ from dune_rl.sensors.past_scan import PastScan
 
 CONF = lidar_conf()
 STANDING = np.array([0.0, 0.0, 0.125])
-NOBODY = np.zeros((1, 0, 4))
+NOBODY = np.zeros((1, 0, 7))
 ALL = np.array([True])
 # Walls on three sides, at 4, 3 and 5 m.
 WALLS = [(4.0, 0.0, 0.0, 0.2, 12.0), (0.0, 3.0, 0.0, 12.0, 0.2), (0.0, -5.0, 0.0, 12.0, 0.2)]
@@ -68,8 +69,8 @@ def test_what_moved_is_where_it_was():
     walker = PersonConf(radius_m=0.3)
     lidar = lidar_in(flat_with(), (walker,))
     past = PastScan(CONF, 1, 1)
-    past.restart(ALL, sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 0.0, 0.0, 0.0]]]))[1])
-    now, ends, origin = sensed(lidar, STANDING, np.eye(3), np.array([[[3.0, 2.0, 0.0, 0.0]]]))
+    past.restart(ALL, sensed(lidar, STANDING, np.eye(3), seen_at([[[3.0, 0.0, 0.0, 0.0]]]))[1])
+    now, ends, origin = sensed(lidar, STANDING, np.eye(3), seen_at([[[3.0, 2.0, 0.0, 0.0]]]))
     past.advance()[:] = ends
     carried = past.seen_from(origin, np.eye(3)[None])[0]
     # Segment 16 begins straight ahead, and 2 m aside at 3 m is 0.59 rad: three segments on.
@@ -86,7 +87,7 @@ def test_it_is_as_old_as_asked_for_and_no_older_than_its_episode():
     position = np.stack([STANDING] * 2)
 
     def look(step: int) -> tuple[np.ndarray, np.ndarray]:
-        walkers = np.array([[[2.0 + step, 0.0, 0.0, 0.0]]] * 2)
+        walkers = seen_at([[[2.0 + step, 0.0, 0.0, 0.0]]] * 2)
         origin = lidar.origin(position, rotation)
         return ends_of(lidar, origin, rotation, lidar.ranges(position, rotation, walkers)), origin
 

@@ -62,7 +62,7 @@ def test_a_camera_shows_it_too(yard):
     # Of two scenes, the first looks away.
     turned = np.stack([np.diag([-1.0, -1.0, 1.0]), np.eye(3)])
     eye = np.tile([-3.0, 0.0, SIGN_FOOT + 1.0], (2, 1))
-    away, found = camera.frames(eye, turned, np.zeros((2, 0, 4)))["rgb"]
+    away, found = camera.frames(eye, turned, np.zeros((2, 0, 7)))["rgb"]
     corners = [found[row, column] for row in (18, 30) for column in (20, 44)]
     assert [nearest(colour) for colour in corners] == ["red", "green", "blue", "yellow"]
     assert not (away == found).all()

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.frames import wrap_angle
+from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -18,7 +18,7 @@ class ActorMotion:
     """Estimates how the K bodies beside each of N rows move, by the change of their poses."""
 
     def __init__(self, num_rows: int) -> None:
-        self._poses = np.zeros((num_rows, 0, 4))
+        self._poses = np.zeros((num_rows, 0, POSE_COLUMNS))
         self._yaw_rates = np.zeros((num_rows, 0))
         self._begun = np.ones(num_rows, bool)
 
@@ -27,8 +27,8 @@ class ActorMotion:
         self._begun = self._begun | mask
 
     def estimate(self, poses: Array, begins: Flags, step_s: float, radius_m: float) -> Array:
-        """The bodies at `poses` (N, K, 4: x, y, z, yaw), as (N, K, 6): x, y [m], velocities [m/s], yaw rate
-        [rad/s] and `radius_m`; at rest in rows that begin.
+        """The bodies at `poses` (N, K, 7: see `GroupState.neighbours`), as (N, K, 6): x, y [m], velocities
+        [m/s], yaw rate [rad/s] and `radius_m`; at rest in rows that begin.
         """
         if self._poses.shape != poses.shape:
             self._poses, self._yaw_rates = poses.copy(), np.zeros(poses.shape[:2])

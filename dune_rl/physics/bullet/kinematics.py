@@ -7,133 +7,113 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicCapsule
+from dune_rl.physics.bullet.pushes import DAMPING_NSPM, STIFFNESS_NPM, Push
+from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicBox, KinematicShape
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():
     import pybullet
 
-# Between those of abdomen and thigh, 10 and 50 N/mm, in ISO/TS 15066. At 1 m/s the force grows by 100 N in a
-# physics step of 5 ms, which is how far it can exceed the limit.
-_STIFFNESS_NPM, _DAMPING_NSPM = 20e3, 200.0
-
 # Bodies that are not near any robot are moved out of the way once, and not at all after that.
-_PARKING_POSE = [0.0, 0.0, -1e4, 0.0]
+_PARKING_POSE = [0.0, 0.0, -1e4, 0.0, 0.0, 0.0]
+
+Quaternion = tuple[float, float, float, float]
 
 
 class PushedRobot(Protocol):
-    """What a capsule needs to know of a robot that it pushes."""
+    """What a kinematic body needs to know of a robot that it pushes."""
 
     def velocity_xy(self) -> tuple[float, float]:
         """Present horizontal velocity [m/s]."""
         ...
 
 
-class _Push:
-    """Horizontal force of a capsule on robots in a physics step, over all contact points."""
-
-    def __init__(self) -> None:
-        self._x = self._y = self._power_w = self._fastest_mps = 0.0
-        self._points = 0
-
-    def add(self, x: float, y: float, velocity: tuple[float, float]) -> None:
-        """Add the force (x, y) [N] at a point of a robot with a horizontal velocity [m/s]."""
-        self._x, self._y, self._points = self._x + x, self._y + y, self._points + 1
-        self._power_w += x * velocity[0] + y * velocity[1]
-        self._fastest_mps = max(self._fastest_mps, math.hypot(*velocity))
-
-    def retreat_m(self, advance_m: Sequence[float], limit_n: float, timestep_s: float) -> tuple[float, float]:
-        """Way (x, y) [m] that the capsule has to step back, so as not to push harder than `limit_n` next.
-
-        It is about to advance by `advance_m` (x, y), and the robots move on.
-        """
-        force_n = math.hypot(self._x, self._y)
-        # Robots on two sides may push with forces that cancel: then nothing pushes it away.
-        if not force_n > 0.0:
-            return 0.0, 0.0
-        closing_m = (advance_m[0] * self._x + advance_m[1] * self._y - self._power_w * timestep_s) / force_n
-        # Of one robot it is never more; of two whose forces nearly cancel it could be anything.
-        fastest_m = 1.001 * (math.hypot(*advance_m) + self._fastest_mps * timestep_s)
-        closing_m = min(max(closing_m, -fastest_m), fastest_m)
-        excess_m = closing_m + (force_n - limit_n) / (self._points * _STIFFNESS_NPM)
-        if not excess_m > 0.0:
-            return 0.0, 0.0
-        return excess_m * self._x / force_n, excess_m * self._y / force_n
-
-
-class BulletCapsules:
-    """The kinematic capsules of a PyBullet client, in collision `group` with `mask`.
+class BulletKinematics:
+    """The kinematic bodies of a PyBullet client, in collision `group` with `mask`.
 
     PyBullet moves them whatever is in their way. So that they push with a
     limited force, their contacts are springs: after each physics step in which
-    the force is above the limit, a capsule is set back by as much as brings it
+    the force is above the limit, a body is set back by as much as brings it
     down to the limit.
 
-    `poses` (K, 4: x, y, z, yaw) are those at the end of the last control step,
-    and `any_held_back` whether robots held any of the capsules back in it.
+    `poses` (K, 6: x, y, z, yaw, roll, pitch) are those at the end of the last control step,
+    and `any_held_back` whether robots held any of the bodies back in it.
     """
 
-    def __init__(self, client: int, bodies: Sequence[KinematicCapsule], group: int, mask: int) -> None:
-        self._client = client
-        self.handles = [self._add(body, group, mask) for body in bodies]
-        self._centre_heights = [body.height_m / 2 for body in bodies]
-        self._parked = [False] * len(bodies)
-        self._limits_n = [body.max_push_n for body in bodies]
+    def __init__(self, client: int, shapes: Sequence[KinematicShape], group: int, mask: int) -> None:
+        self._client, self._shapes = client, shapes
+        self.handles = [self._add(shape, group, mask) for shape in shapes]
+        self._centre_heights = [shape.centre_height_m for shape in shapes]
+        self._leans = [isinstance(shape, KinematicBox) for shape in shapes]
+        self._parked = [False] * len(shapes)
         self._indices = {handle: index for index, handle in enumerate(self.handles)}
-        self.poses: list[list[float]] = [[0.0] * 4 for _ in bodies]
+        self.poses: list[list[float]] = [[0.0] * 6 for _ in shapes]
         self.any_held_back = False
         self._old = self.poses
-        self._attitudes: dict[int, tuple[float, float, float, float]] = {}
+        self._attitudes: dict[int, Quaternion] = {}
+        # Of bodies that move in this control step: x and y of the origin, and the centre.
         self._positions: dict[int, tuple[float, float]] = {}
+        self._centres: dict[int, tuple[float, float, float]] = {}
         self._offsets: dict[int, tuple[float, float]] = {}
-        self._pushes: dict[int, _Push] = {}
+        self._pushes: dict[int, Push] = {}
 
-    def _add(self, body: KinematicCapsule, group: int, mask: int) -> int:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_CAPSULE,
-            radius=body.radius_m,
-            height=body.height_m - 2 * body.radius_m,
-            physicsClientId=self._client,
-        )
-        handle: int = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+    def _add(self, shape: KinematicShape, group: int, mask: int) -> int:
+        if isinstance(shape, KinematicBox):
+            half = [side / 2 for side in shape.size_m]
+            solid = pybullet.createCollisionShape(
+                pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self._client
+            )
+        else:
+            solid = pybullet.createCollisionShape(
+                pybullet.GEOM_CAPSULE,
+                radius=shape.radius_m,
+                height=shape.height_m - 2 * shape.radius_m,
+                physicsClientId=self._client,
+            )
+        handle: int = pybullet.createMultiBody(0.0, solid, physicsClientId=self._client)
         pybullet.setCollisionFilterGroupMask(handle, -1, group, mask, physicsClientId=self._client)
         pybullet.changeDynamics(
             handle,
             -1,
             lateralFriction=KINEMATIC_FRICTION,
-            contactStiffness=_STIFFNESS_NPM,
-            contactDamping=_DAMPING_NSPM,
+            contactStiffness=STIFFNESS_NPM,
+            contactDamping=DAMPING_NSPM,
             physicsClientId=self._client,
         )
         return handle
 
     def reset(self, poses: NDArray[np.float64]) -> None:
-        """Put the bodies at `poses` (K, 4)."""
+        """Put the bodies at `poses` (K, 6)."""
         self.poses, self.any_held_back = poses.tolist(), False
         for index, pose in enumerate(self.poses):
-            self._move(index, pose)
+            self._put(index, pose)
             self._parked[index] = False
 
     def begin_step(self, poses: list[list[float]], near: Sequence[int]) -> None:
-        """Start the motion to `poses` (K, 4) of the bodies whose indices are in `near`; remove all others."""
+        """Start the motion to `poses` (K, 6) of the bodies whose indices are in `near`; remove all others."""
         self._old, self.poses = self.poses, poses
         self._offsets.clear()
         for index, is_parked in enumerate(self._parked):
             if index in near:
                 self._parked[index] = False
-                self._attitudes[index] = _attitude(poses[index][3])
+                self._attitudes[index] = _turn(poses[index][3])
             elif not is_parked:
-                self._move(index, _PARKING_POSE)
+                self._put(index, _PARKING_POSE)
                 self._parked[index] = True
 
     def move(self, index: int, share: float) -> None:
-        """Put a body at `share` of the way that it moves in this control step."""
-        (old_x, old_y, old_z, _), (x, y, z, _) = self._old[index], self.poses[index]
+        """Put a body at `share` of the way that it moves, turns and leans in this control step."""
+        (old_x, old_y, old_z, *old), (x, y, z, *new) = self._old[index], self.poses[index]
         x, y, z = old_x + (x - old_x) * share, old_y + (y - old_y) * share, old_z + (z - old_z) * share
         if index in self._offsets:
             back_x, back_y = self._offsets[index]
             x, y = x + back_x, y + back_y
         self._positions[index] = x, y
+        if self._leans[index]:
+            yaw = old[0] + _turned(old[0], new[0]) * share
+            roll, pitch = (one + (other - one) * share for one, other in zip(old[1:], new[1:], strict=True))
+            self._centres[index] = self._put(index, [x, y, z, yaw, roll, pitch])
+            return
         position = x, y, z + self._centre_heights[index]
         pybullet.resetBasePositionAndOrientation(
             self.handles[index], position, self._attitudes[index], self._client
@@ -145,14 +125,19 @@ class BulletCapsules:
             index, force_n = self._indices.get(contact[2]), contact[9]
             if index is None or not force_n > 0.0:
                 continue
-            # From the axis of the capsule to the point on its surface.
             (point_x, point_y, _), (axis_x, axis_y) = contact[6], self._positions[index]
-            x, y = point_x - axis_x, point_y - axis_y
-            length = math.hypot(x, y)
+            arm_x, arm_y = point_x - axis_x, point_y - axis_y
+            if self._leans[index]:
+                x, y = _outward(contact[7], contact[6], self._centres[index])
+                length = 1.0
+            else:
+                # From the axis of the capsule to the point on its surface.
+                x, y, length = arm_x, arm_y, math.hypot(arm_x, arm_y)
             if length > 0.0:
                 if (push := self._pushes.get(index)) is None:
-                    push = self._pushes[index] = _Push()
-                push.add(force_n * x / length, force_n * y / length, robot.velocity_xy())
+                    push = self._pushes[index] = Push()
+                force = force_n * x / length, force_n * y / length
+                push.add(force, (arm_x, arm_y), robot.velocity_xy())
 
     @property
     def are_pushing(self) -> bool:
@@ -160,36 +145,76 @@ class BulletCapsules:
         return bool(self._pushes)
 
     def yield_to_robots(self, share: float, timestep_s: float) -> None:
-        """Set back the capsules that would push harder than they may in the next physics step.
+        """Set back the bodies that would push harder than they may in the next physics step.
 
         They are about to move by `share` of their way in this control step.
         """
         for index, push in self._pushes.items():
             old, new = self._old[index], self.poses[index]
             advance = [share * (new[axis] - old[axis]) for axis in (0, 1)]
-            back_x, back_y = push.retreat_m(advance, self._limits_n[index], timestep_s)
+            turn = share * _turned(old[3], new[3]) if self._leans[index] else 0.0
+            back_x, back_y = push.retreat_m(advance, turn, self._shapes[index].max_push_n, timestep_s)
             if back_x or back_y:
                 x, y = self._offsets.get(index, (0.0, 0.0))
                 self._offsets[index] = x - back_x, y - back_y
         self._pushes.clear()
 
     def end_step(self) -> None:
-        """Update the poses of capsules that were held back."""
+        """Update the poses of bodies that were held back."""
         for index, (back_x, back_y) in self._offsets.items():
-            x, y, z, yaw = self.poses[index]
-            self.poses[index] = [x + back_x, y + back_y, z, yaw]
+            x, y, *others = self.poses[index]
+            self.poses[index] = [x + back_x, y + back_y, *others]
         self.any_held_back = bool(self._offsets)
 
-    def _move(self, index: int, pose: list[float]) -> None:
-        x, y, z, yaw = pose
+    def _put(self, index: int, pose: Sequence[float]) -> tuple[float, float, float]:
+        """Put a body at a pose (6); returns its centre (3) [m]."""
+        x, y, z, yaw, roll, pitch = pose
+        height = self._centre_heights[index]
+        attitude, centre = _turn(yaw), (x, y, z + height)
+        if self._leans[index] and (roll or pitch):
+            attitude = _attitude(yaw, roll, pitch)
+            up_x, up_y, up_z = _up(attitude)
+            centre = x + up_x * height, y + up_y * height, z + up_z * height
         pybullet.resetBasePositionAndOrientation(
-            self.handles[index],
-            (x, y, z + self._centre_heights[index]),
-            _attitude(yaw),
-            physicsClientId=self._client,
+            self.handles[index], centre, attitude, physicsClientId=self._client
         )
+        return centre
 
 
-def _attitude(yaw: float) -> tuple[float, float, float, float]:
+def _turn(yaw: float) -> Quaternion:
     """Quaternion xyzw of a yaw [rad]."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def _attitude(yaw: float, roll: float, pitch: float) -> Quaternion:
+    """Quaternion xyzw of roll, then pitch, then yaw [rad]."""
+    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
+    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
+    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
+    return (
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+        cy * cp * cr + sy * sp * sr,
+    )
+
+
+def _up(attitude: Quaternion) -> tuple[float, float, float]:
+    """The z axis of a body in the world frame (3)."""
+    x, y, z, w = attitude
+    return 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
+def _turned(old: float, new: float) -> float:
+    """The smaller angle [rad] from one yaw to another."""
+    return (new - old + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _outward(normal: Sequence[float], point: Sequence[float], centre: Sequence[float]) -> tuple[float, float]:
+    """X and y of the `normal` (3) of a box at a point (3) on its surface, from inside to outside.
+
+    PyBullet's normals may have either sense.
+    """
+    ways = zip(normal, point, centre, strict=True)
+    sense = math.copysign(1.0, sum(part * (here - middle) for part, here, middle in ways))
+    return sense * normal[0], sense * normal[1]

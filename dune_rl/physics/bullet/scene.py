@@ -12,7 +12,7 @@ from dune_rl.errors import PhysicsError
 from dune_rl.physics.bullet.clients import open_client, release_client
 from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
 from dune_rl.physics.bullet.joints import GEAR_ITERATIONS
-from dune_rl.physics.bullet.kinematics import BulletCapsules
+from dune_rl.physics.bullet.kinematics import BulletKinematics
 from dune_rl.physics.bullet.meshes import create_mesh_shape, release_mesh_lists
 from dune_rl.physics.bullet.robot import BulletRobot
 from dune_rl.physics.bullet.touch import ANY_BODY
@@ -86,7 +86,7 @@ class BulletScene:
                 self._static_handles[number].append(handle)
                 if not body.ground:
                     self._body_numbers[handle] = number
-        self._kinematics = BulletCapsules(self._client, spec.kinematics, OBSTACLE, HULL)
+        self._kinematics = BulletKinematics(self._client, spec.kinematics, OBSTACLE, HULL)
         for index, handle in enumerate(self._kinematics.handles):
             self._body_numbers[handle] = spec.kinematic_number(index)
         self._gate = ContactGate(spec.statics, spec.kinematics, spec.robots)

@@ -5,7 +5,7 @@ from functools import cached_property
 from itertools import combinations
 from typing import Any
 
-from dune_rl.physics.dart.kinematics import KinematicCapsules
+from dune_rl.physics.dart.kinematics import DartKinematics
 from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry
@@ -28,7 +28,7 @@ class CollisionFilter:
         self,
         robots: Sequence[DartRobot],
         static_geometry: StaticGeometry,
-        kinematics: KinematicCapsules,
+        kinematics: DartKinematics,
         first_number: int,
         engine_filter: Any,
     ) -> None:

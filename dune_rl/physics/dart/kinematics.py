@@ -6,31 +6,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.massless import weld_massless_body
+from dune_rl.physics.dart.massless import negligible_inertia, weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import LinkMaterial, add_shape, obstacle_materials, tyre_materials
-from dune_rl.physics.interface import KINEMATIC_FRICTION, SceneSpec
+from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicBox, SceneSpec
 
 Array = NDArray[np.float64]
 
-# A capsule hits a robot with so much mass: what it stands for is heavier, but soft.
+# A kinematic body hits a robot with so much mass: what it stands for is heavier, but soft.
 _MASS_KG = 5.0
-# Limit of the vertical force: nothing moves a capsule up or down.
+# Limit of the vertical force: nothing moves a kinematic body up or down.
 _VERTICAL_N = 1e6
-# Capsules that are farther than this from where they were to go were held back.
+# Bodies that are farther than this from where they were to go were held back.
 _TOLERANCE_M = 1e-6
+# DART's Euler joint turns about x, then y, then z of its own frame. These axes of it in the body's frame make
+# that yaw, pitch and minus roll.
+_EULER_AXES = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+# The columns of poses that are the positions of this joint, and their signs.
+_EULER_COLUMNS, _EULER_SIGNS = [3, 5, 4], np.array([1.0, 1.0, -1.0])
 
 
-class KinematicCapsules:
-    """The kinematic capsules, in one skeleton: they move at commanded speeds and do not turn.
+class DartKinematics:
+    """The kinematic bodies, in one skeleton: they move at commanded speeds, and boxes turn and lean.
 
     Each is present once for each `LinkMaterial` that collides with it; for
-    tyres, after `add_for_tyres`. While a robot can touch a capsule, servos move
-    it, whose force is limited to what it may push with.
+    tyres, after `add_for_tyres`. While a robot can touch a body, servos move
+    it, whose force is limited to what it may push with. Nothing holds back how boxes turn.
 
-    `poses` (K, 4: x, y, z, yaw) are those at the end of the last control step,
-    and `any_held_back` whether robots held any of the capsules back in it.
+    `poses` (K, 6: x, y, z, yaw, roll, pitch) are those at the end of the last control step,
+    and `any_held_back` whether robots held any of the bodies back in it.
     """
 
     def __init__(self, spec: SceneSpec, robots: Sequence[DartRobot]) -> None:
@@ -45,22 +51,35 @@ class KinematicCapsules:
         self._body_numbers = [spec.kinematic_number(index) for index in range(len(spec.kinematics))]
         self._bases, self._shapes = [], []
         self._for_tyres: set[int] = set()
-        self._joints = []
-        for index, capsule in enumerate(spec.kinematics):
+        self._joints, turns = [], []
+        boxes = [isinstance(shape, KinematicBox) for shape in spec.kinematics]
+        heights = np.array([shape.centre_height_m for shape in spec.kinematics])
+        # A capsule's body is at its centre; a box's at its origin, about which it leans.
+        self._heights = np.where(boxes, 0.0, heights)
+        self._shape_heights = (heights - self._heights).tolist()
+        for index, shape in enumerate(spec.kinematics):
             joint, base = self.skeleton.createTranslationalJointAndBodyNodePair()
             joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
-            for axis, limit in enumerate((capsule.max_push_n, capsule.max_push_n, _VERTICAL_N)):
+            for axis, limit in enumerate((shape.max_push_n, shape.max_push_n, _VERTICAL_N)):
                 joint.setForceUpperLimit(axis, limit)
                 joint.setForceLowerLimit(axis, -limit)
             self._joints.append(joint)
-            shape = dartpy.dynamics.CapsuleShape(capsule.radius_m, capsule.height_m - 2 * capsule.radius_m)
+            if isinstance(shape, KinematicBox):
+                turning, base = self._add_turning_body(base)
+                turns.append(turning)
+                self._shapes.append(dartpy.dynamics.BoxShape(shape.size_m))
+            else:
+                length_m = shape.height_m - 2 * shape.radius_m
+                self._shapes.append(dartpy.dynamics.CapsuleShape(shape.radius_m, length_m))
             self._bases.append(base)
-            self._shapes.append(shape)
             for count, material in enumerate(materials):
                 body = self.skeleton.createWeldJointAndBodyNodePair(base)[1] if count else base
-                self._shape_numbers[self._add_capsule(index, body, material)] = self._body_numbers[index]
+                self._shape_numbers[self._add_shape(index, body, material)] = self._body_numbers[index]
                 body.setMass(_MASS_KG / len(materials))
-        self._centre_heights = np.array([body.height_m / 2 for body in spec.kinematics])
+        self._boxes = np.flatnonzero(boxes)
+        # Where the positions of the joints are among those of the skeleton.
+        self._places = _indices_in_skeleton(self._joints)
+        self._turns = _indices_in_skeleton(turns)
         self._near: Sequence[int] = ()
         self._held_back = np.zeros(len(spec.kinematics), bool)
 
@@ -69,23 +88,36 @@ class KinematicCapsules:
         """Body numbers by shape."""
         return self._shape_numbers | self._tyre_shape_numbers
 
-    def _add_capsule(self, index: int, body: Any, material: LinkMaterial) -> Any:
+    def _add_turning_body(self, place: Any) -> tuple[Any, Any]:
+        """Add a body that turns about the origin of the body `place`; returns its joint and itself."""
+        # Only the turning body has mass, and its joint's speeds are prescribed.
+        place.setInertia(negligible_inertia())
+        place.setGravityMode(False)
+        joint, body = self.skeleton.createEulerJointAndBodyNodePair(place)
+        axes = dartpy.math.Isometry3(_EULER_AXES, np.zeros(3))
+        joint.setTransformFromParentBodyNode(axes)
+        joint.setTransformFromChildBodyNode(axes)
+        joint.setActuatorType(dartpy.dynamics.ActuatorType.VELOCITY)
+        return joint, body
+
+    def _add_shape(self, index: int, body: Any, material: LinkMaterial) -> Any:
         body.setGravityMode(False)
         self.bodies[material].append(body)
-        return add_shape(body, self._shapes[index], KINEMATIC_FRICTION * material.friction)
+        friction = KINEMATIC_FRICTION * material.friction
+        return add_shape(body, self._shapes[index], friction, self._shape_heights[index])
 
     def collide_with_tyres(self, indices: Iterable[int]) -> bool:
-        """Whether all of these capsules collide with tyres."""
+        """Whether all of these bodies collide with tyres."""
         return self._for_tyres.issuperset(indices)
 
     def add_for_tyres(self, indices: Iterable[int]) -> None:
-        """Make these capsules collide with tyres, too."""
+        """Make these bodies collide with tyres, too."""
         new = [index for index in indices if index not in self._for_tyres]
         for index in new:
             for material in self._tyre_materials:
                 body = weld_massless_body(self._bases[index])
                 number = self._body_numbers[index]
-                self._tyre_shape_numbers[self._add_capsule(index, body, material)] = number
+                self._tyre_shape_numbers[self._add_shape(index, body, material)] = number
         self._for_tyres.update(new)
 
     def remove_for_tyres(self) -> None:
@@ -98,44 +130,44 @@ class KinematicCapsules:
         self._for_tyres.clear()
 
     def place(self, poses: Array) -> None:
-        """Put the capsules at `poses` (K, 4), at rest."""
+        """Put the bodies at `poses` (K, 6), at rest."""
         self.poses: list[list[float]] = poses.tolist()
         self.any_held_back = False
         if self.poses:
             self._held_back[:] = False
-            self._stop(self._centres(poses))
-
-    def _centres(self, poses: Array) -> Array:
-        centres = poses[:, :3].copy()
-        centres[:, 2] += self._centre_heights
-        return centres
+            self._stop(poses)
 
     def begin_step(self, poses: Array, near: Sequence[int], duration_s: float) -> None:
-        """Start the motion of the capsules `near` to `poses` (K, 4); put the others there at once."""
+        """Start the motion of the bodies `near` to `poses` (K, 6); put the others there at once."""
         self._near = near
         if not near:
             self.place(poses)
             return
-        skeleton, old = self.skeleton, self._centres(np.array(self.poses))
+        skeleton, old = self.skeleton, np.array(self.poses)
         self.poses = poses.tolist()
-        self._targets = targets = self._centres(poses)
+        self._targets = targets = poses.copy()
         start = targets.copy()
         start[near] = old[near]
-        speeds = (targets - start) / duration_s
+        ways = targets - start
+        ways[:, 3] = wrap_angle(ways[:, 3])
+        places, turns = self._centres(start), self._angles(start)
+        speeds = (self._centres(targets) - places) / duration_s
+        rates = self._angles(ways) / duration_s
         # What was held back begins with the speed that it has left.
-        left = skeleton.getVelocities().reshape(-1, 3)
-        skeleton.setPositions(start.ravel())
-        skeleton.setVelocities(np.where(self._held_back[:, None], left, speeds).ravel())
+        left = skeleton.getVelocities()[self._places]
+        skeleton.setPositions(self._of_joints(places, turns))
+        skeleton.setVelocities(self._of_joints(np.where(self._held_back[:, None], left, speeds), rates))
         self._set_actuators(dartpy.dynamics.ActuatorType.SERVO)
-        skeleton.setCommands(speeds.ravel())
+        skeleton.setCommands(self._of_joints(speeds, rates))
 
     def end_step(self) -> None:
-        """Read where the capsules near robots are."""
+        """Read where the bodies near robots are."""
         if not self._near:
             return
         skeleton, targets = self.skeleton, self._targets
-        reached = skeleton.getPositions().reshape(-1, 3)
-        self._held_back = held_back = (np.abs(reached - targets)[:, :2] > _TOLERANCE_M).any(axis=1)
+        reached = skeleton.getPositions()[self._places]
+        apart = np.abs(reached - self._centres(targets))[:, :2]
+        self._held_back = held_back = (apart > _TOLERANCE_M).any(axis=1)
         self.any_held_back = bool(held_back.any())
         self._set_actuators(dartpy.dynamics.ActuatorType.VELOCITY)
         if not self.any_held_back:
@@ -143,17 +175,40 @@ class KinematicCapsules:
             return
         for index in np.flatnonzero(held_back).tolist():
             self.poses[index][:2] = reached[index, :2].tolist()
-        left = np.where(held_back[:, None], skeleton.getVelocities().reshape(-1, 3), 0.0)
-        self._stop(self._centres(np.array(self.poses)))
-        skeleton.setVelocities(left.ravel())
+        left = np.where(held_back[:, None], skeleton.getVelocities()[self._places], 0.0)
+        self._stop(np.array(self.poses))
+        skeleton.setVelocities(self._of_joints(left, np.zeros((len(self._boxes), 3))))
+
+    def _centres(self, poses: Array) -> Array:
+        """Positions (K, 3) of the joints by which bodies at `poses` (K, 6) move."""
+        centres = poses[:, :3].copy()
+        centres[:, 2] += self._heights
+        return centres
+
+    def _angles(self, poses: Array) -> Array:
+        """Positions (B, 3) of the joints by which boxes at `poses` (K, 6) turn and lean."""
+        return poses[self._boxes][:, _EULER_COLUMNS] * _EULER_SIGNS
+
+    def _of_joints(self, places: Array, turns: Array) -> Array:
+        """One vector for the skeleton, of values (K, 3) of the moving and (B, 3) of the turning joints."""
+        values = np.empty(places.size + turns.size)
+        values[self._places], values[self._turns] = places, turns
+        return values
 
     def _set_actuators(self, kind: Any) -> None:
         for index in self._near:
             self._joints[index].setActuatorType(kind)
 
-    def _stop(self, centres: Array) -> None:
-        """Have the capsules stand still at `centres` (K, 3) [m]."""
-        skeleton, zeros = self.skeleton, np.zeros(centres.size)
-        skeleton.setPositions(centres.ravel())
+    def _stop(self, poses: Array) -> None:
+        """Have the bodies stand still at `poses` (K, 6)."""
+        positions = self._of_joints(self._centres(poses), self._angles(poses))
+        skeleton, zeros = self.skeleton, np.zeros(positions.size)
+        skeleton.setPositions(positions)
         skeleton.setVelocities(zeros)
         skeleton.setCommands(zeros)
+
+
+def _indices_in_skeleton(joints: Sequence[Any]) -> NDArray[np.int64]:
+    """Indices (J, 3) of the positions of joints among those of their skeleton."""
+    found = [[joint.getIndexInSkeleton(axis) for axis in range(3)] for joint in joints]
+    return np.array(found, np.int64).reshape(-1, 3)

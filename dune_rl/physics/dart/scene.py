@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.dart.collision_filter import CollisionFilter
 from dune_rl.physics.dart.corners import CornerContacts
-from dune_rl.physics.dart.kinematics import KinematicCapsules
+from dune_rl.physics.dart.kinematics import DartKinematics
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import StaticGeometry, load_shared_meshes, terrain_friction
@@ -49,7 +49,7 @@ class DartScene:
             self._collision_filter.refresh_shapes()
         self._static_geometry.set_tyre_obstacles(frozenset())
         self._tyres.reset()
-        self._kinematics = KinematicCapsules(spec, self.robots)
+        self._kinematics = DartKinematics(spec, self.robots)
         self._kinematics.place(kinematic_poses)
         self._world = world = dartpy.simulation.World()
         world.setTimeStep(spec.timestep_s)
