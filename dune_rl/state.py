@@ -211,7 +211,9 @@ class GroupState:
     `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
-    any. `energy` and `scanner` are None unless a term needs them. `endings` has the flags (N,) of each
+    any. `kind` is the class of the bodies, such as person or vehicle, and `turning_radius_m` that of the
+    tightest curve of those that cannot turn on the spot, 0 for all others. `energy` and `scanner` are None
+    unless a term needs them. `endings` has the flags (N,) of each
     termination term by name; rewards and metrics are evaluated after these.
     """
 
@@ -228,6 +230,8 @@ class GroupState:
     endings: dict[str, Flags] = field(default_factory=dict)
     wheel_radius_m: float | None = None
     scanner: ScanQueries | None = None
+    kind: str = "robot"
+    turning_radius_m: float = 0.0
 
     @cached_property
     def nearest_return(self) -> Array:

@@ -133,5 +133,7 @@ class StateBuilder:
                 wheel_radius_m=group.wheel_radius_m,
                 energy=group.energy,
                 scanner=group.scanner,
+                kind=group.body.kind,
+                turning_radius_m=group.body.turning_radius_m,
             )
         return State(states, self._worlds, len(steps))
