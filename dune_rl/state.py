@@ -180,12 +180,15 @@ class ContactState:
     """Contacts with anything but the ground in any physics step of this control step, each (N,).
 
     `touching` marks agents in contact, `new` is the number of collisions that began (one per body touched,
-    for however long), `total` the number of collisions in the episode.
+    for however long), `total` the number of collisions in the episode. `new_by_kind` are those of `new` by
+    the class of what was touched: static, robot, or the kind of a body such as person; classes without any
+    are left out.
     """
 
     touching: Flags
     new: Counts
     total: Counts
+    new_by_kind: Mapping[str, Counts] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -258,7 +258,7 @@ def draw_sheep(conf: "Quadruped", phase: float) -> ColouredMesh:
 
 
 def draw_dog(conf: "Quadruped", phase: float) -> ColouredMesh:
-    """A shepherd's dog with pointed ears, a long muzzle and a bushy tail, at a phase of its stride in [0, 1)."""
+    """A shepherd's dog with pointed ears and a bushy tail, at a phase of its stride in [0, 1)."""
     tan, saddle, dark = (0.62, 0.42, 0.22), (0.12, 0.10, 0.09), (0.05, 0.05, 0.05)
     long, wide, tall = conf.size_m
     back, chest = 0.76 * tall, 0.36 * tall

@@ -16,7 +16,7 @@ _BLADE = (0.22, 0.22, 0.24)
 
 
 def draw_drone(conf: "DroneConf", phase: float) -> ColouredMesh:
-    """The drone at a phase in [0, 1) of a quarter of a turn of its propellers, its origin at its lowest point."""
+    """The drone at a phase in [0, 1) of a quarter of a turn of its propellers; it stands on its origin."""
     long, wide, tall = conf.size_m
     blade = 0.19 * min(long, wide)
     hubs = [(x * (long / 2 - blade), y * (wide / 2 - blade)) for x in (-1, 1) for y in (-1, 1)]

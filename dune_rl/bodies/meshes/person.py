@@ -31,7 +31,7 @@ _THIGH, _KNEE, _ARM = 0.45, 0.75, 0.40
 
 
 def draw_person(conf: "PersonConf", phase: float) -> ColouredMesh:
-    """An adult in a high-visibility vest and a hard hat, or a child with a larger head, at a phase in [0, 1)."""
+    """An adult in a vest and a hard hat, or a child with a larger head, at a phase in [0, 1)."""
     is_child = conf.height_m < 1.4
     clothes = _CHILD if is_child else _ADULT
     head = 0.105 if is_child else 0.075

@@ -114,7 +114,8 @@ def draw_truck(conf: "Vehicle") -> ColouredMesh:
         parts.append(
             prism(
                 [
-                    (front - 0.75 * cab, 0.63 * tall), (front - 0.20, 0.63 * tall), (front - 0.30, 0.90 * tall),
+                    (front - 0.75 * cab, 0.63 * tall), (front - 0.20, 0.63 * tall),
+                    (front - 0.30, 0.90 * tall),
                     (front - 0.75 * cab, 0.90 * tall),
                 ],
                 0.06,
@@ -159,7 +160,8 @@ def draw_tractor(conf: "Vehicle") -> ColouredMesh:
         # The hood over the engine, narrower than the wheels are apart.
         prism(
             [
-                (rear + 0.35, 0.72 * deck), (nose - 0.05, 0.72 * deck), (nose, 0.85 * deck), (nose - 0.06, 1.12 * deck),
+                (rear + 0.35, 0.72 * deck), (nose - 0.05, 0.72 * deck), (nose, 0.85 * deck),
+                (nose - 0.06, 1.12 * deck),
                 (nose - 0.5, 1.22 * deck), (rear + 0.35, 1.30 * deck),
             ],
             0.34 * wide,
@@ -170,7 +172,14 @@ def draw_tractor(conf: "Vehicle") -> ColouredMesh:
         box(((front + rear) / 2, 0, 0.60 * deck), (front - rear + 0.3, 0.20 * wide, 0.36), _DARK),
         box((front, 0, small), (0.14, 0.66 * wide, 0.14), _DARK),
         box((rear, 0, big), (0.26, 0.62 * wide, 0.26), _DARK),
-        tube([((front - 0.55, 0.10 * wide, 1.15 * deck), 0.045, 0.045), ((front - 0.55, 0.10 * wide, 1.75 * deck), 0.045, 0.045)], _DARK, 7),
+        tube(
+            [
+                ((front - 0.55, 0.10 * wide, 1.15 * deck), 0.045, 0.045),
+                ((front - 0.55, 0.10 * wide, 1.75 * deck), 0.045, 0.045),
+            ],
+            _DARK,
+            7,
+        ),
         box((rear - 0.45, 0, 0.45 * deck), (0.55, 0.30 * wide, 0.10), _DARK),
     ]  # fmt: skip
     # The cab: glass below a roof, on posts.
