@@ -19,17 +19,18 @@ from dune_rl.worlds.appearance import bake_in_weather
 from dune_rl.worlds.flat import FlatConf, build_flat
 
 FOLDER = Path(__file__).parent
+_DRONE_M = 2.3
 # Name, x and y [m], heading [degrees] and phase of the stride of those in the picture of all.
 SCENE = (
-    ("truck", 1.5, 6.0, 200.0, 0.0),
-    ("tractor", 0.5, -4.6, 160.0, 0.0),
-    ("car", -4.0, 2.6, 215.0, 0.0),
-    ("cow", -5.0, -2.0, 130.0, 0.1),
-    ("person", -7.4, 1.0, 190.0, 0.25),
-    ("child", -7.6, 0.1, 175.0, 0.75),
-    ("sheep", -7.4, -2.4, 150.0, 0.4),
-    ("dog", -8.0, -1.1, 120.0, 0.3),
-    ("drone", -6.6, 2.6, 200.0, 0.5),
+    ("truck", 3.0, 6.8, 240.0, 0.0),
+    ("tractor", 1.0, -6.0, 125.0, 0.0),
+    ("car", -3.5, 4.4, 228.0, 0.0),
+    ("cow", -4.0, -2.2, 120.0, 0.1),
+    ("person", -7.0, 1.6, 215.0, 0.25),
+    ("child", -7.2, 0.5, 140.0, 0.75),
+    ("sheep", -7.0, -3.2, 125.0, 0.4),
+    ("dog", -8.2, -1.3, 110.0, 0.3),
+    ("drone", -5.0, 0.2, 205.0, 0.5),
 )
 
 
@@ -44,7 +45,7 @@ def posed(name: str, x: float, y: float, heading_deg: float, phase: float) -> Po
     """A body on level ground."""
     body = body_of(name)
     pictures = pictures_of(body)
-    height = 1.9 if body.flight is not None else 0.0
+    height = _DRONE_M if body.flight is not None else 0.0
     turn = rotation_from_yaw(np.asarray(np.deg2rad(heading_deg)))
     shape = RayMesh(pictures[round(phase * len(pictures)) % len(pictures)])
     return PosedMesh(shape, np.array([x, y, height]), turn)
@@ -57,7 +58,7 @@ def painter() -> Renderer:
 
 def draw_all() -> Image.Image:
     """All bodies on a meadow."""
-    view = Viewpoint((-14.5, -0.6, 2.5), (-3.0, 0.6, 0.9), 0.9)
+    view = Viewpoint((-17.5, -0.4, 2.6), (-3.0, 0.3, 1.0), 0.88)
     bodies = [posed(*one) for one in SCENE]
     return Image.fromarray(painter().render(view, 1400, 620, bodies, samples=3))
 
@@ -67,7 +68,7 @@ def draw_sides(renderer: Renderer, name: str, size: int = 420) -> Image.Image:
     body = body_of(name)
     reach, height = body.keep_out_radius_m, body.size_m[2]
     away = 2.2 * max(reach, 0.62 * height)
-    low = (1.9 if body.flight is not None else 0.0) + 0.5 * height
+    low = (_DRONE_M if body.flight is not None else 0.0) + 0.5 * height
     directions = ((0, 1, 0.12), (1, 0.12, 0.1), (-0.9, 0.45, 0.35), (0.8, 0.7, 0.6))
     tiles = []
     for number, (x, y, z) in enumerate(directions):

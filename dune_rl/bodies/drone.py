@@ -2,8 +2,22 @@
 
 from typing import ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from dune_rl.bodies.fields import (
+    Acceleration,
+    Altitude,
+    Climb,
+    Height,
+    LeastAltitude,
+    Length,
+    MostAltitude,
+    Push,
+    RoomBelow,
+    Speed,
+    TurnRate,
+    Width,
+)
 from dune_rl.bodies.settings import FlightBand, MotionLimits, MotionModel, RectangularBody
 from dune_rl.rendering.scenery import ColouredMesh
 
@@ -12,18 +26,18 @@ class DroneConf(RectangularBody):
     """A drone with four propellers, over what is lower than it flies."""
 
     name: Literal["drone"] = "drone"
-    speed_mps: float = 5.0
-    max_push_n: float = 30.0
-    length_m: float = 0.8
-    width_m: float = 0.8
-    height_m: float = 0.3
-    altitude_m: float = Field(3.0, gt=0.0, le=100.0, description="height above the ground that it keeps")
-    min_altitude_m: float = Field(0.5, gt=0.0, le=100.0)
-    max_altitude_m: float = Field(10.0, gt=0.0, le=100.0)
-    room_below_m: float = Field(0.5, ge=0.0, le=10.0, description="room over obstacles that it flies over")
-    max_turn_radps: float = Field(2.0, gt=0.0, le=50.0)
-    acceleration_mps2: float = Field(3.0, gt=0.0, le=20.0)
-    climb_mps: float = Field(1.5, gt=0.0, le=20.0, description="largest rate of climb and descent")
+    speed_mps: Speed = 5.0
+    max_push_n: Push = 30.0
+    length_m: Length = 0.8
+    width_m: Width = 0.8
+    height_m: Height = 0.3
+    altitude_m: Altitude = 3.0
+    min_altitude_m: LeastAltitude = 0.5
+    max_altitude_m: MostAltitude = 10.0
+    room_below_m: RoomBelow = 0.5
+    max_turn_radps: TurnRate = 2.0
+    acceleration_mps2: Acceleration = 3.0
+    climb_mps: Climb = 1.5
 
     kind: ClassVar[str] = "drone"
     motion_model: ClassVar[MotionModel] = "flying"

@@ -14,6 +14,11 @@ _FORM = "a subclass of dune_rl.bodies.settings.BodySettings whose fields all hav
 class BodyRegistry(Registry[BodySettings]):
     """The bodies by name: a part is a settings class itself, which needs no function to make it."""
 
+    @property
+    def entry_point_group(self) -> str:
+        """The entry-point group in which packages add bodies."""
+        return "dune_rl.bodies"
+
     def _signature_of(self, target: Any, name: str, origin: str) -> PartSignature:
         if not (inspect.isclass(target) and issubclass(target, BodySettings)):
             raise self._error(f"{origin}, which must be {_FORM}, and is {target!r}.")

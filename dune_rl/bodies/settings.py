@@ -6,8 +6,27 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
+from dune_rl.bodies.fields import (
+    Acceleration,
+    Braking,
+    Clearance,
+    Depth,
+    Height,
+    Length,
+    Overhang,
+    Push,
+    Reverse,
+    Slope,
+    Speed,
+    Stride,
+    Track,
+    TurningCircle,
+    TurnRate,
+    Wheelbase,
+    WheelRadius,
+    Width,
+)
 from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh
@@ -62,10 +81,10 @@ class BodySettings(Settings):
     """
 
     name: str
-    speed_mps: float = Field(1.0, gt=0.0, le=50.0, description="top speed [m/s]")
-    max_push_n: float = Field(250.0, gt=0.0, le=500_000.0, description="largest horizontal force on robots")
-    max_slope_deg: float = Field(90.0, gt=0.0, le=90.0, description="steepest ground that it crosses")
-    max_water_m: float = Field(100.0, ge=0.0, le=100.0, description="deepest water that it crosses")
+    speed_mps: Speed = 1.0
+    max_push_n: Push = 250.0
+    max_slope_deg: Slope = 90.0
+    max_water_m: Depth = 100.0
 
     kind: ClassVar[str] = "body"
     motion_model: ClassVar[MotionModel] = "unicycle"
@@ -158,9 +177,9 @@ def pictures_of(body: BodySettings) -> tuple[ColouredMesh, ...]:
 class RectangularBody(BodySettings):
     """A body that is longer than wide, with a rectangular outline."""
 
-    length_m: float = Field(gt=0.0, le=30.0)
-    width_m: float = Field(gt=0.0, le=10.0)
-    height_m: float = Field(gt=0.0, le=10.0)
+    length_m: Length
+    width_m: Width
+    height_m: Height
 
     @property
     def size_m(self) -> tuple[float, float, float]:
@@ -176,15 +195,15 @@ class Vehicle(RectangularBody):
     rear axle.
     """
 
-    wheelbase_m: float = Field(gt=0.0, le=20.0)
-    track_m: float = Field(gt=0.0, le=10.0)
-    wheel_radius_m: float = Field(gt=0.0, le=3.0)
-    overhang_m: float = Field(ge=0.0, le=10.0, description="length behind the rear axle")
-    turning_circle_m: float = Field(gt=0.0, le=100.0, description="diameter, kerb to kerb")
-    clearance_m: float = Field(ge=0.0, le=2.0, description="height of the underside")
-    acceleration_mps2: float = Field(gt=0.0, le=20.0)
-    braking_mps2: float = Field(gt=0.0, le=20.0)
-    reverse_mps: float = Field(1.0, gt=0.0, le=10.0, description="top speed backwards")
+    wheelbase_m: Wheelbase
+    track_m: Track
+    wheel_radius_m: WheelRadius
+    overhang_m: Overhang
+    turning_circle_m: TurningCircle
+    clearance_m: Clearance
+    acceleration_mps2: Acceleration
+    braking_mps2: Braking
+    reverse_mps: Reverse = 1.0
 
     kind: ClassVar[str] = "vehicle"
     motion_model: ClassVar[MotionModel] = "bicycle"
@@ -225,9 +244,9 @@ class Vehicle(RectangularBody):
 class Quadruped(RectangularBody):
     """An animal on four legs, which turns on the spot and leans with the ground."""
 
-    max_turn_radps: float = Field(2.0, gt=0.0, le=50.0)
-    acceleration_mps2: float = Field(2.0, gt=0.0, le=20.0)
-    stride_m_per_m: float = Field(1.0, gt=0.0, le=5.0, description="stride length as a share of body length")
+    max_turn_radps: TurnRate = 2.0
+    acceleration_mps2: Acceleration = 2.0
+    stride_m_per_m: Stride = 1.0
 
     kind: ClassVar[str] = "animal"
 
