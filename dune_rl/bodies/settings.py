@@ -27,7 +27,7 @@ from dune_rl.bodies.fields import (
     WheelRadius,
     Width,
 )
-from dune_rl.physics.interface import KinematicCapsule
+from dune_rl.physics.interface import KinematicBox, KinematicShape
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh
 from dune_rl.sensors.context import SensorCarrier
@@ -143,11 +143,10 @@ class BodySettings(Settings):
         part = length / count
         return part * (np.arange(count) - (count - 1) / 2), float(np.hypot(part, width)) / 2
 
-    def collision_shape(self, name: str) -> KinematicCapsule:
-        """The shape that physics moves, called `name`."""
-        _, width, height = self.size_m
-        radius = min(width / 2, 0.49 * height)
-        return KinematicCapsule(name, radius, height, self.max_push_n)
+    def collision_shape(self, name: str) -> KinematicShape:
+        """The shape that physics moves, called `name`: a box down to the ground, legs and wheels included."""
+        length, width, height = self.size_m
+        return KinematicBox(name, length, width, height, max_push_n=self.max_push_n)
 
     def carrier(self) -> SensorCarrier:
         """The body as a carrier of sensors: scanners at half its height, a camera in front."""
@@ -161,7 +160,7 @@ class BodySettings(Settings):
 
     def mesh(self) -> MovingMesh:
         """What the sensors of others see, its origin on the ground."""
-        return MovingMesh(pictures_of(self)[0])
+        return MovingMesh(pictures_of(self))
 
     def picture(self, phase: float) -> ColouredMesh:
         """How it looks at a `phase` in [0, 1) of its stride, or of a turn of its propellers."""
