@@ -215,7 +215,8 @@ class GroupState:
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
     any. `kind` is the class of the bodies, such as person or vehicle, and `turning_radius_m` that of the
-    tightest curve of those that cannot turn on the spot, 0 for all others. `energy` and `scanner` are None
+    tightest curve of those that cannot turn on the spot, 0 for all others; a rear axle runs on it,
+    `rear_axle_m` behind the origin. `energy` and `scanner` are None
     unless a term needs them. `endings` has the flags (N,) of each
     termination term by name; rewards and metrics are evaluated after these.
     """
@@ -235,6 +236,7 @@ class GroupState:
     scanner: ScanQueries | None = None
     kind: str = "robot"
     turning_radius_m: float = 0.0
+    rear_axle_m: float = 0.0
 
     @cached_property
     def nearest_return(self) -> Array:

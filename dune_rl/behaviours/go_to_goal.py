@@ -11,10 +11,11 @@ from dune_rl.state import GroupState, State
 Speed = Annotated[float, Field(gt=0.0, le=50.0, description="speed toward the goal [m/s]")]
 
 
-# A goal that is this much outside of the tightest curve is in reach of a turn.
-_MARGIN = 1.1
+# A turn begins when the goal is outside of the tightest curve by the first factor, and ends when it is
+# inside by the second.
+_OUTSIDE, _INSIDE = 1.1, 0.92
 # Bodies that cannot turn on the spot turn towards the goal at this share of their speed.
-_TURNING_SHARE = 0.3
+_TURNING_SHARE = 0.5
 
 
 class GoToGoal:
@@ -27,9 +28,11 @@ class GoToGoal:
 
     def __init__(self, num_rows: int, *, speed_mps: Speed = 1.0) -> None:
         self._speed_mps = speed_mps
+        self._turns = np.ones(num_rows, bool)
 
     def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
-        """Nothing is remembered."""
+        """The agents in `mask` (N,) may turn at once."""
+        self._turns = self._turns | mask
 
     def act(self, state: State, group: GroupState) -> NDArray[np.float64]:
         """Head for the goal."""
@@ -37,6 +40,16 @@ class GoToGoal:
         least = _TURNING_SHARE if group.turning_radius_m else 0.0
         speed = self._speed_mps * np.maximum(np.cos(bearing), least)
         if group.turning_radius_m:
-            across = 2.0 * _MARGIN * group.turning_radius_m * np.abs(np.sin(bearing))
-            bearing = np.where(group.goal.distance < across, 0.0, bearing)
+            share = _distance_from_curve(group)
+            self._turns = np.where(self._turns, share >= _INSIDE, share >= _OUTSIDE)
+            bearing = np.where(self._turns, bearing, 0.0)
         return np.stack([speed, bearing], axis=1)
+
+
+def _distance_from_curve(group: GroupState) -> NDArray[np.float64]:
+    """Distances (N,) of the goals from the middles of the tightest curves towards them, over their radius."""
+    goal, radius, rear = group.goal, group.turning_radius_m, group.rear_axle_m
+    ahead = goal.distance * np.cos(goal.bearing) + rear
+    aside = goal.distance * np.abs(np.sin(goal.bearing)) - radius
+    share: NDArray[np.float64] = np.hypot(ahead, aside) / np.hypot(radius, rear)
+    return share

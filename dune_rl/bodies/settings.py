@@ -141,7 +141,8 @@ class BodySettings(Settings):
             return np.zeros(1), length / 2
         count = max(1, round(length / width))
         part = length / count
-        return part * (np.arange(count) - (count - 1) / 2), float(np.hypot(part, width)) / 2
+        along: Array = part * (np.arange(count) - (count - 1) / 2)
+        return along, float(np.hypot(part, width)) / 2
 
     def collision_shape(self, name: str) -> KinematicShape:
         """The shape that physics moves, called `name`: a box down to the ground, legs and wheels included."""

@@ -227,7 +227,11 @@ def why_not(body: RobotSettings | BodySettings, controller: Controller, *, has_p
         part = BEHAVIOURS.find(controller.name)
         fit = None if part is None else getattr(part.target, "motion_models", None)
         if fit is not None and body.motion_model not in fit:
-            able = [name for name in BODIES.own if BODIES.settings_class(name).motion_model in fit]
+            able = [
+                name
+                for name in BODIES.own
+                if (known := BODIES.settings_class(name)) is not None and known.motion_model in fit
+            ]
             return (
                 f"controller {controller.name} is for bodies that move as {one_of(fit)}, and a {body.name} "
                 f"is {body.motion_model}: choose another controller, or the body {one_of(able)}"

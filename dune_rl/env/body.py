@@ -45,6 +45,11 @@ class Body(Protocol):
         ...
 
     @property
+    def rear_axle_m(self) -> float:
+        """Distance [m] behind the origin of what runs on that curve."""
+        ...
+
+    @property
     def outline(self) -> Outline:
         """The shape in plan view."""
         ...

@@ -68,7 +68,7 @@ class KinematicBody:
         _, width, self.height_m = conf.size_m
         self.outline = _outline(conf)
         self.radius_m = width / 2
-        self.turning_radius_m = self.limits.turning_radius_m
+        self.turning_radius_m, self.rear_axle_m = self.limits.turning_radius_m, self.limits.rear_m
         self.wheel_radius_m, self.energy, self.reads_joints = None, None, False
 
     @property
@@ -220,10 +220,9 @@ class KinematicBody:
         moved = (by_scene[scenes, :, :2] != poses[..., :2]).any(axis=2)
         by_scene[scenes, :, :2] = poses[..., :2]
         if self._flight is None:
-            stood = by_scene[scenes].reshape(-1, POSE_SIZE)
-            self._stance.put(stood, scenes)
-            stood = stood.reshape(-1, self.count, POSE_SIZE)
-            by_scene[scenes] = np.where(moved[..., None], stood, by_scene[scenes])
+            standing = by_scene[scenes]
+            self._stance.put(standing.reshape(-1, POSE_SIZE), scenes)
+            by_scene[scenes] = np.where(moved[..., None], standing, by_scene[scenes])
         held = np.zeros(by_scene.shape[:2], bool)
         held[scenes] = moved
         self._velocity = np.where(held.reshape(-1, 1), 0.0, self._velocity)
@@ -269,7 +268,7 @@ class KinematicBody:
         attitude = np.zeros((len(self.poses), 3))
         attitude[:, 2] = self.poses[:, 3]
         place = self.poses[:, :3]
-        derived = {"acceleration_b": acceleration_b}
+        derived: dict[str, Any] = {"acceleration_b": acceleration_b}
         if self._num_frames > 1:
             phase = self._travelled_m / self.conf.stride_m
             derived["frames"] = np.floor(self._num_frames * phase) % self._num_frames

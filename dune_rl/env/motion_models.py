@@ -13,6 +13,7 @@ from dune_rl.bodies.settings import MotionLimits
 from dune_rl.geometry.frames import wrap_angle
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 
 class Step(NamedTuple):
@@ -27,7 +28,7 @@ class Step(NamedTuple):
 
 
 def advance(
-    limits: MotionLimits, poses: Array, velocity: Array, actions: Array, backing: Array, step_s: float
+    limits: MotionLimits, poses: Array, velocity: Array, actions: Array, backing: Flags, step_s: float
 ) -> Step:
     """Where bodies at `poses` (N, 6) with `velocity` (N, 2) get by `actions` (N, 2 or 3).
 
@@ -56,7 +57,7 @@ def _unicycle(limits: MotionLimits, poses: Array, velocity: Array, actions: Arra
 
 
 def _bicycle(
-    limits: MotionLimits, poses: Array, velocity: Array, actions: Array, backing: Array, step_s: float
+    limits: MotionLimits, poses: Array, velocity: Array, actions: Array, backing: Flags, step_s: float
 ) -> Step:
     """Kinematic bicycle: the rear axle's middle moves along the body, on curves as tight as its steering has.
 

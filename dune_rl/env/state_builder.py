@@ -143,5 +143,6 @@ class StateBuilder:
                 scanner=group.scanner,
                 kind=group.body.kind,
                 turning_radius_m=group.body.turning_radius_m,
+                rear_axle_m=group.body.rear_axle_m,
             )
         return State(states, self._worlds, len(steps))

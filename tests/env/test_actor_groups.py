@@ -11,7 +11,6 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, WorldError
 
-
 ANYWHERE = {"task": {"spawn": {"region": "anywhere"}}}
 
 
@@ -27,7 +26,11 @@ def driving(body: Any, count: int = 1, **more: Any) -> dict[str, Any]:
 
 
 def test_actors_start_apart_from_robots_and_from_each_other() -> None:
-    actors = {"herd": driving("cow", 4), "cars": driving("car", 2, **ANYWHERE), "walker": {"body": "person", "count": 2}}
+    actors = {
+        "herd": driving("cow", 4),
+        "cars": driving("car", 2, **ANYWHERE),
+        "walker": {"body": "person", "count": 2},
+    }
     core = new_simulation("flat", 3, actors=actors, robots=["rover_zero", "leo_rover"], sensors=["goal"])
     core.reset()
     for scene in range(3):
@@ -151,14 +154,14 @@ def swooping(body: str) -> dict[str, str]:
 
 
 def test_collisions_are_counted_by_class() -> None:
-    actors = {"herd": driving("cow"), "walker": {"body": "person"}}
+    actors = {"herd": driving("cow"), "people": {"body": "person"}}
     core = new_simulation("flat", 1, actors=actors, sensors=["goal"], metrics="navigation")
     core.reset()
     kinds = ("static", "robot", "person", "vehicle", "animal", "drone")
     names = list(core.metric_names("rover"))
     columns = [names.index(f"collisions_{kind}") for kind in kinds]
     rover = core.group("rover")
-    for kind, body in (("animal", "herd"), ("person", "walker")):
+    for kind, body in (("animal", "herd"), ("person", "people")):
         before = core.metrics("rover")[0, 0, columns]
         for _ in range(40):
             # Where the robot is.

@@ -1,9 +1,13 @@
 """Vehicles, animals and drones: how they move, stop, lean with the ground, and where they do not go."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from yards import Box, yard
 
+from dune_rl.behaviours.go_to_goal import GoToGoal
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings, MotionLimits, MotionModel
 from dune_rl.env.kinematic import KinematicBody
@@ -298,3 +302,26 @@ def test_headings_are_kept_within_a_turn() -> None:
     assert np.abs(poses).max() <= np.pi
     turned = wrap_angle(np.diff(poses))
     np.testing.assert_allclose(turned, 4.0 * STEP_S, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_go_to_goal_reaches_goals_all_round_a_vehicle(name: str) -> None:
+    rng = np.random.default_rng(0)
+    number = 200
+    body = bodies(name, *((0.0, 0.0, yaw) for yaw in rng.uniform(-3.0, 3.0, number)))
+    goals = rng.uniform(-6.0, 6.0, (number, 2))
+    driver = GoToGoal(number, speed_mps=3.0)
+    reached = np.zeros(number, bool)
+    for _ in range(900):
+        offset = goals - body.poses[:, :2]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - body.poses[:, 3])
+        reached |= distance < 0.75
+        state: Any = SimpleNamespace(
+            goal=SimpleNamespace(distance=distance, bearing=bearing),
+            turning_radius_m=body.turning_radius_m,
+            rear_axle_m=body.rear_axle_m,
+        )
+        body.command(driver.act(state, state), body.motion)
+        body.read()
+    assert reached.all()
