@@ -41,6 +41,7 @@ __all__ = [
     "parallel_env",
     "register_algorithm",
     "register_behaviour",
+    "register_body",
     "register_metric",
     "register_reward",
     "register_robot",
@@ -189,6 +190,7 @@ def sensor_bounds(
 
 register_world = RegisterDecorator("dune_rl.worlds.registry:WORLDS", then=register_env)
 register_robot = RegisterDecorator("dune_rl.robots.registry:ROBOTS")
+register_body = RegisterDecorator("dune_rl.bodies.registry:BODIES")
 register_sensor = RegisterDecorator("dune_rl.sensors.registry:SENSORS")
 register_behaviour = RegisterDecorator("dune_rl.behaviours.registry:BEHAVIOURS")
 register_reward = RegisterDecorator("dune_rl.tasks.registry:REWARDS")

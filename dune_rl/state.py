@@ -180,12 +180,15 @@ class ContactState:
     """Contacts with anything but the ground in any physics step of this control step, each (N,).
 
     `touching` marks agents in contact, `new` is the number of collisions that began (one per body touched,
-    for however long), `total` the number of collisions in the episode.
+    for however long), `total` the number of collisions in the episode. `new_by_kind` are those of `new` by
+    the class of what was touched: static, robot, or the kind of a body such as person; classes without any
+    are left out.
     """
 
     touching: Flags
     new: Counts
     total: Counts
+    new_by_kind: Mapping[str, Counts] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,10 @@ class GroupState:
     `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
-    any. `energy` and `scanner` are None unless a term needs them. `endings` has the flags (N,) of each
+    any. `kind` is the class of the bodies, such as person or vehicle, and `turning_radius_m` that of the
+    tightest curve of those that cannot turn on the spot, 0 for all others; a rear axle runs on it,
+    `rear_axle_m` behind the origin. `energy` and `scanner` are None
+    unless a term needs them. `endings` has the flags (N,) of each
     termination term by name; rewards and metrics are evaluated after these.
     """
 
@@ -228,6 +234,9 @@ class GroupState:
     endings: dict[str, Flags] = field(default_factory=dict)
     wheel_radius_m: float | None = None
     scanner: ScanQueries | None = None
+    kind: str = "robot"
+    turning_radius_m: float = 0.0
+    rear_axle_m: float = 0.0
 
     @cached_property
     def nearest_return(self) -> Array:

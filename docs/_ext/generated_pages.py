@@ -13,6 +13,7 @@ from dune_rl import paths, report
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.registry import BODIES
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
@@ -97,7 +98,9 @@ def environment_settings() -> Section:
 def group_settings() -> Section:
     """The settings of an agent group, of a person's body and of its path."""
     comments = {path.removeprefix("walker."): text for path, text in read_comments("actors/walkers").items()}
-    comments["body"] = "a robot or `person`: a name, or `{name: NAME}` with settings"
+    comments["body"] = (
+        "a robot or a [body of actors](../how_to/actors.md): a name, or `{name: NAME}` with settings"
+    )
     group = read_section(AgentGroupConf, "agents.NAME", comments, only=frozenset(AgentGroupConf.model_fields))
     group.sections = []
     for name, model in (("body", PersonConf), ("path", PathConf)):
@@ -152,6 +155,16 @@ def _term_comments(section: str, file: str, common: Mapping[str, str]) -> Callab
     return read
 
 
+_BODY_MEANINGS = {
+    "speed_mps": "top speed [m/s]",
+    "max_turn_radps": "how fast it turns [rad/s]",
+    "radius_m": "of the capsule that robots can hit [m]",
+    "height_m": "height [m]",
+    "max_push_n": "largest horizontal force on a robot [N]",
+    "max_slope_deg": "steepest ground that it crosses [deg]",
+    "max_water_m": "deepest water that it crosses [m]",
+    "looks": "what sensors see: a capsule in clothes, or a figure with limbs that swing",
+}
 _REWARD_MEANINGS = {
     "weight": "factor on the term",
     "termination": "name of the termination term",
@@ -169,6 +182,7 @@ _METRIC_MEANINGS = {
     "reduce": "what makes one value of an episode's steps",
     "initial": "the value where an episode has none",
     "groups": "names of the groups whose agents count; none: all others do",
+    "kinds": "classes of what is touched: static, robot, person, vehicle, animal, drone, or one of one's own",
     "max_m": "the largest gap or clearance that counts [m]",
     "within_m": "gap below which an agent is near [m]",
     "least_m": "smallest gap of the class [m]",
@@ -188,6 +202,7 @@ _METRIC_MEANINGS = {
 KINDS: Mapping[str, tuple[Registry[Any], str, Callable[[str], dict[str, str]]]] = {
     "world": (WORLDS, "world=NAME", _option_comments("world")),
     "robot": (ROBOTS, "robot=NAME", _robot_comments),
+    "body": (BODIES, "body=NAME", lambda name: _BODY_MEANINGS),
     "reward": (REWARDS, "task.rewards.NAME", _term_comments("rewards", "task/point_goal", _REWARD_MEANINGS)),
     "termination": (
         TERMINATIONS,

@@ -11,19 +11,45 @@ from dune_rl.state import GroupState, State
 Speed = Annotated[float, Field(gt=0.0, le=50.0, description="speed toward the goal [m/s]")]
 
 
+# A turn begins when the goal is outside of the tightest curve by the first factor, and ends when it is
+# inside by the second.
+_OUTSIDE, _INSIDE = 1.1, 0.92
+# Bodies that cannot turn on the spot turn towards the goal at this share of their speed.
+_TURNING_SHARE = 0.5
+
+
 class GoToGoal:
     """Actions (N, 2): a speed [m/s] and the heading of the goal relative to the present one [rad].
 
     The speed is the share of `speed_mps` that points at the goal; bodies do not exceed their own top speed.
+    A body that cannot turn on the spot keeps moving; while the goal lies inside its tightest curve, which it
+    would circle for ever, it drives straight on until it does not (Dubins 1957).
     """
 
     def __init__(self, num_rows: int, *, speed_mps: Speed = 1.0) -> None:
         self._speed_mps = speed_mps
+        self._turns = np.ones(num_rows, bool)
 
     def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
-        """Nothing is remembered."""
+        """The agents in `mask` (N,) may turn at once."""
+        self._turns = self._turns | mask
 
     def act(self, state: State, group: GroupState) -> NDArray[np.float64]:
         """Head for the goal."""
         bearing = group.goal.bearing
-        return np.stack([self._speed_mps * np.maximum(np.cos(bearing), 0.0), bearing], axis=1)
+        least = _TURNING_SHARE if group.turning_radius_m else 0.0
+        speed = self._speed_mps * np.maximum(np.cos(bearing), least)
+        if group.turning_radius_m:
+            share = _distance_from_curve(group)
+            self._turns = np.where(self._turns, share >= _INSIDE, share >= _OUTSIDE)
+            bearing = np.where(self._turns, bearing, 0.0)
+        return np.stack([speed, bearing], axis=1)
+
+
+def _distance_from_curve(group: GroupState) -> NDArray[np.float64]:
+    """Distances (N,) of the goals from the middles of the tightest curves towards them, over their radius."""
+    goal, radius, rear = group.goal, group.turning_radius_m, group.rear_axle_m
+    ahead = goal.distance * np.cos(goal.bearing) + rear
+    aside = goal.distance * np.abs(np.sin(goal.bearing)) - radius
+    share: NDArray[np.float64] = np.hypot(ahead, aside) / np.hypot(radius, rear)
+    return share

@@ -1,17 +1,16 @@
-"""A person on foot: an upright capsule that walks as a unicycle does."""
+"""Persons on foot: upright capsules that walk as a unicycle does."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.bodies.settings import BodySettings, MotionLimits
 from dune_rl.physics.interface import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.sensors.context import SensorCarrier
-from dune_rl.settings import Settings
 
 _SIDES = 24
 # Upper ends of the clothes as shares of the height, and their colours (sRGB).
@@ -28,8 +27,12 @@ _CLOTHES = (
 )
 
 
-class PersonConf(Settings):
-    """Size and motion limits of a person: never backwards, and turns take time."""
+class PersonConf(BodySettings):
+    """Size and motion limits of a person: never backwards, and turns take time.
+
+    With `looks: figure` it has a head, arms and legs that swing with its stride; `pillar` is the capsule in
+    clothes that physics has.
+    """
 
     name: Literal["person"] = "person"
     speed_mps: float = Field(1.0, gt=0.0, le=5.0)
@@ -38,12 +41,41 @@ class PersonConf(Settings):
     height_m: float = Field(1.75, gt=0.0, le=5.0)
     # Largest horizontal force on robots [N], see `KinematicCapsule`.
     max_push_n: float = Field(250.0, gt=0.0, le=5_000.0)
+    max_slope_deg: float = Field(45.0, gt=0.0, le=90.0)
+    max_water_m: float = Field(1.0, ge=0.0, le=100.0)
+    looks: Literal["pillar", "figure"] = "pillar"
+
+    kind: ClassVar[str] = "person"
 
     @model_validator(mode="after")
     def _is_a_capsule(self) -> Self:
         if self.height_m <= 2 * self.radius_m:
             raise ValueError(f"height_m ({self.height_m}) must be more than twice radius_m ({self.radius_m})")
         return self
+
+    @property
+    def size_m(self) -> tuple[float, float, float]:
+        """Length, width and height [m]."""
+        return 2 * self.radius_m, 2 * self.radius_m, self.height_m
+
+    @property
+    def num_frames(self) -> int:
+        """Number of pictures of a stride."""
+        return 12 if self.looks == "figure" else 1
+
+    @property
+    def is_round(self) -> bool:
+        """A person's outline is a disc."""
+        return True
+
+    @property
+    def stride_m(self) -> float:
+        """Length of a stride [m], two steps: about 0.8 times the height."""
+        return 0.8 * self.height_m
+
+    def limits(self) -> MotionLimits:
+        """How it moves."""
+        return MotionLimits(self.motion_model, self.speed_mps, self.max_turn_radps)
 
     def collision_shape(self, name: str) -> KinematicCapsule:
         """The capsule that physics moves, called `name`."""
@@ -58,9 +90,30 @@ class PersonConf(Settings):
             max_speed_mps=self.speed_mps,
         )
 
-    def mesh(self) -> MovingMesh:
-        """The shape that sensors see, its origin on the ground."""
-        return MovingMesh(_capsule_in_clothes(self.radius_m, self.height_m))
+    def picture(self, phase: float) -> ColouredMesh:
+        """The person at a phase of its stride; a pillar looks the same at each."""
+        if self.looks == "pillar":
+            return _capsule_in_clothes(self.radius_m, self.height_m)
+        from dune_rl.bodies.meshes.person import draw_person
+
+        return draw_person(self, phase)
+
+
+class ChildConf(PersonConf):
+    """A child of about seven years."""
+
+    name: Literal["child"] = "child"  # type: ignore[assignment]
+    speed_mps: float = Field(1.2, gt=0.0, le=5.0)
+    radius_m: float = Field(0.18, gt=0.0, le=2.0)
+    height_m: float = Field(1.22, gt=0.0, le=5.0)
+    max_push_n: float = Field(100.0, gt=0.0, le=5_000.0)
+    max_turn_radps: float = Field(4.0, gt=0.0, le=50.0)
+    max_water_m: float = Field(0.4, ge=0.0, le=100.0)
+    looks: Literal["pillar", "figure"] = "figure"
+
+    def picture(self, phase: float) -> ColouredMesh:
+        """The child at a phase of its stride."""
+        return super().picture(phase)
 
 
 def _capsule_in_clothes(radius_m: float, height_m: float) -> ColouredMesh:

@@ -10,6 +10,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, mod
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.registry import BODIES
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
@@ -38,10 +40,11 @@ Controller = Literal["external", "path", "trajectory"] | FrozenPolicyConf | Beha
 def _parse_body(value: Any) -> Any:
     if isinstance(value, str):
         value = {"name": value}
-    if isinstance(value, Mapping) and value.get("name") == PERSON:
-        return PersonConf.model_validate(value)
     if isinstance(value, Mapping) and isinstance(name := value.get("name"), str):
-        known = [PERSON, *ROBOTS.names()]
+        bodies = BODIES.names()
+        if name in bodies:
+            return BODIES.parse_settings(value)
+        known = [*bodies, *ROBOTS.names()]
         if name not in known:
             near = closest(name, known)
             remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
@@ -72,17 +75,18 @@ def _parse_controller(value: Any) -> Any:
 class AgentGroupConf(Settings):
     """A group of `count` equal agents.
 
-    `body` is a robot or a person. `controller` is `external` (a user or a
-    learner gives its actions), `path` (a person walks there and back),
-    `trajectory` (persons follow those of the world's file), a behaviour, or a
-    checkpoint of a trained policy. `path` has the paths on which persons start,
-    and between whose ends they go.
+    `body` is a robot, or a person, vehicle, animal or drone (`BODIES`).
+    `controller` is `external` (a user or a learner gives its actions), `path`
+    (there and back along a path), `trajectory` (the one of the world's file), a
+    behaviour, or a checkpoint of a trained policy. `path` has the paths on which
+    persons start, and between whose ends they go; other bodies have none unless
+    it is given, and start and go in the region of their task.
 
     Where `sensors`, `task` or `metrics` are None, they follow from the rest:
     see `resolve_groups`.
     """
 
-    body: Annotated[SerializeAsAny[RobotSettings | PersonConf], BeforeValidator(_parse_body)]
+    body: Annotated[SerializeAsAny[RobotSettings | BodySettings], BeforeValidator(_parse_body)]
     count: int = Field(1, ge=1, le=_MOST_AGENTS, description="number of agents")
     controller: Annotated[SerializeAsAny[Controller], BeforeValidator(_parse_controller)] = "external"
     path: PathConf | None = Field(
@@ -93,14 +97,10 @@ class AgentGroupConf(Settings):
     metrics: MetricsConf | None = None
 
     @model_validator(mode="after")
-    def _body_can_walk_paths(self) -> Self:
-        if isinstance(self.body, PersonConf):
-            return self
-        if self.controller in (PATH, TRAJECTORY) or self.path is not None:
-            raise ValueError(
-                f"paths are walked by persons, and the body is {self.body.name}: choose another controller, "
-                "and leave path out"
-            )
+    def _body_can_do_it(self) -> Self:
+        fault = why_not(self.body, self.controller, has_path=self.path is not None)
+        if fault:
+            raise ValueError(fault)
         return self
 
 
@@ -125,7 +125,7 @@ class ResolvedGroup:
     """
 
     name: str
-    body: RobotSettings | PersonConf
+    body: RobotSettings | BodySettings
     count: int
     controller: Controller
     path: PathConf | None
@@ -166,37 +166,77 @@ def resolve_groups(
     | person | external    | walker's      | walking       | none          |
     | person | checkpoint  | walker's      | none          | none          |
     | person | another     | none          | none          | none          |
+    | other  | external    | walker's      | environment's | environment's |
+    | other  | checkpoint  | walker's      | roaming       | none          |
+    | other  | another     | none          | roaming       | none          |
 
-    Roaming robots start and go where the environment's task has it, and get another goal at each.
+    A vehicle, an animal or a drone is "other", unless it is on a path: then it is as a person. Roaming agents
+    start and go where the environment's task has it, and get another goal at each.
     """
     return tuple(_resolved(name, group, defaults) for name, group in groups.items())
 
 
 def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> ResolvedGroup:
-    is_person = isinstance(group.body, PersonConf)
+    is_body = isinstance(group.body, BodySettings)
+    on_path = is_on_path(group.body, group.controller, has_path=group.path is not None)
     is_external = group.controller == EXTERNAL
     observes = is_external or reads_sensors(group.controller)
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
     if observes:
-        sensors = walker_sensors() if is_person else defaults.sensors
+        sensors = walker_sensors() if is_body else defaults.sensors
     if is_external:
-        task = walking_task() if is_person else defaults.task
-        # Persons have no motors.
-        metrics = defaults.metrics.model_copy(update={"energy": False}) if is_person else defaults.metrics
-    elif not is_person:
+        task = walking_task() if on_path else defaults.task
+        # These bodies have no motors.
+        metrics = defaults.metrics.model_copy(update={"energy": False}) if is_body else defaults.metrics
+    elif not on_path:
         task = roaming_task(defaults.task)
     return ResolvedGroup(
         name,
         group.body,
         group.count,
         group.controller,
-        (group.path or PathConf()) if is_person else None,
+        (group.path or PathConf()) if on_path else None,
         group.sensors or sensors,
         group.task or task,
         group.metrics or metrics,
     )
+
+
+def is_on_path(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> bool:
+    """Whether agents start on paths or trajectories: persons do, and other bodies that are given one."""
+    if not isinstance(body, BodySettings):
+        return False
+    return isinstance(body, PersonConf) or controller in (PATH, TRAJECTORY) or has_path
+
+
+def why_not(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> str:
+    """Why a body cannot do what a controller has it do, and what to write instead; empty where it can."""
+    if not isinstance(body, BodySettings):
+        if controller in (PATH, TRAJECTORY) or has_path:
+            return (
+                f"paths are walked by persons, and the body is {body.name}: choose another controller, "
+                "and leave path out"
+            )
+        return ""
+    if controller == PATH and body.motion_model in ("bicycle", "flying"):
+        cannot = "turn round on the spot at its ends" if body.motion_model == "bicycle" else "walk it"
+        return f"controller path: a {body.name} cannot {cannot}; write controller: go_to_goal"
+    if isinstance(controller, BehaviourSettings):
+        part = BEHAVIOURS.find(controller.name)
+        fit = None if part is None else getattr(part.target, "motion_models", None)
+        if fit is not None and body.motion_model not in fit:
+            able = [
+                name
+                for name in BODIES.own
+                if (known := BODIES.settings_class(name)) is not None and known.motion_model in fit
+            ]
+            return (
+                f"controller {controller.name} is for bodies that move as {one_of(fit)}, and a {body.name} "
+                f"is {body.motion_model}: choose another controller, or the body {one_of(able)}"
+            )
+    return ""
 
 
 def reads_sensors(controller: Controller) -> bool:

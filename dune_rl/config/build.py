@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
-from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.agents import PATH, TRAJECTORY
 from dune_rl.config.controllers import controller_factory
 from dune_rl.config.schema import EnvConf, SingleAgentConf
@@ -83,7 +83,7 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
         GroupSetup(
             group.name,
             group.count,
-            group.body if isinstance(group.body, PersonConf) else partial(build_robot, group.body),
+            group.body if isinstance(group.body, BodySettings) else partial(build_robot, group.body),
             controller=controller_factory(group.controller),
             paths=group.path,
             follows_paths=group.controller == PATH,

@@ -9,6 +9,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
+from dune_rl.bodies.registry import BODIES
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
@@ -28,6 +30,7 @@ Model = TypeVar("Model", bound=BaseModel)
 _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     WorldSettings: WORLDS,
     RobotSettings: ROBOTS,
+    BodySettings: BODIES,
     SensorSettings: SENSORS,
     BehaviourSettings: BEHAVIOURS,
     LearningConf: ALGORITHMS,

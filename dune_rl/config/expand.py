@@ -6,8 +6,10 @@ from typing import Any
 from hydra.core.config_loader import ConfigLoader
 from omegaconf import OmegaConf
 
+from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.registry import BODIES
 from dune_rl.config.actors import groups_of_list
-from dune_rl.config.agents import EXTERNAL, PERSON, roaming_settings
+from dune_rl.config.agents import EXTERNAL, PATH, TRAJECTORY, roaming_settings
 from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import option_names
 from dune_rl.config.renaming import rename_in_section
@@ -19,8 +21,9 @@ from dune_rl.tasks.task import TaskConf
 
 # Sections of an agent group that may name an option of the group of this name, with their settings.
 _SECTIONS: dict[str, type[Settings]] = {"sensors": SensorsConf, "task": TaskConf, "metrics": MetricsConf}
-# The options that persons have unless their group says otherwise.
-_OF_PERSONS = {"sensors": "walker", "task": "walking"}
+# The options that persons and other kinematic bodies have unless their group says otherwise.
+_OF_BODIES = {"sensors": "walker"}
+_OF_WALKERS = {"sensors": "walker", "task": "walking"}
 
 
 class _OptionReader:
@@ -115,6 +118,17 @@ def _expand_robots(data: dict[str, Any], options: _OptionReader) -> list[str]:
     return faults
 
 
+def _options_of(body: Any, group: Mapping[Any, Any]) -> Mapping[str, str]:
+    """The options that a group with this body has unless it says otherwise, by section."""
+    name = body.get("name") if isinstance(body, Mapping) else None
+    if not isinstance(name, str) or name not in BODIES.names():
+        return {}
+    known = BODIES.settings_class(name) if BODIES.is_loaded(name) else None
+    is_person = known is not None and issubclass(known, PersonConf)
+    walks = group.get("controller") in (PATH, TRAJECTORY) or group.get("path") is not None
+    return _OF_WALKERS if is_person or walks else _OF_BODIES
+
+
 def _expanded_group(
     group: Any, path: str, data: Mapping[str, Any], options: _OptionReader, faults: list[str]
 ) -> Any:
@@ -125,7 +139,7 @@ def _expanded_group(
     # Persons, and robots of users' packages, are known to the schema alone.
     if isinstance(body, Mapping) and body.get("name") in options.names("robot"):
         out["body"] = options.changed("robot", str(body["name"]), body)
-    is_person = isinstance(body, Mapping) and body.get("name") == PERSON
+    own_options = _options_of(body, group)
     for section, settings in _SECTIONS.items():
         value = group.get(section)
         if section == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
@@ -141,8 +155,8 @@ def _expanded_group(
                 faults.append(f"{path}.{section}: there is no {section} {name!r}; {remedy}")
                 out[section] = None
         elif isinstance(changes, Mapping) and not settings.model_fields.keys() <= changes.keys():
-            if is_person and section in _OF_PERSONS:
-                out[section] = options.changed(section, _OF_PERSONS[section], changes)
+            if section in own_options:
+                out[section] = options.changed(section, own_options[section], changes)
             elif isinstance(base := data.get(section), Mapping):
                 is_roaming = section == "task" and group.get("controller", EXTERNAL) != EXTERNAL
                 out[section] = merged(roaming_settings(base) if is_roaming else base, changes)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.trajectory import TrajectoryFollower
-from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.body import Body
 from dune_rl.env.collision_counter import CollisionCounter
 from dune_rl.env.controllers import Controller
@@ -48,7 +48,7 @@ class GroupSetup:
 
     name: str
     count: int
-    body: RobotFactory | PersonConf
+    body: RobotFactory | BodySettings
     controller: MakeController | None = None
     paths: PathConf | None = None
     follows_paths: bool = False
@@ -203,7 +203,7 @@ class AgentGroup:
             assert isinstance(self.goals.source, PathGoals)
             follower, step_s = self.goals.source.follower, now.episode.step_s
             timed = isinstance(follower, TrajectoryFollower)
-            self.body.move_to(follower.advance(step_s if timed else self.body.conf.speed_mps * step_s))
+            self.body.move_to(follower.advance(step_s if timed else self.body.limits.max_speed_mps * step_s))
             return
         if self._controller is not None:
             actions = self._controller.act(state, now, self.observe)

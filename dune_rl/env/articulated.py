@@ -49,6 +49,9 @@ class ArticulatedBody:
         self.count = count
         self.traction = Traction(robot, physics, rows)
         self.latency = Latency(rows, robot.body.rest_commands(), physics.control_hz) if has_latency else None
+        self.kind = "robot"
+        # Robots turn by their own controllers, whatever heading they are told.
+        self.turning_radius_m, self.rear_axle_m = 0.0, 0.0
         self.reads_joints = False
         self._measures_work = measures_work
         self._worlds = worlds

@@ -5,11 +5,12 @@ from functools import partial
 
 from dune_rl.behaviours.path_follower import PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
-from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.agent_group import AgentGroup, GroupSetup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.goals import GoalTracker, PathGoals, RegionGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.room import has_room
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
 from dune_rl.env.sensing import sensor_context
 from dune_rl.env.state_builder import StateBuilder
@@ -29,14 +30,19 @@ def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager) -> tuple[Ag
     """The groups of M scenes, without their sensors, which see each other's groups: see `add_sensors`."""
     groups: list[AgentGroup] = []
     robots: list[RegionGoals] = []
+    roaming: list[RegionGoals] = []
     spawners = _SharedSpawners(scenes.worlds.worlds)
     for setup in setups:
         rows = len(scenes.worlds) * setup.count
-        if isinstance(setup.body, PersonConf):
-            group = _kinematic_group(setup, setup.body, scenes, rows, spawners)
-        else:
+        if not isinstance(setup.body, BodySettings):
             group = _robot_group(setup, scenes, rows, spawners, robots)
+        elif setup.paths is not None or setup.follows_trajectories:
+            group = _group_on_paths(setup, setup.body, scenes, rows, spawners)
+        else:
+            group = _roaming_group(setup, setup.body, scenes, rows, roaming)
         groups.append(group)
+    # Other agents keep off robots, and robots take no notice of them.
+    roaming[:0] = robots
     return tuple(groups)
 
 
@@ -65,7 +71,7 @@ def _robot_group(
     shared_spawners: _SharedSpawners,
     robots: list[RegionGoals],
 ) -> AgentGroup:
-    assert not isinstance(setup.body, PersonConf)
+    assert not isinstance(setup.body, BodySettings)
     robot = setup.body(rows)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
     body = ArticulatedBody(
@@ -89,8 +95,8 @@ def _robot_group(
     return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
 
 
-def _kinematic_group(
-    setup: GroupSetup, conf: PersonConf, scenes: SceneManager, rows: int, shared_spawners: _SharedSpawners
+def _group_on_paths(
+    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, rows: int, shared_spawners: _SharedSpawners
 ) -> AgentGroup:
     body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
     worlds = scenes.worlds.worlds
@@ -98,10 +104,31 @@ def _kinematic_group(
     if setup.follows_trajectories:
         follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name)
     else:
-        follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
-    spawners = shared_spawners.of(SpawnConf(), conf.radius_m)
+        radius = conf.keep_out_radius_m
+        follower = PathFollower(setup.paths or PathConf(), setup.count, radius, worlds, setup.name)
+    spawners = shared_spawners.of(SpawnConf(), conf.keep_out_radius_m)
     goals = GoalTracker(PathGoals(follower), rows)
     return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))
+
+
+def _roaming_group(
+    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, rows: int, roaming: list[RegionGoals]
+) -> AgentGroup:
+    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
+    spawn = SpawnConf() if setup.task is None else setup.task.spawn
+    radius, worlds = conf.keep_out_radius_m, scenes.worlds.worlds
+    spawners = Spawners(spawn, radius, worlds, partial(has_room, conf), f"{setup.name} ({conf.name}): ")
+    goals = RegionGoals(
+        spawn,
+        radius,
+        spawners,
+        len(scenes.worlds),
+        setup.count,
+        lambda: body.motion.position_w,
+        roaming,
+        setup.name,
+    )
+    return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
 
 
 def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:

@@ -21,8 +21,9 @@ Engines = Sequence[PhysicsRobot]
 class Body(Protocol):
     """The equal bodies of N agents, `count` in each scene, rows scene after scene.
 
-    `motion` is their state after the last `read` or `read_start`, and `poses` (N, 4) are x, y, z [m] and yaw
-    [rad]. `engines` are the physics robots, one per row; none for bodies that physics does not simulate.
+    `motion` is their state after the last `read` or `read_start`, and `poses` (N, 4 or 6) begin with x, y, z
+    [m] and yaw [rad]. `engines` are the physics robots, one per row; none for bodies that physics does not
+    simulate.
     """
 
     count: int
@@ -32,6 +33,21 @@ class Body(Protocol):
 
     @property
     def poses(self) -> Array: ...
+
+    @property
+    def kind(self) -> str:
+        """The class of the bodies, by which encounters and collisions are named."""
+        ...
+
+    @property
+    def turning_radius_m(self) -> float:
+        """Radius [m] of the tightest curve of bodies that cannot turn on the spot; 0 for all others."""
+        ...
+
+    @property
+    def rear_axle_m(self) -> float:
+        """Distance [m] behind the origin of what runs on that curve."""
+        ...
 
     @property
     def outline(self) -> Outline:

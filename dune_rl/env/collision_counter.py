@@ -1,6 +1,6 @@
 """Counts collisions: a continuous contact with a body is one collision."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,18 +42,27 @@ class CollisionCounter:
         """The contacts at the start of an episode: none begins."""
         return ContactState(self._untouched, self._none, self._total)
 
-    def update(self, contacts: Iterable[tuple[int, int]], steps: Counts) -> ContactState:
+    def update(
+        self,
+        contacts: Iterable[tuple[int, int]],
+        steps: Counts,
+        kind_of: Callable[[int, int], str] | None = None,
+    ) -> ContactState:
         """The contacts of a control step; `contacts` are pairs of row and body number, which may repeat.
 
-        `steps` (N,) counts each episode's control steps.
+        `steps` (N,) counts each episode's control steps. `kind_of` names the class of a row's body.
         """
         pairs = set(contacts)
         if not pairs:
             return self.at_rest
         new, touching = np.zeros_like(self._total), np.zeros(len(self._total), bool)
+        by_kind: dict[str, Counts] = {}
         for row, body in pairs:
-            new[row] += steps[row] - self._last[row, body] > self._gap
+            if steps[row] - self._last[row, body] > self._gap:
+                new[row] += 1
+                if kind_of is not None:
+                    by_kind.setdefault(kind_of(row, body), np.zeros_like(new))[row] += 1
             self._last[row, body] = steps[row]
             touching[row] = True
         self._total = self._total + new
-        return ContactState(touching, new, self._total)
+        return ContactState(touching, new, self._total, by_kind)

@@ -1,5 +1,7 @@
 """The vehicle model of an agent group, for the behaviours that drive by one."""
 
+import numpy as np
+
 from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext, Unicycle
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
@@ -30,10 +32,13 @@ def _unicycle(group: AgentGroup) -> Unicycle:
     speeds = float(low[0]), float(high[0])
     body = group.body
     if isinstance(body, KinematicBody):
-        # A person turns to the commanded heading within the step, as far as its limit lets it.
-        conf = body.conf
-        size = 2.0 * conf.radius_m
-        return Unicycle(*speeds, conf.max_turn_radps, 1.0 / body.step_s, size, size, conf.radius_m)
+        # It turns to the commanded heading within the step, as far as its limits let it.
+        length, width, _ = body.conf.size_m
+        radius = body.turning_radius_m
+        limit = body.limits.max_turn_radps
+        fastest = speeds[1] / radius if radius else np.pi / body.step_s if limit is None else limit
+        reach = body.conf.keep_out_radius_m
+        return Unicycle(*speeds, fastest, 1.0 / body.step_s, length, width, reach, radius)
     assert isinstance(body, ArticulatedBody)
     robot = body.robot
     steering = None if robot.wheels is None else robot.wheels.steering

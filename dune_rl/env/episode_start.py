@@ -16,6 +16,7 @@ from dune_rl.env.goals import PathGoals, RegionGoals
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.scene_spec import standing_pose
+from dune_rl.errors import WorldError
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import Placement
@@ -28,7 +29,7 @@ _POSE_COLUMNS = 6
 
 
 class EpisodeStart:
-    """Samples start poses of all agents of a scene: first robots, then agents on paths, away from them."""
+    """Samples start poses of all agents of a scene: first robots, then others, away from them."""
 
     def __init__(self, groups: Sequence[AgentGroup], scenes: SceneManager) -> None:
         self._groups, self._scenes = groups, scenes
@@ -37,7 +38,7 @@ class EpisodeStart:
 
     def check_room(self, seed: int, world: World) -> None:
         """Raise `WorldError` if `world` has no room for a robot or a path. This also finds the paths."""
-        for group in self._robots:
+        for group in (*self._robots, *self._roaming):
             group.spawners.of(world)
         self.find_paths(seed, world)
 
@@ -59,6 +60,10 @@ class EpisodeStart:
     def _on_paths(self) -> list[AgentGroup]:
         return [group for group in self._kinematic if isinstance(group.goals.source, PathGoals)]
 
+    @property
+    def _roaming(self) -> list[AgentGroup]:
+        return [group for group in self._kinematic if isinstance(group.goals.source, RegionGoals)]
+
     def start(self, scene: int, seed: int, episode: int, request: EpisodeRequest) -> None:
         """Start an episode in a scene; raises `WorldError` if there is no room.
 
@@ -71,8 +76,9 @@ class EpisodeStart:
             used = scenes.used_worlds()
             for group in self._groups:
                 group.spawners.keep(used)
-        starts = self._place_robots(scene, world, seed, episode, request)
+        starts, taken = self._place_robots(scene, world, seed, episode, request)
         avoid = np.array([position[:2] for poses in starts for position, _ in poses]).reshape(-1, 2)
+        avoid = np.concatenate([avoid, self._place_roaming(scene, seed, episode, taken)])
         draws = stream(seed, "actors", episode)
         for index, group in enumerate(self._on_paths()):
             assert isinstance(group.goals.source, PathGoals)
@@ -86,11 +92,11 @@ class EpisodeStart:
 
     def _place_robots(
         self, scene: int, world: World, seed: int, episode: int, request: EpisodeRequest
-    ) -> list[list[tuple[Array, Array]]]:
+    ) -> tuple[list[list[tuple[Array, Array]]], list[tuple[Placement, float]]]:
         """Sample start poses, by group, and goals of the robots, or take those of `request`.
 
-        Robots whose starts are requested are placed first, and the others at a distance from them and from
-        where actors on trajectories start.
+        Returns also what is taken by them and by actors on trajectories. Robots whose starts are requested
+        are placed first, and the others at a distance from them and from where actors on trajectories start.
         """
         robots = [name for group in self._robots for name in group.names]
         others = [name for name in request if name not in robots]
@@ -127,7 +133,27 @@ class EpisodeStart:
             found.append(poses)
         if request:
             _check_apart([(name, *placed[name]) for _, _, name in members])
-        return found
+        return found, [*actors, *placed.values()]
+
+    def _place_roaming(
+        self, scene: int, seed: int, episode: int, taken: list[tuple[Placement, float]]
+    ) -> Array:
+        """Place kinematic bodies without paths, away from those `taken`; returns their outlines (P, 2)."""
+        points = [np.zeros((0, 2))]
+        for group in self._roaming:
+            source, body = group.goals.source, group.body
+            assert isinstance(source, RegionGoals)
+            assert isinstance(body, KinematicBody)
+            try:
+                placed = source.place(scene, seed, episode, taken)
+            except WorldError as error:
+                raise WorldError(f"{group.name} (count {group.count}): {error}") from None
+            taken = [*taken, *((one, source.footprint_radius_m) for one in placed)]
+            poses = np.array([(one.x, one.y, 0.0, one.yaw) for one in placed])
+            poses[:, 2] = self._scenes.worlds.worlds[scene].terrain.height(poses[:, :2])
+            body.place(scene, poses)
+            points.append(body.outline_points(scene))
+        return np.concatenate(points)
 
     def starts_on_trajectories(self, world: World) -> list[tuple[Placement, float]]:
         """Where actors on trajectories start, as placements that stay there, and their radii [m]."""

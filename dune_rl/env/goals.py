@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.path_follower import PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
+from dune_rl.errors import WorldError
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.seeding import stream
@@ -34,17 +35,31 @@ class GoalSource(Protocol):
 
 
 class Spawners:
-    """Cache of one `Spawner` per world, for a footprint of `radius_m`."""
+    """Cache of one `Spawner` per world, for a footprint of `radius_m`.
 
-    def __init__(self, conf: SpawnConf, radius_m: float, worlds: SharedPerScene[World]) -> None:
+    `is_passable` is as for `Spawner`. Errors start with `whose`, if it is given.
+    """
+
+    def __init__(
+        self,
+        conf: SpawnConf,
+        radius_m: float,
+        worlds: SharedPerScene[World],
+        is_passable: Callable[[World, Array], Flags] | None = None,
+        whose: str = "",
+    ) -> None:
         self._conf, self._radius_m, self._worlds = conf, radius_m, worlds
+        self._is_passable, self._whose = is_passable, whose
         # Weak references would not work, because a spawner refers to its world.
         self._by_world: dict[World, Spawner] = {}
 
     def of(self, world: World) -> Spawner:
         """The spawner of a world; raises `WorldError` if the world has no room."""
         if world not in self._by_world:
-            self._by_world[world] = Spawner(world, self._conf, self._radius_m)
+            try:
+                self._by_world[world] = Spawner(world, self._conf, self._radius_m, self._is_passable)
+            except WorldError as error:
+                raise WorldError(f"{self._whose}{error}") from None
         return self._by_world[world]
 
     def of_scene(self, scene: int) -> Spawner:
@@ -57,11 +72,12 @@ class Spawners:
 
 
 class RegionGoals:
-    """Start poses and goals of M * G robots, sampled by a `Spawner` in a region of the world.
+    """Start poses and goals of M * G agents, sampled by a `Spawner` in a region of the world.
 
-    `position` returns the robots' positions (N, 3). `robots` lists the goals of the groups of robots before
-    this one; the new object is appended. A robot's number among all robots of a scene selects its random
-    stream, so that further robots do not change its starts and goals.
+    `position` returns the agents' positions (N, 3). `robots` lists the goals of the groups before this one
+    from which its starts and goals are apart; the new object is appended. A robot's number among all robots
+    of a scene selects its random stream, so that further robots do not change its starts and goals; agents
+    with another body have a stream by the name of their group, `stream_name`, and leave robots' alone.
     """
 
     def __init__(
@@ -73,8 +89,9 @@ class RegionGoals:
         count: int,
         position: Callable[[], Array],
         robots: "list[RegionGoals]",
+        stream_name: str | None = None,
     ) -> None:
-        self.conf, self.footprint_radius_m = conf, footprint_radius_m
+        self.conf, self.footprint_radius_m, self._stream_name = conf, footprint_radius_m, stream_name
         self._spawners, self._count, self._position = spawners, count, position
         self._first = sum(other._count for other in robots)
         self._robots = robots
@@ -100,7 +117,10 @@ class RegionGoals:
     ) -> Placement:
         """As `place`, of one of a scene's agents."""
         number, row = self._first + agent, scene * self._count + agent
-        draws = stream(seed, f"spawn rover_{number}" if number else "spawn", episode)
+        if self._stream_name is not None:
+            draws = stream(seed, f"spawn {self._stream_name}_{agent}", episode)
+        else:
+            draws = stream(seed, f"spawn rover_{number}" if number else "spawn", episode)
         reach = self.footprint_radius_m + self.conf.robots_apart_m
         placements, apart = [one for one, _ in taken], [reach + radius for _, radius in taken]
         placement = self._spawners.of_scene(scene).sample(draws, placements, apart)

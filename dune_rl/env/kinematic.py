@@ -1,17 +1,23 @@
-"""Kinematic bodies: N = M * G agents that follow prescribed motions on the ground, without dynamics."""
+"""Kinematic bodies: N = M * G agents that follow prescribed motions on the ground or in the air, without
+dynamics.
+"""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.compiled import compile_function
 from dune_rl.env.body import Engines
+from dune_rl.env.flight import Flight
+from dune_rl.env.motion_models import Step, advance, stopping_distance
 from dune_rl.env.proximity import Outline
-from dune_rl.geometry.frames import wrap_angle
+from dune_rl.env.room import Room
+from dune_rl.env.standing import Stance, turning_rates
+from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.robots.robot import BodyMotion
+from dune_rl.robots.robot import BodyMotion, rectangle_outline
 from dune_rl.sensors.context import SensorCarrier
 from dune_rl.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
@@ -20,39 +26,75 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Scenes = NDArray[np.int64]
 
-# Agents keep this far from the world's edge [m].
-_EDGE_M = 1.0
+# x, y, z [m], yaw, roll, pitch [rad].
+POSE_SIZE = 6
+# Bodies that brake stop about this far in front of what they cannot pass [m].
+_GAP_M = 0.1
+# A vehicle that is stuck drives back this share of its turning radius.
+_BACKING_SHARE = 0.8
+_OUTLINE_SPACING_M = 0.25
+# Members of a group begin their strides apart by this share of one.
+_STRIDES_APART = 0.37
 
 
 class KinematicBody:
-    """N equal bodies with unicycle kinematics, rows scene after scene: a `Body` without physics.
+    """N equal bodies that go where they are told, rows scene after scene: a `Body` without physics.
 
-    `poses` (N, 4) are x, y, z on the ground [m] and yaw [rad], from a command on those of the end of its
+    `poses` (N, 6) are x, y, z [m], yaw, roll and pitch [rad], from a command on those of the end of its
     control step; `motion` is derived from them by `read`. `blocked` (N,) marks bodies that stopped in the
-    last step in front of an obstacle or the world's edge.
+    last step in front of an obstacle, ground that they cannot cross, or the world's edge.
     """
 
-    def __init__(self, conf: PersonConf, worlds: BatchedWorlds, count: int, step_s: float) -> None:
+    def __init__(self, conf: BodySettings, worlds: BatchedWorlds, count: int, step_s: float) -> None:
         self.conf, self.count = conf, count
         self._worlds, self.step_s = worlds, step_s
         rows = len(worlds) * count
-        self.poses = np.zeros((rows, 4))
+        self.poses = np.zeros((rows, POSE_SIZE))
         self.blocked = np.zeros(rows, bool)
         self._unblocked = np.zeros(rows, bool)
+        self.limits = conf.limits()
+        self._room = Room(conf, worlds, count)
+        self._stance = Stance(conf.supports_b, worlds, count)
+        self._flight = None if conf.flight is None else Flight(conf, conf.flight, worlds, count)
+        # See `Step`; and how far each body is to drive backwards yet [m].
+        self._velocity = np.zeros((rows, 2))
+        self._backing_m = np.zeros(rows)
+        self._num_frames = conf.num_frames
+        self._travelled_m = np.zeros(rows)
+        self._start_poses = self.poses
+        self._rotation: Array | None = rotation_from_angles(np.zeros((rows, 3))) if self._leans else None
         still = np.zeros((rows, 3))
         self.motion = self._moving(still, still, still)
-        self._start_poses = self.poses
-        self.outline = Outline.disc(conf.radius_m)
-        self.radius_m, self.height_m = conf.radius_m, conf.height_m
+        _, width, self.height_m = conf.size_m
+        self.outline = _outline(conf)
+        self.radius_m = width / 2
+        self.turning_radius_m, self.rear_axle_m = self.limits.turning_radius_m, self.limits.rear_m
         self.wheel_radius_m, self.energy, self.reads_joints = None, None, False
 
+    @property
+    def _leans(self) -> bool:
+        return self._stance.leans
+
+    @property
+    def kind(self) -> str:
+        """The class of the body, by which encounters and collisions are named."""
+        return self.conf.kind
+
     def action_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds, each (2,), of speed [m/s] (never backwards) and relative heading [rad]."""
-        return np.array([0.0, -np.pi]), np.array([self.conf.speed_mps, np.pi])
+        """Lower and upper bounds, each (2,), of speed [m/s] and relative heading [rad].
+
+        Only vehicles go backwards. Those of flying bodies, (3,), have a rate of climb [m/s] as well.
+        """
+        limits = self.limits
+        low, high = [-limits.max_reverse_mps, -np.pi], [limits.max_speed_mps, np.pi]
+        if self._flight is not None:
+            low, high = [*low, -limits.max_climb_mps], [*high, limits.max_climb_mps]
+        # No zero has a sign.
+        return np.array(low) + 0.0, np.array(high)
 
     def rest_action(self) -> Array:
-        """Action (2,) at which the body stands still."""
-        return np.zeros(2)
+        """Action at which the body stands still, or hovers."""
+        return np.zeros(2 if self._flight is None else 3)
 
     def carrier(self) -> SensorCarrier:
         """The body as a carrier of sensors."""
@@ -62,15 +104,21 @@ class KinematicBody:
         """What the sensors of others see."""
         return self.conf.mesh()
 
+    # -- a new episode ----------------------------------------------------------------------------
+
     def reset(self, mask: Flags) -> None:
-        """Nothing is kept from one episode to the next."""
+        """Nothing is kept from one episode to the next but what `place` sets."""
 
     def place(self, scene: int, poses: Array) -> None:
-        """Put the bodies of a scene at `poses` (G, 4), at rest; `read_start` must follow."""
+        """Put the bodies of a scene at `poses` (G, 4 or more), at rest; `read_start` must follow."""
         rows = slice(scene * self.count, (scene + 1) * self.count)
         self.poses = self.poses.copy()
-        self.poses[rows] = poses
+        self.poses[rows] = self._standing(poses, np.array([scene]))
+        if self._flight is not None:
+            self._flight.take_off(self.poses, rows, scene)
         self.blocked[rows] = False
+        self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
+        self._travelled_m[rows] = self.conf.stride_m * (_STRIDES_APART * np.arange(self.count) % 1.0)
 
     def read_start(self, mask: Flags, engines: Engines = ()) -> None:
         """Set the motion in the rows in `mask` (N,) to rest."""
@@ -79,51 +127,105 @@ class KinematicBody:
             np.where(mask[:, None], 0.0, values)
             for values in (before.velocity_w, before.angular_w, before.acceleration_b)
         )
+        if self._leans:
+            self._rotation = _rotation_of(self.poses)
         self.motion = self._moving(velocity, turning, acceleration)
 
+    def outline_points(self, scene: int) -> Array:
+        """Points (P, 2) [m] that sample the outlines of the bodies of a scene, world frame."""
+        poses = self.poses[scene * self.count : (scene + 1) * self.count]
+        cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+        turn = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=1)
+        points: Array = poses[:, None, :2] + np.einsum("nij,pj->npi", turn, self.outline.points_b)
+        return points.reshape(-1, 2)
+
+    # -- a step -----------------------------------------------------------------------------------
+
     def move_to(self, poses: Array) -> None:
-        """Move to `poses` (N, 4) by the end of the control step."""
-        self._start_poses, self.poses = self.poses, poses
+        """Move to `poses` (N, 4 or 6) by the end of the control step; those of 4 lean with the ground."""
+        self._start_poses = self.poses
+        self.poses = self._standing(poses) if poses.shape[1] < POSE_SIZE else poses
 
     def command(self, actions: Array, known: BodyMotion, engines: Engines = ()) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
 
-        Both are clipped to the limits of the body. A body in front of an obstacle turns in place; one that a
-        robot has pushed into an obstacle may move where it is less deep in it. It needs no measured motion
+        Both are clipped to the limits of the body. Flying bodies may have a third number, their rate of climb
+        [m/s]; without it they keep their height above the ground. A body in front of what it cannot pass
+        stops or, if it can, turns in place; one that a robot has pushed into an obstacle may move where it is
+        less deep in it. Vehicles drive back a little when they are stuck. It needs no measured motion
         (`known`) and no `engines`.
         """
-        conf, poses = self.conf, self.poses.copy()
-        most = conf.max_turn_radps * self.step_s
-        turn = np.clip(actions[:, 1], -most, most)
-        yaw = wrap_angle(poses[:, 3] + turn)
-        distance = np.clip(actions[:, 0], 0.0, conf.speed_mps) * self.step_s
-        target = poses[:, :2] + distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-        by_scene = target.reshape(-1, self.count, 2)
-        xmin, xmax, ymin, ymax = self._worlds.extents.T[:, :, None]
-        inside = (
-            (by_scene[..., 0] > xmin + _EDGE_M)
-            & (by_scene[..., 0] < xmax - _EDGE_M)
-            & (by_scene[..., 1] > ymin + _EDGE_M)
-            & (by_scene[..., 1] < ymax - _EDGE_M)
+        poses = self.poses.copy()
+        step, free, stopped = self._next(poses, actions)
+        poses[:, :2] = np.where(free[:, None], step.xy, poses[:, :2])
+        poses[:, 3] = (
+            step.yaw if self.limits.turning_radius_m == 0.0 else np.where(free, step.yaw, poses[:, 3])
         )
-        clearance = self._worlds.clearance(by_scene)
-        free = clearance >= conf.radius_m
-        if not free.all():
-            free |= clearance > self._worlds.clearance(poses[:, :2].reshape(-1, self.count, 2))
-        free = (free & inside).ravel()
-        poses[:, :2] = np.where(free[:, None], target, poses[:, :2])
-        poses[:, 2] = self._worlds.height(poses[:, :2].reshape(-1, self.count, 2)).ravel()
-        poses[:, 3] = yaw
+        self._velocity = np.where(free[:, None], step.velocity, 0.0)
+        if self._flight is None:
+            self._stance.put(poses)
         self.move_to(poses)
-        self.blocked = ~free
+        self.blocked = ~free | stopped
+        if self.limits.model == "bicycle":
+            self._back_off(actions, step)
+
+    def _next(self, poses: Array, actions: Array) -> tuple[Step, Flags, Flags]:
+        """The step of the bodies, which of them (N,) have room for it, and which stand before an obstacle.
+
+        Sets the heights of flying bodies in `poses` (N, 6).
+        """
+        limits, step_s = self.limits, self.step_s
+        backing = self._backing_m > 0.0
+        step = advance(limits, poses, self._velocity, actions, backing, step_s)
+        stopped = self._unblocked
+        if limits.braking_mps2 is not None:
+            way = self._way_ahead(step)
+            clear = self._room.is_free(step.xy + way, step.yaw, poses)
+            if self._flight is not None:
+                clear &= self._flight.can_pass(poses, step.xy + way)
+            if not clear.all():
+                braking = np.where(clear[:, None], actions, _braked(actions))
+                step = advance(limits, poses, self._velocity, braking, backing, step_s)
+                stopped = ~clear & (np.abs(step.velocity).max(axis=1) < 1e-6)
+        free = self._room.is_free(step.xy, step.yaw, poses)
+        if self._flight is not None:
+            free &= self._flight.climb(poses, step.xy, actions, free, step_s)
+        return step, free, stopped
+
+    def _way_ahead(self, step: Step) -> Array:
+        """From the end of a step to where bodies come to rest, (N, 2) [m], and the gap that they keep."""
+        speed = np.hypot(step.velocity[:, 0], step.velocity[:, 1])
+        reach = stopping_distance(self.limits, speed, self.step_s) + _GAP_M
+        if self.limits.model in ("unicycle", "bicycle"):
+            signed = np.where(step.velocity[:, 0] < 0.0, -reach, reach)
+            return signed[:, None] * np.stack([np.cos(step.yaw), np.sin(step.yaw)], axis=-1)
+        way: Array = step.velocity * (reach / np.maximum(speed, 1e-9))[:, None]
+        return way
+
+    def _back_off(self, actions: Array, step: Step) -> None:
+        """Start to drive backwards where a vehicle cannot go on, and stop it where that is done."""
+        backing = self._backing_m > 0.0
+        left = np.maximum(self._backing_m - np.abs(step.velocity[:, 0]) * self.step_s, 0.0)
+        wants = actions[:, 0] > 0.0
+        starts = self.blocked & wants & ~backing
+        self._backing_m = np.where(backing & wants & ~self.blocked, left, 0.0)
+        self._backing_m[starts] = _BACKING_SHARE * self.limits.turning_radius_m
 
     def hold_back(self, scenes: Scenes, poses: Array) -> None:
-        """Set x and y of the bodies of `scenes` (S,) to those of `poses` (S, G, 6), after robots blocked
+        """Set x and y of the bodies of `scenes` (S,) to those of `poses` (S, G, ...), after robots blocked
         bodies.
         """
         reached = self.poses.copy()
-        heights = self._worlds.height(poses[..., :2], scenes)
-        _set_reached(reached.reshape(-1, self.count, 4), scenes, poses, heights)
+        by_scene = reached.reshape(-1, self.count, POSE_SIZE)
+        moved = (by_scene[scenes, :, :2] != poses[..., :2]).any(axis=2)
+        by_scene[scenes, :, :2] = poses[..., :2]
+        if self._flight is None:
+            standing = by_scene[scenes]
+            self._stance.put(standing.reshape(-1, POSE_SIZE), scenes)
+            by_scene[scenes] = np.where(moved[..., None], standing, by_scene[scenes])
+        held = np.zeros(by_scene.shape[:2], bool)
+        held[scenes] = moved
+        self._velocity = np.where(held.reshape(-1, 1), 0.0, self._velocity)
         self.poses = reached
 
     def read(self, engines: Engines = ()) -> list[tuple[int, int]]:
@@ -134,34 +236,73 @@ class KinematicBody:
         found = np.zeros((3, len(self.poses), 3))
         _derive_motion(self.poses, self._start_poses, self.motion.velocity_w, self.step_s, found)
         velocity_w, angular_w, acceleration_b = found
+        if self._leans:
+            before, self._rotation = self.motion.rotation, _rotation_of(self.poses)
+            turning_rates(self._rotation, before, self.step_s, angular_w)
+            change = (velocity_w - self.motion.velocity_w) / self.step_s
+            acceleration_b = np.einsum("nji,nj->ni", self._rotation, change)
+        if self._num_frames > 1:
+            self._travelled_m = self._travelled_m + self._way_of_parts(velocity_w)
         self.motion = self._moving(velocity_w, angular_w, acceleration_b)
         return []
+
+    def _way_of_parts(self, velocity_w: Array) -> Array:
+        """Way [m], (N,), by which legs moved on; propellers turn in the air, too, by a frame a step."""
+        if self._flight is not None:
+            return np.full(len(velocity_w), self.conf.stride_m / self._num_frames)
+        way: Array = np.hypot(velocity_w[:, 0], velocity_w[:, 1]) * self.step_s
+        return way
+
+    def _standing(self, poses: Array, scenes: Scenes | None = None) -> Array:
+        """`poses` (N, 4 or more) as poses (N, 6) that lean with the ground, as far above it as they were."""
+        full = np.zeros((len(poses), POSE_SIZE))
+        full[:, :4] = poses[:, :4]
+        if self._leans:
+            places = full[:, :2].reshape(-1, self.count, 2)
+            above = poses[:, 2] - self._worlds.height(places, scenes).reshape(-1)
+            self._stance.put(full, scenes)
+            full[:, 2] += above
+        return full
 
     def _moving(self, velocity_w: Array, angular_w: Array, acceleration_b: Array) -> Motion:
         attitude = np.zeros((len(self.poses), 3))
         attitude[:, 2] = self.poses[:, 3]
         place = self.poses[:, :3]
-        return Motion(place, attitude, velocity_w, angular_w, self._unblocked, acceleration_b=acceleration_b)
+        derived: dict[str, Any] = {"acceleration_b": acceleration_b}
+        if self._num_frames > 1:
+            phase = self._travelled_m / self.conf.stride_m
+            derived["frames"] = np.floor(self._num_frames * phase) % self._num_frames
+        if self._rotation is not None:
+            attitude[:, :2] = self.poses[:, 4:]
+            derived["rotation"] = self._rotation
+        return Motion(place, attitude, velocity_w, angular_w, self._unblocked, **derived)
 
 
-@compile_function
-def _set_reached(poses: Any, scenes: Any, reached: Any, heights: Any) -> None:
-    """Move those of `poses` (M, G, 4) to the x and y of `reached` (S, G, 6) that differ, in `scenes` (S,).
+def _outline(conf: BodySettings) -> Outline:
+    length, width, _ = conf.size_m
+    if conf.is_round:
+        return Outline.disc(length / 2)
+    return Outline(rectangle_outline(length, width, _OUTLINE_SPACING_M), np.array([length, width]) / 2)
 
-    `heights` (S, G) are the ground's at `reached`.
-    """
-    for row in range(len(scenes)):
-        for agent in range(poses.shape[1]):
-            pose, place = poses[scenes[row], agent], reached[row, agent]
-            if pose[0] != place[0] or pose[1] != place[1]:
-                pose[0], pose[1], pose[2] = place[0], place[1], heights[row, agent]
+
+def _rotation_of(poses: Array) -> Array:
+    """Rotations (N, 3, 3) from body to world at `poses` (N, 6)."""
+    return rotation_from_angles(poses[:, [4, 5, 3]])
+
+
+def _braked(actions: Array) -> Array:
+    """The actions (N, A) with a speed of 0."""
+    found = actions.copy()
+    found[:, 0] = 0.0
+    return found
 
 
 @compile_function
 def _derive_motion(poses: Any, before: Any, velocity_before: Any, step_s: float, found: Any) -> None:
     """Velocities (N, 3), turning rates (N, 3) and, in the body frame, accelerations (N, 3), into `found`.
 
-    Bodies went from `before` (N, 4) to `poses` (N, 4), and had the mean velocities `velocity_before` (N, 3).
+    Bodies went upright from `before` (N, 6) to `poses` (N, 6), and had the mean velocities `velocity_before`
+    (N, 3).
     """
     velocity, turning, acceleration = found[0], found[1], found[2]
     for row in range(len(poses)):

@@ -1,6 +1,7 @@
 """Builds the state of a control step from what the groups' bodies are and where."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ class StateBuilder:
             group.name: GroupLayout(index, group.count, group.outline, self._columns(group, firsts[-1]))
             for index, group in enumerate(groups)
         }
+        self._kinds = [group.body.kind for group in self._movers for _ in range(group.count)]
         self._order = [self._layouts[group.name].index for group in self._movers]
         self._identity: dict[str, tuple[Counts, Counts]] = {}
 
@@ -91,7 +93,8 @@ class StateBuilder:
             pairs = contacts.get(group.name, [])
             if has_contacts and isinstance(group.body, KinematicBody):
                 pairs = self._contacts_of_kinematic(group, contacts, count_statics)
-            found.append(group.collisions.update(pairs, row_steps))
+            kind_of = partial(self._kind_of, group, count_statics)
+            found.append(group.collisions.update(pairs, row_steps, kind_of))
         return self._build(seed, steps, goals, found)
 
     def _contacts_of_kinematic(
@@ -108,6 +111,11 @@ class StateBuilder:
                     number = count_statics(scene) + self._first[mover.name] + row % mover.count
                     pairs.append((scene * group.count + agent, number))
         return pairs
+
+    def _kind_of(self, group: AgentGroup, count_statics: Callable[[int], int], row: int, body: int) -> str:
+        """The class of a body that an agent of a group touches: static, or the kind of a moving body."""
+        mover = body - count_statics(row // group.count)
+        return self._kinds[mover] if mover >= 0 else "static"
 
     def _rows(self, values: Counts, group: AgentGroup) -> Counts:
         return values if group.count == 1 else np.repeat(values, group.count)
@@ -133,5 +141,8 @@ class StateBuilder:
                 wheel_radius_m=group.wheel_radius_m,
                 energy=group.energy,
                 scanner=group.scanner,
+                kind=group.body.kind,
+                turning_radius_m=group.body.turning_radius_m,
+                rear_axle_m=group.body.rear_axle_m,
             )
         return State(states, self._worlds, len(steps))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TypeVar
 
-from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.agents import ResolvedGroup
 from dune_rl.config.build import build_robot
 from dune_rl.config.checks import validate
@@ -83,13 +83,13 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
 def footprint_radius_m(conf: EnvConf) -> float:
     """Radius of the footprint of the robot of `conf` [m]."""
     body = robot_group(conf).body
-    assert not isinstance(body, PersonConf)
+    assert not isinstance(body, BodySettings)
     return build_robot(body, 1).footprint_radius_m
 
 
 def robot_group(conf: EnvConf) -> ResolvedGroup:
     """The group of the one robot of `conf`."""
-    return next(group for group in conf.groups if not isinstance(group.body, PersonConf))
+    return next(group for group in conf.groups if not isinstance(group.body, BodySettings))
 
 
 def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:

@@ -16,6 +16,7 @@ _OWN = {
     "battery_share": "energy:BatteryShare",
     "clearance": "paper:clearance",
     "collisions": "paper:collisions",
+    "collisions_with": "social:collisions_with",
     "dune_code_attempts": "dune_code:DuneCodeAttempts",
     "dune_code_clearance": "dune_code:DuneCodeClearance",
     "dune_code_collisions": "dune_code:dune_code_collisions",

@@ -1,6 +1,6 @@
 """Start poses and goals of robots, sampled from the free space of a world."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -55,11 +55,18 @@ class Spawner:
     """Samples start poses and goals that a disc of `footprint_radius_m` can move between.
 
     All are in one connected part of the free space: the part that covers most of
-    the region. Raises WorldError, which names the setting to change, where the
-    world has none.
+    the region. `is_passable`, of points (..., 2), tells where else they cannot be.
+    Raises WorldError, which names the setting to change, where the world has none.
     """
 
-    def __init__(self, world: World, conf: SpawnConf, footprint_radius_m: float) -> None:
+    def __init__(
+        self,
+        world: World,
+        conf: SpawnConf,
+        footprint_radius_m: float,
+        is_passable: Callable[[World, Array], NDArray[np.bool_]] | None = None,
+    ) -> None:
+        self._is_passable = is_passable
         self._world = world
         self._conf = conf
         self._footprint_radius_m = footprint_radius_m
@@ -102,6 +109,15 @@ class Spawner:
         usable = in_region & free.traversable & (free.clearance >= clearance_m)
         if not usable.any():
             raise WorldError(self._why_none(free, in_region, clearance_m))
+        if self._is_passable is not None:
+            rows, columns = np.nonzero(usable)
+            usable[rows, columns] = self._is_passable(self._world, free.centres(usable))
+            if not usable.any():
+                raise WorldError(
+                    f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r} has no "
+                    "ground that this body can be on: all is too steep, too rough, below water or below "
+                    "roofs. Choose another task.spawn.region, or another body."
+                )
         part = int(np.bincount(free.components[usable]).argmax())
         return part, free.centres(usable & (free.components == part))
 
@@ -235,7 +251,7 @@ class Spawner:
     def _too_full(self, robots: int) -> str:
         return (
             f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r} has no room for "
-            f"another robot beside {robots}: widen it, or lower task.spawn.robots_apart_m."
+            f"another agent beside {robots}: widen it, lower task.spawn.robots_apart_m, or have fewer agents."
         )
 
     def _far(self, goals: Array, start: Array) -> NDArray[np.bool_]:
@@ -246,7 +262,8 @@ class Spawner:
     def _fits(self, xy: Array) -> NDArray[np.bool_]:
         clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m
         gentle: NDArray[np.bool_] = self._world.terrain.slope(xy) <= self._max_slope
-        return gentle & clear
+        fits = gentle & clear
+        return fits if self._is_passable is None else fits & self._is_passable(self._world, xy)
 
     def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:
         """Points (n, 2) [m] of the same part with `radius_m` of clearance, connected at that clearance.

@@ -28,10 +28,18 @@ class ClearanceField:
 
     `blocking` are the closed meshes of obstacles, `decks` those that count as
     ground. Cells are 0.05 m (larger in worlds over 100 m). Distances are on
-    average half a cell too short, and at most half a cell too long.
+    average half a cell too short, and at most half a cell too long. Obstacles
+    are what occupies the heights from 0.03 m to `top_m` above the ground.
     """
 
-    def __init__(self, terrain: HeightField, blocking: Sequence[Mesh], decks: Sequence[Mesh] = ()) -> None:
+    def __init__(
+        self,
+        terrain: HeightField,
+        blocking: Sequence[Mesh],
+        decks: Sequence[Mesh] = (),
+        top_m: float = BAND_TOP_M,
+    ) -> None:
+        self._band_m = top_m - BAND_BOTTOM_M
         xmin, xmax, ymin, ymax = terrain.extent
         self.cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
         self.columns = int(np.ceil((xmax - xmin) / self.cell_m)) + 1
@@ -48,11 +56,11 @@ class ClearanceField:
         xy = self._origin + self.cell_m * np.stack([columns, rows], axis=-1)
         ground = self._terrain.height(xy)
         scene = RayScene(*merge_meshes(blocking))
-        blocked = _is_band_occupied(scene, xy, ground)
+        blocked = _is_band_occupied(scene, xy, ground, self._band_m)
         if decks:
             top = _deck_height(RayScene(*merge_meshes(decks)), xy)
             above = top > ground
-            blocked[above] |= _is_band_occupied(scene, xy[above], top[above])
+            blocked[above] |= _is_band_occupied(scene, xy[above], top[above], self._band_m)
         if not blocked.any():
             return None
         free = np.ones((self.rows, self.columns), dtype=bool)
@@ -101,7 +109,7 @@ def _deck_height(scene: RayScene, xy: Array) -> Array:
     return np.where(hit < 2 * _RAY_RANGE_M, top - hit, -np.inf)
 
 
-def _is_band_occupied(scene: RayScene, xy: Array, ground: Array) -> NDArray[np.bool_]:
+def _is_band_occupied(scene: RayScene, xy: Array, ground: Array, band_m: float) -> NDArray[np.bool_]:
     # A vertical ray from the band's bottom: a hit within the band is an obstacle. So is a solid that the
     # ray starts in: the ray leaves it once more often than it enters it.
     occupied = np.zeros(len(xy), dtype=bool)
@@ -118,6 +126,6 @@ def _is_band_occupied(scene: RayScene, xy: Array, ground: Array) -> NDArray[np.b
         if not len(live):
             break
         height[live] += hit + 1e-4
-        occupied[live] |= height[live] - start[live] < BAND_TOP_M - BAND_BOTTOM_M
+        occupied[live] |= height[live] - start[live] < band_m
         balance[live] += np.sign(normal[:, 2]).astype(int)
     return occupied | (balance > 0)

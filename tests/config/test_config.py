@@ -91,6 +91,10 @@ NAVIGATION: dict[str, Any] = {
         "most_m": 0.8,
     },
     "encounters_social": {"term": "encounters", "reduce": "last", "initial": 0.0, "least_m": 0.8},
+    **{
+        f"collisions_{kind}": {"term": "collisions_with", "reduce": "sum", "kinds": (kind,)}
+        for kind in ("static", "robot", "person", "vehicle", "animal", "drone")
+    },
     "stuck_count": {"term": "ended_by", "termination": "stuck", "reduce": "sum"},
     "flip_count": {"term": "ended_by", "termination": "flipped", "reduce": "sum"},
 }

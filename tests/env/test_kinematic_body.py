@@ -37,7 +37,7 @@ def test_an_agent_goes_where_it_turns() -> None:
     body = bodies((1.0, 1.0, 0.5))
     walk(body, 1.2, 0.1)
     expected = np.array([np.cos(0.6), np.sin(0.6)])
-    np.testing.assert_allclose(body.poses[0], [*(1.0 + 0.06 * expected), 0.0, 0.6], atol=1e-12)
+    np.testing.assert_allclose(body.poses[0, :4], [*(1.0 + 0.06 * expected), 0.0, 0.6], atol=1e-12)
     motion = body.motion
     np.testing.assert_allclose(motion.velocity_w[0], [*(1.2 * expected), 0.0], atol=1e-9)
     np.testing.assert_allclose(motion.velocity_b[0], [1.2, 0.0, 0.0], atol=1e-9)
@@ -48,10 +48,10 @@ def test_an_agent_goes_where_it_turns() -> None:
 def test_agents_move_by_their_own_actions() -> None:
     body = bodies((0.0, 0.0, 0.0), (0.0, 5.0, 0.0))
     body.command(np.array([[1.0, 0.0], [0.5, np.pi]]), body.motion)
-    np.testing.assert_allclose(body.poses[0], [0.05, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(body.poses[0, :4], [0.05, 0.0, 0.0, 0.0], atol=1e-12)
     turned = 3.0 * STEP_S
     x, y = 0.025 * np.cos(turned), 5.0 + 0.025 * np.sin(turned)
-    np.testing.assert_allclose(body.poses[1], [x, y, 0.0, turned], atol=1e-12)
+    np.testing.assert_allclose(body.poses[1, :4], [x, y, 0.0, turned], atol=1e-12)
 
 
 @pytest.mark.parametrize("heading", [2.0, -2.0])
@@ -78,7 +78,7 @@ def test_an_agent_follows_the_ground() -> None:
     slope = HeightField(np.tile(np.arange(21) * 0.2, (21, 1)), 1.0, (-10.0, -10.0))
     body = bodies((0.0, 0.0, 0.3), world=World("slope", slope, region=(-5, 5, -5, 5)))
     walk(body, 1.0, 0.0, 30)
-    x, y, z, _ = body.poses[0]
+    x, y, z = body.poses[0, :3]
     assert x > 1.0
     assert z == pytest.approx(float(slope.height([x, y])))
 
@@ -119,7 +119,7 @@ def test_an_agent_that_is_held_back_has_the_velocity_that_it_really_had() -> Non
     reached[0, :2] = before[0, :2] + [0.01, -0.02]
     body.hold_back(np.array([0]), reached[None])
     body.read()
-    np.testing.assert_allclose(body.poses[0], [0.06, -0.02, 0.006, 0.0], atol=1e-9)
+    np.testing.assert_allclose(body.poses[0, :4], [0.06, -0.02, 0.006, 0.0], atol=1e-9)
     np.testing.assert_allclose(body.motion.velocity_w[0], [0.2, -0.4, 0.02], atol=1e-9)
     # The other has got to where it went.
     np.testing.assert_array_equal(body.poses[1], commanded[1])
@@ -135,7 +135,7 @@ def test_motion_is_the_change_of_the_pose() -> None:
     for speed in (0.4, 1.0, 1.0, 0.7):
         body.command(np.array([[speed, 0.1]]), body.motion)
         if speed == 0.7:
-            body.hold_back(np.array([0]), body.poses[None] + np.array([0.01, 0.02, 0.0, 0.0]))
+            body.hold_back(np.array([0]), body.poses[None, :, :4] + np.array([0.01, 0.02, 0.0, 0.0]))
         body.read()
         poses.append(body.poses[0])
         before, now = poses[-2:]
@@ -251,9 +251,9 @@ def test_a_robot_holds_a_weak_walker_back(engine: str, controller: str) -> None:
     def put_rover(x: float, y: float) -> None:
         (robot,) = simulation.scenes.robots(0)
         robot.set_start_pose([x, y, 0.125], [0.0, 0.0, 0.0, 1.0])
-        simulation.scenes.reset(0, simulation.group("walker").body.poses[:1])
+        simulation.scenes.reset(0, simulation.group("walker").body.poses[:1, :4])
 
-    x, y, _, yaw = simulation.group("walker").body.poses[0]
+    x, y, _, yaw = simulation.group("walker").body.poses[0, :4]
     toward = np.sign(np.cos(yaw))
     put_rover(x + 1.3 * toward, y)
     places = walk(60)

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from dune_rl.errors import ConfigError
 from dune_rl.metrics.encounter_loops import find_gaps, find_times_to_contact
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.state import Array, Counts, Flags, GroupState, State
 from dune_rl.suggestions import one_of
 
 Metres = Annotated[float, Field(gt=0.0)]
@@ -46,6 +46,24 @@ def risk_seconds(
     nearness = 1.0 - np.clip(_gaps(state, group, groups) / within_m, 0.0, 1.0)
     risk: Array = nearness * group.episode.step_s
     return risk
+
+
+# What collisions are named by, beside the kinds of users' own bodies.
+_KINDS = ("static", "robot", "person", "vehicle", "animal", "drone")
+
+
+def collisions_with(state: State, group: GroupState, *, kinds: tuple[str, ...] = ("static",)) -> Counts:
+    """Number of collisions that began in this step with bodies of these classes.
+
+    `static` is what never moves; agents are of the class of their body: robot, person, vehicle, animal,
+    drone, or the `kind` of one's own.
+    """
+    known = (*_KINDS, *(other.kind for other in state.groups.values()))
+    for kind in kinds:
+        if kind not in known:
+            raise ConfigError(f"collisions_with.kinds: there is no class {kind!r}; choose {one_of(known)}")
+    new = group.contacts.new_by_kind
+    return sum((new[kind] for kind in kinds if kind in new), np.zeros(len(group.done), np.int64))
 
 
 class NearMisses:

@@ -1,0 +1,1 @@
+"""Meshes of bodies, made of simple solids by our own code."""

@@ -1,0 +1,118 @@
+"""Where kinematic bodies have room: the world's edge, obstacles, steep ground and deep water."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.bodies.settings import BodySettings
+from dune_rl.geometry.shared_per_scene import query_grouped
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage
+from dune_rl.worlds.world import World
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Agents keep this far from the world's edge [m].
+_EDGE_M = 1.0
+_LEVEL, _ANY_DEPTH = 90.0, 100.0
+
+
+class Room:
+    """Finds whether N bodies of a kind, rows scene after scene, have room at poses.
+
+    A body that is where it has none, such as one that a robot has pushed into an obstacle, has room wherever
+    it is less deep in it.
+    """
+
+    def __init__(self, conf: BodySettings, worlds: BatchedWorlds, count: int) -> None:
+        self._worlds, self._count = worlds, count
+        self._along, self._radius_m = conf.discs_b()
+        self._edge_m = max(_EDGE_M, self._radius_m)
+        self._limits = ground_limits(conf)
+        self._clearance = _clearance_of(conf)
+        self._checks: list[Callable[[Array, Array], Array]] = [self._within_edges]
+        if conf.flight is None:
+            self._checks.append(self._off_obstacles)
+            if self._limits is not None:
+                self._checks.append(self._on_ground)
+
+    def is_free(self, xy: Array, yaw: Array, poses: Array) -> Flags:
+        """Whether the bodies can get to `xy` (N, 2) [m] and `yaw` (N,) [rad] from `poses` (N, 6)."""
+        free = np.ones(len(xy), bool)
+        for measure in self._checks:
+            room = measure(xy, yaw)
+            enough = room >= 0.0
+            if not enough.all():
+                enough |= room > measure(poses[:, :2], poses[:, 3])
+            free &= enough
+        return free
+
+    def _within_edges(self, xy: Array, yaw: Array) -> Array:
+        """Distance [m], (N,), inside the border that bodies keep to the world's edge."""
+        xmin, xmax, ymin, ymax = np.repeat(self._worlds.extents, self._count, axis=0).T[:, :, None]
+        x, y = np.moveaxis(self._discs(xy, yaw), -1, 0)
+        edge = self._edge_m
+        nearest = np.minimum(
+            np.minimum(x - (xmin + edge), (xmax - edge) - x), np.minimum(y - (ymin + edge), (ymax - edge) - y)
+        )
+        found: Array = nearest.min(axis=1)
+        # On the border is outside.
+        return np.where(found == 0.0, -np.finfo(float).tiny, found)
+
+    def _off_obstacles(self, xy: Array, yaw: Array) -> Array:
+        """Distance [m], (N,), of the bodies' discs from obstacles, negative inside them."""
+        discs = self._discs(xy, yaw)
+        by_scene = discs.reshape(len(self._worlds), -1, 2)
+        apart = query_grouped(self._worlds.worlds.groups, self._clearance, by_scene)
+        found: Array = apart.reshape(len(discs), -1).min(axis=1) - self._radius_m
+        return found
+
+    def _on_ground(self, xy: Array, yaw: Array) -> Array:
+        """Distance [m], (N,), inside the ground that bodies can cross."""
+        assert self._limits is not None
+        passage = partial(_passage, limits=self._limits)
+        by_scene = xy.reshape(len(self._worlds), -1, 2)
+        return query_grouped(self._worlds.worlds.groups, passage, by_scene).reshape(-1)
+
+    def _discs(self, xy: Array, yaw: Array) -> Array:
+        """Centres (N, D, 2) [m] of the discs that cover the bodies."""
+        if len(self._along) == 1:
+            return xy[:, None]
+        ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        return xy[:, None] + self._along[:, None] * ahead[:, None]
+
+
+def ground_limits(conf: BodySettings) -> GroundLimits | None:
+    """The ground that a body can stand on; None if it can stand on any, or flies."""
+    if conf.flight is not None or (conf.max_slope_deg >= _LEVEL and conf.max_water_m >= _ANY_DEPTH):
+        return None
+    length, width, _ = conf.size_m
+    return GroundLimits(conf.max_slope_deg, conf.max_water_m, (length + width) / 4, conf.max_bump_m)
+
+
+def has_room(conf: BodySettings, world: World, xy: Array) -> Flags:
+    """Whether a body can be at points (..., 2) of a world, as far as its ground and roofs are concerned."""
+    from dune_rl.worlds.passage import roof_height
+
+    if conf.flight is not None:
+        flight = conf.flight
+        roof = roof_height(world, conf.keep_out_radius_m)(xy)
+        return roof + flight.room_m <= world.terrain.height(xy) + flight.usual_m
+    limits = ground_limits(conf)
+    passage = None if limits is None else ground_passage(world, limits)
+    return np.ones(xy.shape[:-1], bool) if passage is None else passage(xy) >= 0.0
+
+
+def _passage(world: World, xy: Array, limits: GroundLimits) -> Array:
+    field: GridField | None = ground_passage(world, limits)
+    return np.full(xy.shape[:-1], np.inf) if field is None else field(xy)
+
+
+def _clearance_of(conf: BodySettings) -> Callable[[World, Array], Array]:
+    if conf.is_round:
+        return World.clearance
+    height = conf.size_m[2]
+    return lambda world, xy: body_clearance(world, height)(xy)
