@@ -133,5 +133,8 @@ class StateBuilder:
                 wheel_radius_m=group.wheel_radius_m,
                 energy=group.energy,
                 scanner=group.scanner,
+                reach_m=group.reach_m,
+                is_robot=isinstance(group.body, ArticulatedBody),
+                avoids=not group.setup.is_scripted,
             )
         return State(states, self._worlds, len(steps))
