@@ -93,9 +93,7 @@ class Surroundings:
         around = self._clearance(xy[:, :, None] + _PROBES)
         distance = around[..., 0].copy()
         with np.errstate(invalid="ignore"):
-            slope = np.stack(
-                [around[..., 2] - around[..., 1], around[..., 4] - around[..., 3]], axis=-1
-            )
+            slope = np.stack([around[..., 2] - around[..., 1], around[..., 4] - around[..., 3]], axis=-1)
         slope[~np.isfinite(slope)] = 0.0
         length = np.linalg.norm(slope, axis=-1, keepdims=True)
         direction = slope / np.where(length > 1e-6, length, np.inf)

@@ -17,10 +17,10 @@ class Crossing(SteeredBehaviour):
     """Crosses the line on which the nearest robot drives, `time_to_contact_s` ahead of it, and goes on.
 
     At p, going at s u, the robot will reach p + s T u in the time to contact T. The actor is on an
-    interception course with this moving point, as a missile is (constant bearing): with its place q = p + a u +
-    c n, it arrives at the smallest t > 0 that solves (s t + s T - a)² + c² = (w t)², with its own speed w, at the
-    velocity (s + (s T - a) / t, -c / t). Behind the line by `beyond_m` it waits until the next robot comes
-    within `range_m`. It gives way to other actors, not to robots.
+    interception course with this moving point, as a missile is (constant bearing): with its place q = p + a u
+    + c n, it arrives at the smallest t > 0 that solves (s t + s T - a)² + c² = (w t)², with its own speed w,
+    at the velocity (s + (s T - a) / t, -c / t). Behind the line by `beyond_m` it waits until the next robot
+    comes within `range_m`. It gives way to other actors, not to robots.
     """
 
     def __init__(
@@ -31,8 +31,12 @@ class Crossing(SteeredBehaviour):
             float, Field(gt=0.0, le=60.0, description="of the robot with the crossing, on crossing [s]")
         ] = 2.0,
         speed_mps: Speed = 1.0,
-        range_m: Annotated[float, Field(gt=0.0, le=1_000.0, description="robots farther away are left [m]")] = 10.0,
-        beyond_m: Annotated[float, Field(ge=0.0, le=100.0, description="how far it goes on behind the line [m]")] = 3.0,
+        range_m: Annotated[
+            float, Field(gt=0.0, le=1_000.0, description="robots farther away are left [m]")
+        ] = 10.0,
+        beyond_m: Annotated[
+            float, Field(ge=0.0, le=100.0, description="how far it goes on behind the line [m]")
+        ] = 3.0,
     ) -> None:
         super().__init__(num_rows, speed_mps)
         self._ttc_s, self._range_m, self._beyond_m = time_to_contact_s, range_m, beyond_m

@@ -17,6 +17,7 @@ _SHORTEST_M = 2.0
 # Room beside the body on the way [m].
 _ROOM_M = 0.15
 _MAX_RISE = np.tan(np.radians(25.0))
+_SLOPE_PROBES = 0.3 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 # Who has come no nearer for so long goes elsewhere.
 _PATIENCE_S = 4.0
 _NEARER_M = 0.1
@@ -29,8 +30,9 @@ class Destinations:
     """Targets of N agents: `places` (P, 2) [m] in turn, or random ones, each with a pause on arrival.
 
     Member k of a group begins at place k. Random places are within `range_m` of where the agent started, to
-    the sides; the straight way there is free of obstacles and not steeper than 25 degrees, or the agent goes as
-    far as that. An agent that gets no nearer for 4 s takes the next one. `name` is that of the random stream.
+    the sides; the straight way there is free of obstacles and not steeper than 25 degrees, or the agent goes
+    as far as that. An agent that gets no nearer for 4 s takes the next one. `name` is that of the random
+    stream.
     """
 
     def __init__(
@@ -103,7 +105,9 @@ class Destinations:
     ) -> Array:
         """Places (m, 2) [m], straight ahead of which nothing is."""
         here, scenes = group.motion.position_w[rows, None, :2], rows // group.count
-        shares = np.stack([draws_of(self._name, group, row).random((_CANDIDATES, 2)) for row in rows.tolist()])
+        shares = np.stack(
+            [draws_of(self._name, group, row).random((_CANDIDATES, 2)) for row in rows.tolist()]
+        )
         xmin, xmax, ymin, ymax = state.ground.extents[scenes].T[..., None]
         low, high = np.stack([xmin, ymin], axis=-1), np.stack([xmax, ymax], axis=-1)
         places = self._home_w[rows, None] + (2.0 * shares - 1.0) * self._range_m
@@ -113,10 +117,8 @@ class Destinations:
         points = here[:, :, None] + ends[:, None] * way[:, :, None]
         length = np.linalg.norm(way, axis=-1)
         clearance = state.ground.clearance(points, scenes)
-        height = state.ground.height(points, scenes)
-        rise = np.abs(np.diff(height, axis=-1)) * (_LOOKS - 1)
         free = clearance >= np.minimum(reach_m + _ROOM_M, clearance[..., :1])
-        free[..., 1:] &= rise <= _MAX_RISE * length[..., None]
+        free[..., 1:] &= (_rise(state, points, scenes) <= _MAX_RISE)[..., 1:]
         # How far each way is free: up to the last point before the first that is not.
         reached = np.cumprod(free, axis=-1).sum(axis=-1) - 1
         is_good = (reached == _LOOKS - 1) & (length >= _SHORTEST_M)
@@ -125,6 +127,12 @@ class Destinations:
         every = np.arange(len(rows))
         found: Array = points[every, choice, np.maximum(reached[every, choice], 0)]
         return found
+
+
+def _rise(state: State, points: Array, scenes: NDArray[np.int64]) -> Array:
+    """Tangent of the ground's slope, (m, ...), at points (m, ..., 2) of `scenes` (m,), by central
+    differences.
+    """
 
 
 class DestinedBehaviour(SteeredBehaviour):

@@ -20,8 +20,8 @@ _WALL_M = 1.5
 class Flee(SteeredBehaviour):
     """Flees from the nearest of those called `target` within `range_m`, until it is 1.5 times as far away.
 
-    Evasion after Reynolds, "Steering behaviors for autonomous characters" (1999): straight away from where the
-    pursuer will be in a second. Beside obstacles it flees along them.
+    Evasion after Reynolds, "Steering behaviors for autonomous characters" (1999): straight away from where
+    the pursuer will be in a second. Beside obstacles it flees along them.
     """
 
     def __init__(
@@ -42,7 +42,9 @@ class Flee(SteeredBehaviour):
         reach = np.where(self._flees & ~self._fresh, _RELIEF, 1.0) * self._range_m
         self._flees = distance < reach
         away, _ = unit_vectors(group.motion.position_w[:, :2] - place - _PREDICTION_S * velocity)
-        gap, wall = (values.reshape(self._num_rows, -1) for values in state.surroundings.obstacles(group.name))
+        gap, wall = (
+            values.reshape(self._num_rows, -1) for values in state.surroundings.obstacles(group.name)
+        )
         into = np.maximum((away * wall).sum(axis=1), 0.0)
         nearness = np.clip(1.0 - (gap[:, 0] - group.reach_m) / _WALL_M, 0.0, 1.0)
         along, length = unit_vectors(away - (nearness * into)[:, None] * wall)

@@ -21,8 +21,8 @@ class Follow(SteeredBehaviour):
     """Follows the leader, which is the nearest of those called `target`, and stands `distance_m` from it.
 
     Leader following with arrival, after Reynolds, "Steering behaviors for autonomous characters" (1999): the
-    speed is the distance beyond `distance_m` over 0.5 s. It walks on the leader's trail of the last 32 m, and so
-    round the obstacles that the leader went round. The leader is chosen at the start of an episode.
+    speed is the distance beyond `distance_m` over 0.5 s. It walks on the leader's trail of the last 32 m, and
+    so round the obstacles that the leader went round. The leader is chosen at the start of an episode.
     """
 
     motions = ("holonomic", "unicycle", "bicycle")
@@ -33,7 +33,9 @@ class Follow(SteeredBehaviour):
         *,
         target: Who = "robots",
         speed_mps: Speed = 1.0,
-        distance_m: Annotated[float, Field(gt=0.0, le=100.0, description="gap between the centres [m]")] = 1.5,
+        distance_m: Annotated[
+            float, Field(gt=0.0, le=100.0, description="gap between the centres [m]")
+        ] = 1.5,
     ) -> None:
         super().__init__(num_rows, speed_mps)
         self._target, self._distance_m = target, distance_m

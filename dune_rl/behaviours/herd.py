@@ -21,9 +21,10 @@ class Herd(DestinedBehaviour):
     """Boids: cohesion, alignment and separation, with an urge to migrate and flight from robots.
 
     After Reynolds, "Flocks, herds and schools" (1987). The wanted velocity is the weighted sum of: the way to
-    the middle of the herd members in sight, over 2 s, as far as it is beyond `spacing_m`; their mean velocity;
-    the sum of (spacing_m / d - 1) away from each member that is nearer than `spacing_m`; and the speed of walking
-    to the pasture, which is that of the first member. Robots nearer than `flight_m` are run away from.
+    the middle of the herd members in sight, over 2 s, as far as it is beyond `spacing_m`; their mean
+    velocity; the sum of (spacing_m / d - 1) away from each member that is nearer than `spacing_m`; and the
+    speed of walking to the pasture, which is that of the first member. Robots nearer than `flight_m` are run
+    away from.
     """
 
     def __init__(
@@ -36,9 +37,15 @@ class Herd(DestinedBehaviour):
         alignment: Weight = 0.3,
         separation: Weight = 1.0,
         migration: Weight = 0.7,
-        sight_m: Annotated[float, Field(gt=0.0, le=1_000.0, description="how far members see each other [m]")] = 20.0,
-        spacing_m: Annotated[float, Field(gt=0.0, le=100.0, description="gap between members' centres [m]")] = 1.2,
-        flight_m: Annotated[float, Field(ge=0.0, le=100.0, description="how near robots let them run [m]")] = 2.5,
+        sight_m: Annotated[
+            float, Field(gt=0.0, le=1_000.0, description="how far members see each other [m]")
+        ] = 20.0,
+        spacing_m: Annotated[
+            float, Field(gt=0.0, le=100.0, description="gap between members' centres [m]")
+        ] = 1.2,
+        flight_m: Annotated[
+            float, Field(ge=0.0, le=100.0, description="how near robots let them run [m]")
+        ] = 2.5,
         places: Places = (),
         range_m: Range = 10.0,
         pause_s: PauseRange = (4.0, 12.0),

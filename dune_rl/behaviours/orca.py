@@ -1,9 +1,6 @@
 """The behaviour `orca`: people who keep clear of each other by ORCA, with a reaction to robots."""
 
-from typing import Annotated
-
 import numpy as np
-from pydantic import Field
 
 from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed

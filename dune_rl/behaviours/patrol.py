@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.behaviours.destinations import DestinedBehaviour, Destinations
+from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Speed
 
 _RANGE_M = 1_000.0
@@ -14,8 +14,8 @@ _RANGE_M = 1_000.0
 class Patrol(DestinedBehaviour):
     """Goes to `places` in turn, straight and past everybody, waits at each, and begins again after the last.
 
-    Member k of the group begins at place k, so that members are spread. A place that cannot be reached, because
-    something stands in the straight way, is left out after 4 s without progress.
+    Member k of the group begins at place k, so that members are spread. A place that cannot be reached,
+    because something stands in the straight way, is left out after 4 s without progress.
     """
 
     motions = ("holonomic", "unicycle", "bicycle")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dune_rl.behaviours.destinations import DestinedBehaviour, Destinations
+from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Range, Speed
 
 

@@ -1,9 +1,9 @@
 """How people react to robots: the six ways of HuNavSim.
 
 Pérez-Higueras, Otero, Caballero & Merino, "HuNavSim: a ROS 2 human navigation simulator for benchmarking
-human-aware robot navigation" (2023). What differs: the block of a threatening person is in front of the robot by
-its heading, in HuNavSim by swapped sine and cosine; a reaction that keeps a person from walking on ends after 30
-s, and starts anew once the robot was out of sight for 10 s.
+human-aware robot navigation" (2023). What differs: the block of a threatening person is in front of the robot
+by its heading, in HuNavSim by swapped sine and cosine; a reaction that keeps a person from walking on ends
+after 30 s, and starts anew once the robot was out of sight for 10 s.
 """
 
 from dataclasses import dataclass
@@ -76,12 +76,16 @@ class Reactions:
                 speed_mps = np.where(reacts, 0.0, speed_mps)
             case "curious":
                 looks = reacts & (distance < _CURIOUS_STOP_M)
-                slow = np.minimum(_CURIOUS_SHARE * distance / self._notice_m, 1.0) * speed_mps.max(initial=0.0)
+                slow = np.minimum(_CURIOUS_SHARE * distance / self._notice_m, 1.0) * speed_mps.max(
+                    initial=0.0
+                )
                 speed_mps = np.where(looks, 0.0, np.where(reacts, slow, speed_mps))
                 target_w = np.where(reacts[:, None], place, target_w)
             case "scared":
                 gap = np.maximum(distance - group.reach_m, 0.1)
-                push = -direction * np.where(notices, _SCARY_FACTOR_MPS2 * _SCARY_LENGTH_M / gap, 0.0)[:, None]
+                push = (
+                    -direction * np.where(notices, _SCARY_FACTOR_MPS2 * _SCARY_LENGTH_M / gap, 0.0)[:, None]
+                )
                 speed_mps = np.where(notices, _SCARED_HASTE, 1.0) * speed_mps
             case "threatening":
                 heading = np.stack([np.cos(robot_yaw), np.sin(robot_yaw)], axis=1)

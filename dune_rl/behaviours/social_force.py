@@ -38,7 +38,9 @@ class SocialForce(DestinedBehaviour):
         pause_s: PauseRange = (0.0, 3.0),
     ) -> None:
         places_w = np.array(places, float).reshape(-1, 2)
-        super().__init__(num_rows, speed_mps, Destinations(num_rows, "social_force", places_w, range_m, pause_s))
+        super().__init__(
+            num_rows, speed_mps, Destinations(num_rows, "social_force", places_w, range_m, pause_s)
+        )
         self._reactions = Reactions(num_rows, reaction, notice_m)
         self._factors = goal_factor, social_factor
 

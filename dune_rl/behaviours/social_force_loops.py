@@ -1,11 +1,11 @@
 """The social force model of the agents of M scenes, compiled.
 
-Helbing & Molnár, "Social force model for pedestrian dynamics" (1995), with the interaction that Moussaïd et al.,
-"Experimental study of the behavioural mechanisms underlying self-organization in human crowds" (2009), measured,
-and the factors of HuNavSim and its library lightsfm. Forces are per unit of mass [m/s²]. PySocialForce has the
-same interaction. What differs: people are repelled by the one nearest obstacle point; bodies that touch are
-pressed apart (Helbing, Farkas & Vicsek 2000, with a softer spring that steps of 0.05 s can follow); there are no
-forces of walking groups.
+Helbing & Molnár, "Social force model for pedestrian dynamics" (1995), with the interaction that Moussaïd et
+al., "Experimental study of the behavioural mechanisms underlying self-organization in human crowds" (2009),
+measured, and the factors of HuNavSim and its library lightsfm. Forces are per unit of mass [m/s²].
+PySocialForce has the same interaction. What differs: people are repelled by the one nearest obstacle point;
+bodies that touch are pressed apart (Helbing, Farkas & Vicsek 2000, with a softer spring that steps of 0.05 s
+can follow); there are no forces of walking groups.
 """
 
 from typing import Any

@@ -103,6 +103,17 @@ class AgentGroupConf(Settings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _behaviour_can_move_the_body(self) -> Self:
+        motions, motion = _motions_of(self.controller), motion_model(self.body)
+        if motions and motion not in motions:
+            assert isinstance(self.controller, BehaviourSettings)
+            raise ValueError(
+                f"controller {self.controller.name} moves bodies that are {one_of(motions)}, and the body "
+                f"{self.body.name} is {motion}: choose controller=go_to_goal, or another body"
+            )
+        return self
+
 
 def _checked_names(groups: dict[str, AgentGroupConf]) -> dict[str, AgentGroupConf]:
     for name in groups:
@@ -197,6 +208,18 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         group.task or task,
         group.metrics or metrics,
     )
+
+
+def motion_model(body: Settings) -> str:
+    """How a body moves: unicycle, bicycle, holonomic or flying."""
+    steers = getattr(getattr(body, "drive", None), "kind", None) == "ackermann"
+    return getattr(body, "motion_model", "bicycle" if steers else "unicycle")
+
+
+def _motions_of(controller: Controller) -> tuple[str, ...]:
+    """The models of motion of the bodies that a behaviour can move; () for any."""
+    part = BEHAVIOURS.find(controller.name) if isinstance(controller, BehaviourSettings) else None
+    return () if part is None else getattr(part.target, "motions", ())
 
 
 def reads_sensors(controller: Controller) -> bool:

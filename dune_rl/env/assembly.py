@@ -98,7 +98,9 @@ def _kinematic_group(
     if setup.follows_trajectories:
         follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name)
     else:
-        follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
+        follower = PathFollower(
+            setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name, conf.speed_mps
+        )
     spawners = shared_spawners.of(SpawnConf(), conf.radius_m)
     goals = GoalTracker(PathGoals(follower), rows)
     return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))

@@ -1,9 +1,9 @@
 """The velocity nearest to a wanted one within a disc and half-planes, by linear programs in two dimensions.
 
-Half-planes are rows (x, y, dx, dy): a point of the border, and its unit direction; velocities to the left of it
-are permitted. The method is that of van den Berg, Guy, Lin & Manocha (2011), section 5: half-planes are added
-one after another (de Berg et al., Computational Geometry, chapter 4), and where none fits all, the velocity is
-the one that violates those of the agents least.
+Half-planes are rows (x, y, dx, dy): a point of the border, and its unit direction; velocities to the left of
+it are permitted. The method is that of van den Berg, Guy, Lin & Manocha (2011), section 5: half-planes are
+added one after another (de Berg et al., Computational Geometry, chapter 4), and where none fits all, the
+velocity is the one that violates those of the agents least.
 """
 
 from typing import Any
@@ -73,7 +73,9 @@ def _fit_all(planes: Any, count: int, limit: float, aim: Any, is_direction: bool
 
 
 @compile_function
-def fit_velocity(planes: Any, hard: int, count: int, limit: float, wanted: Any, work: Any, found: Any) -> None:
+def fit_velocity(
+    planes: Any, hard: int, count: int, limit: float, wanted: Any, work: Any, found: Any
+) -> None:
     """Set `found` (2,) to the velocity nearest to `wanted`, at most `limit` fast, in `planes` (P, 4).
 
     The first `hard` of the `count` half-planes hold in any case, the others as well as they can together.

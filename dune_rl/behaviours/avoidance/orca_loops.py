@@ -1,9 +1,9 @@
 """Optimal reciprocal collision avoidance (ORCA) of the agents of M scenes, compiled.
 
-After van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance" (2011). What differs from their
-library RVO2: an obstacle is the half-plane of the nearest point of the clearance field, not a polygon; the share
-that an agent has in avoiding each other one is a setting, 1/2 in RVO2; there is no tree of neighbours, because a
-scene has tens of agents.
+After van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance" (2011). What differs from
+their library RVO2: an obstacle is the half-plane of the nearest point of the clearance field, not a polygon;
+the share that an agent has in avoiding each other one is a setting, 1/2 in RVO2; there is no tree of
+neighbours, because a scene has tens of agents.
 """
 
 from typing import Any
@@ -78,7 +78,8 @@ def avoid_collisions(
     `position`, `velocity` (M, K, 2) and `reach` (K,) [m] are those of all bodies; the agents are the G bodies
     from `first` on. `share` (K,) is an agent's part in avoiding each body, 0 for bodies to be ignored.
     `obstacle_distance` (M, G) and `obstacle_direction` (M, G, 2) are those of the nearest obstacle. `limit`
-    (M, G) are the highest speeds. `horizons_s` are the times that agents look ahead to others, and to obstacles.
+    (M, G) are the highest speeds. `horizons_s` are the times that agents look ahead to others, and to
+    obstacles.
     """
     horizon_s, obstacle_horizon_s = horizons_s
     bodies = position.shape[1]
