@@ -61,10 +61,12 @@ class Crossing(SteeredBehaviour):
         lead = robot_mps * self._ttc_s - along
         time_s = _smallest_root(robot_mps**2 - own_mps**2, 2.0 * robot_mps * lead, lead**2 + aside**2)
         meets = drives & np.isfinite(time_s)
+        arrives = meets & (time_s < 1.5 * group.episode.step_s)
         time_s = np.where(meets, np.maximum(time_s, group.episode.step_s), 1.0)
         course = ahead * (robot_mps + lead / time_s)[:, None] - left * (aside / time_s)[:, None]
-        crosses = drives & (self._side * aside < 0.0) & ~self._fresh & (self._goes_on_m <= 0.0)
         self._goes_on_m = np.where(self._fresh, 0.0, self._goes_on_m)
+        self._side = np.where(self._fresh, np.sign(aside), self._side)
+        crosses = drives & (arrives | (self._side * aside < 0.0)) & (self._goes_on_m <= 0.0)
         self._goes_on_m = np.where(crosses, self._beyond_m, self._goes_on_m)
         goes_on = self._goes_on_m > 0.0
         across = -left * np.where(self._side > 0.0, own_mps, -own_mps)[:, None]

@@ -25,6 +25,7 @@ Notice = Annotated[float, Field(gt=0.0, le=100.0, description="how near robots a
 
 # People see to the sides, and a little behind [rad].
 _HALF_VIEW_RAD = np.pi / 2 + 0.17
+_KEEPS = 1.5
 # The times of a reaction, and of its end [s].
 _LASTS_S, _FORGETS_S = 30.0, 10.0
 # A curious person's speed is this share of the usual one, times the distance over that of noticing; where it
@@ -51,12 +52,16 @@ class Response:
 
 
 class Reactions:
-    """Reactions of N people to the nearest robot that they notice: within `notice_m`, and in view."""
+    """Reactions of N people to the nearest robot that they notice: within `notice_m`, and in view.
+
+    Who has noticed it knows where it is, until it is 1.5 times as far away.
+    """
 
     def __init__(self, num_rows: int, reaction: ReactionName, notice_m: float) -> None:
         self.name: ReactionName = reaction
         self._notice_m = notice_m
         self._reacts_s, self._unseen_s = np.zeros((2, num_rows))
+        self._notices = np.zeros(num_rows, bool)
 
     def respond(
         self, state: State, group: GroupState, fresh: Flags, target_w: Array, speed_mps: Array
@@ -66,7 +71,9 @@ class Reactions:
         here = group.motion.position_w[:, :2]
         direction, _ = unit_vectors(place - here)
         bearing = np.abs(wrap_angle(np.arctan2(direction[:, 1], direction[:, 0]) - group.motion.yaw))
-        notices = (distance < self._notice_m) & (bearing < _HALF_VIEW_RAD)
+        sees = (distance < self._notice_m) & (bearing < _HALF_VIEW_RAD)
+        keeps = self._notices & ~fresh & (distance < _KEEPS * self._notice_m)
+        self._notices = notices = sees | keeps
         reacts = notices & self._is_engaged(notices, fresh, group.episode.step_s)
         looks = np.zeros(len(here), bool)
         push = np.zeros((len(here), 2))
