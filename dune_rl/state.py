@@ -36,6 +36,7 @@ class GroundQueries(Protocol):
 
     def clearance(self, xy: Array, scenes: Counts | None = None) -> Array:
         """Distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle; `scenes` as above."""
+        ...
 
 
 class ProximityQueries(Protocol):

@@ -130,9 +130,10 @@ class Destinations:
 
 
 def _rise(state: State, points: Array, scenes: NDArray[np.int64]) -> Array:
-    """Tangent of the ground's slope, (m, ...), at points (m, ..., 2) of `scenes` (m,), by central
-    differences.
-    """
+    """Tangent of the ground's slope, (m, ...), at points (m, ..., 2) of `scenes` (m,)."""
+    heights = state.ground.height(points[..., None, :] + _SLOPE_PROBES, scenes)
+    rises = np.stack([heights[..., 0] - heights[..., 1], heights[..., 2] - heights[..., 3]], axis=-1)
+    return np.asarray(np.linalg.norm(rises, axis=-1) / (2.0 * _SLOPE_PROBES[0, 0]))
 
 
 class DestinedBehaviour(SteeredBehaviour):

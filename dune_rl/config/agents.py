@@ -66,6 +66,13 @@ def _parse_controller(value: Any) -> Any:
         near = closest(str(name), known)
         remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
         raise ValueError(f"there is no controller {name!r}; {remedy}")
+    if isinstance(value, str) and BEHAVIOURS.is_loaded(name):
+        fields = BEHAVIOURS.settings_class(name).model_fields.items()
+        needed = [key for key, field in fields if field.is_required() and key != BEHAVIOURS.tag]
+        if needed:
+            raise ValueError(
+                f"{name} needs {' and '.join(needed)}; write controller: {{name: {name}, {needed[0]}: ...}}"
+            )
     return BEHAVIOURS.parse_settings({"name": value} if isinstance(value, str) else value)
 
 

@@ -265,6 +265,8 @@ def test_a_job_of_hydra_knows_options_by_name() -> None:
          "agents.b.controller.reaction must be one of regular, impassive, surprised, curious, scared, "
          "threatening (got 'angry')"),
         ({"a": {"body": "rover_zero"}, "b": {"body": "person", "controller": "patrol"}},
+         "agents.b.controller: patrol needs places; write controller: {name: patrol, places: ...}"),
+        ({"a": {"body": "rover_zero"}, "b": {"body": "person", "controller": {"name": "patrol"}}},
          "agents.b.controller.places is missing; give it a value"),
         ({"a": {"body": "rover_zero"},
           "b": {"body": "person", "controller": {"name": "random_waypoint", "pause_s": [3, 1]}}},
