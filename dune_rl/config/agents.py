@@ -67,7 +67,9 @@ def _parse_controller(value: Any) -> Any:
         remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
         raise ValueError(f"there is no controller {name!r}; {remedy}")
     if isinstance(value, str) and BEHAVIOURS.is_loaded(name):
-        fields = BEHAVIOURS.settings_class(name).model_fields.items()
+        settings = BEHAVIOURS.settings_class(name)
+        assert settings is not None, name
+        fields = settings.model_fields.items()
         needed = [key for key, field in fields if field.is_required() and key != BEHAVIOURS.tag]
         if needed:
             raise ValueError(
