@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dune_rl.errors import ConfigError
 from dune_rl.geometry.frames import rotation_from_angles, rotation_from_yaw, to_body
+from dune_rl.surroundings import GroupBodies, Surroundings
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -29,12 +30,12 @@ class GroundQueries(Protocol):
         """Rectangles (xmin, xmax, ymin, ymax) [m] of the terrains, (M, 4)."""
         ...
 
-    def height(self, xy: Array) -> Array:
-        """Height of the ground [m], (M, ...), at points (M, ..., 2)."""
+    def height(self, xy: Array, scenes: Counts | None = None) -> Array:
+        """Height of the ground [m], (M, ...), at points (M, ..., 2), or, of m `scenes` (m,), (m, ..., 2)."""
         ...
 
-    def clearance(self, xy: Array) -> Array:
-        """Distance [m], (M, ...), from points (M, ..., 2) to the nearest static obstacle."""
+    def clearance(self, xy: Array, scenes: Counts | None = None) -> Array:
+        """Distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle; `scenes` as above."""
         ...
 
 
@@ -214,10 +215,11 @@ class GroupState:
     `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
-    any. `kind` is the class of the bodies, such as person or vehicle, and `turning_radius_m` that of the
-    tightest curve of those that cannot turn on the spot, 0 for all others; a rear axle runs on it,
-    `rear_axle_m` behind the origin. `energy` and `scanner` are None
-    unless a term needs them. `endings` has the flags (N,) of each
+    any, and `reach_m` the radius of a disc that holds the outline. `kind` is the class of the bodies, such as
+    person or vehicle; `is_robot` marks those that physics simulates. `turning_radius_m` is that of the
+    tightest curve of bodies that cannot turn on the spot, 0 for all others; a rear axle runs on it,
+    `rear_axle_m` behind the origin. `avoids` is False for groups that are moved along paths, and give way to
+    nobody. `energy` and `scanner` are None unless a term needs them. `endings` has the flags (N,) of each
     termination term by name; rewards and metrics are evaluated after these.
     """
 
@@ -237,6 +239,9 @@ class GroupState:
     kind: str = "robot"
     turning_radius_m: float = 0.0
     rear_axle_m: float = 0.0
+    reach_m: float = 0.0
+    is_robot: bool = False
+    avoids: bool = True
 
     @cached_property
     def nearest_return(self) -> Array:
@@ -285,6 +290,24 @@ class State:
     groups: Mapping[str, GroupState]
     ground: GroundQueries
     num_scenes: int
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """All bodies of each scene, and the obstacles nearest to them, for behaviours."""
+        bodies = [
+            GroupBodies(
+                group.name,
+                group.count,
+                group.motion.position_w[:, :2],
+                group.motion.velocity_w[:, :2],
+                group.motion.yaw,
+                group.reach_m,
+                group.is_robot,
+                group.avoids,
+            )
+            for group in self.groups.values()
+        ]
+        return Surroundings(bodies, self.ground.clearance, self.ground.extents)
 
     def extents(self, group: GroupState) -> Array:
         """Rectangle (xmin, xmax, ymin, ymax) [m] of the terrain of each agent of `group`, (N, 4)."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple, Self
+from typing import Literal, NamedTuple, Self
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.behaviours.path_loops import advance_on_paths, hold_back_on_paths
-from dune_rl.behaviours.paths import SPACING_M, PathBank, random_paths, spline_path, there_and_back
+from dune_rl.behaviours.path_stops import LoopStops, PathStops
+from dune_rl.behaviours.paths import (
+    SPACING_M,
+    PathBank,
+    random_paths,
+    spline_loop,
+    spline_path,
+    there_and_back,
+    way_point_stations,
+)
 from dune_rl.errors import WorldError
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.settings import Settings
@@ -31,13 +40,17 @@ _START_TRIES = 50
 class PathConf(Settings):
     """Settings of the paths: a spline through `waypoints`, or random paths, drawn at every reset.
 
-    `waypoints` are (x, y) [m]; `length_range_m` bounds the length of random paths.
+    `waypoints` are (x, y) [m]; `length_range_m` bounds the length of random paths. With `mode` `once` agents
+    start at the path's beginning and stay at its end; with `loop` the path is closed. They pause `pauses_s`
+    at each way-point, or at the ends of random paths.
     """
 
     waypoints: tuple[tuple[float, float], ...] = ()
     length_range_m: tuple[float, float] = (6.0, 16.0)
     # Distance from the robots' starts at which agents start, if the path reaches that far [m].
     start_distance_m: float = Field(2.0, ge=0.0)
+    mode: Literal["back_and_forth", "loop", "once"] = "back_and_forth"
+    pauses_s: float = Field(0.0, ge=0.0, le=3600.0)
 
     @model_validator(mode="after")
     def _sensible(self) -> Self:
@@ -47,26 +60,40 @@ class PathConf(Settings):
             raise ValueError("consecutive waypoints must be at least 0.1 m apart")
         if not 1.0 <= self.length_range_m[0] < self.length_range_m[1]:
             raise ValueError(f"length_range_m must rise from at least 1.0 (got {list(self.length_range_m)})")
+        if self.mode == "loop" and len(self.waypoints) < 3:
+            raise ValueError(
+                f"mode=loop needs three waypoints or more (got {len(self.waypoints)}): give them, or take "
+                "mode=back_and_forth"
+            )
+        if self.mode == "loop" and math.dist(self.waypoints[0], self.waypoints[-1]) < 0.1:
+            raise ValueError("mode=loop goes from the last of the waypoints to the first: leave the last out")
         return self
 
 
 class _WorldPaths(NamedTuple):
-    """Paths of one world: the loops of all agents of a scene, and the indices of each agent's loops."""
+    """Paths of one world: the loops of all agents of a scene, the indices of each agent's, and stops."""
 
     bank: PathBank
     choices: tuple[NDArray[np.int64], ...]
+    stops: LoopStops
 
 
 class PathFollower:
     """Start poses, goals and scripted poses of N = M * G agents on paths, rows scene after scene.
 
-    Each agent has a closed loop: a path to its far end and back. `goals_w` (N, 2) [m] are the ends of the
-    paths that external agents go to; `renew` sets the other end. `advance` moves scripted agents along their
-    loops at constant speed.
+    Each agent has a closed loop: a path to its far end and back, or one round. `goals_w` (N, 2) [m] are the
+    ends of the paths that external agents go to; `renew` sets the other end. `advance` moves scripted agents
+    along their loops at the constant speed `speed_mps`, but for their pauses.
     """
 
     def __init__(
-        self, conf: PathConf, count: int, radius_m: float, worlds: SharedPerScene[World], kind: str = "walker"
+        self,
+        conf: PathConf,
+        count: int,
+        radius_m: float,
+        worlds: SharedPerScene[World],
+        kind: str = "walker",
+        speed_mps: float = 1.0,
     ) -> None:
         self.conf, self.count = conf, count
         self._radius_m, self._kind, self._worlds = radius_m, kind, worlds
@@ -85,6 +112,9 @@ class PathFollower:
         # See `path_loops`.
         self._agents = self._travelled, self._step, self._offsets, self._targets
         self._scenes = np.arange(len(worlds))
+        self._distances = np.zeros((len(worlds), count))
+        self._stops = PathStops(len(worlds), count, conf.pauses_s * speed_mps)
+        self._has_stops = conf.mode == "once" or conf.pauses_s > 0.0
 
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
         """Find the paths of `world` unless they are known.
@@ -104,7 +134,8 @@ class PathFollower:
         choices: list[NDArray[np.int64]] = []
         for agent in range(self.count):
             if conf.waypoints:
-                paths = [spline_path(np.asarray(conf.waypoints), world.terrain)]
+                spline = spline_loop if conf.mode == "loop" else spline_path
+                paths = [spline(np.asarray(conf.waypoints), world.terrain)]
                 if (world.clearance(paths[0][:, :2]) < self._radius_m).any():
                     raise WorldError(
                         f"the waypoints of a {self._kind} lead through an obstacle of {world.name}: "
@@ -116,13 +147,29 @@ class PathFollower:
                 number = min(_MAX_PATHS, max(_MIN_PATHS, _BANK_SIZE // (agent + 1)))
                 paths = random_paths(world, sample_points, rng, number, room, conf.length_range_m)
             choices.append(np.arange(len(loops), len(loops) + len(paths)))
-            loops += [there_and_back(path) for path in paths]
-        return _WorldPaths(PathBank.of(loops), tuple(choices))
+            loops += paths if conf.mode == "loop" else [there_and_back(path) for path in paths]
+        return _WorldPaths(PathBank.of(loops), tuple(choices), self._find_stops(loops))
+
+    def _find_stops(self, loops: list[Array]) -> LoopStops:
+        """Where agents pause and end on `loops`."""
+        conf, closed = self.conf, self.conf.mode == "loop"
+        stops = []
+        for loop in loops:
+            length = len(loop) if closed else len(loop) // 2
+            ends = np.array([0, length])
+            there = way_point_stations(np.asarray(conf.waypoints), closed=closed) if conf.waypoints else ends
+            back = np.zeros(0, np.int64) if closed else len(loop) - there
+            found = np.unique(np.concatenate([there, back]) % len(loop)) if conf.pauses_s > 0.0 else ends[:0]
+            stops.append(SPACING_M * found)
+        lengths = [SPACING_M * len(loop) for loop in loops]
+        is_once = conf.mode == "once"
+        return LoopStops.of(stops, lengths, [length / 2 if is_once else np.inf for length in lengths])
 
     def paths(self, agent: int, scene: int = 0) -> list[Array]:
         """One-way paths of an agent of a scene, each (P, 2) [m]."""
-        bank, choices = self._paths[self._worlds[scene]]
-        starts, counts = bank.starts[choices[agent]], bank.lengths[choices[agent]] // 2 + 1
+        bank, choices, _ = self._paths[self._worlds[scene]]
+        counts = bank.lengths[choices[agent]]
+        starts, counts = bank.starts[choices[agent]], counts if self.conf.mode == "loop" else counts // 2 + 1
         return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
 
     def reset(self, scene: int, rng: np.random.Generator, avoid_xy: Array) -> Array:
@@ -131,13 +178,14 @@ class PathFollower:
         They are `start_distance_m` away from the points `avoid_xy` (R, 2); if no sampled point of an agent's
         paths is that far away, the farthest one is used.
         """
-        bank, choices = self._paths[self._worlds[scene]]
+        bank, choices, stops = self._paths[self._worlds[scene]]
+        is_once = self.conf.mode == "once"
         poses = np.zeros((self.count, 4))
         for agent in range(self.count):
             farthest = -1.0
             for _ in range(_START_TRIES):
                 loop = rng.choice(choices[agent])
-                travelled = rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
+                travelled = 0.0 if is_once else rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
                 pose = bank.pose(loop, np.asarray(travelled))
                 apart = float(np.hypot(*(pose[:2] - avoid_xy).T).min(initial=np.inf))
                 if apart > farthest:
@@ -148,15 +196,21 @@ class PathFollower:
                     self.goals_w[scene * self.count + agent] = bank.far_end(loop)[:2]
                 if apart >= self.conf.start_distance_m:
                     break
+            drawn = self._loop[scene, agent], self._travelled[scene, agent]
+            self._stops.reset(scene, agent, float(drawn[1]), int(drawn[0]), stops)
         self._outbound[scene * self.count : (scene + 1) * self.count] = True
         self._offsets[scene] = 0.0
         return poses
 
     def advance(self, distance_m: float) -> Array:
         """Move each agent by `distance_m` along its loop, after returning to it; returns the poses (N, 4)."""
+        self._distances[:] = distance_m
         for world, scenes in self._worlds.groups:
-            paths = self._paths[world].bank.arrays
-            advance_on_paths(paths, self._scenes[scenes], self._loop, distance_m, SPACING_M, self._agents)
+            bank, _, stops = self._paths[world]
+            rows = self._scenes[scenes]
+            if self._has_stops:
+                self._stops.limit(rows, self._loop, self._travelled, stops, self._distances)
+            advance_on_paths(bank.arrays, rows, self._loop, self._distances, SPACING_M, self._agents)
         poses = self._targets.copy()
         if self._offsets.any():
             poses[..., :2] += self._offsets

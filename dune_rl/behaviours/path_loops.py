@@ -34,9 +34,10 @@ def interpolate_paths(paths: Any, loops: Any, travelled_m: Any, spacing_m: float
 
 @compile_function
 def advance_on_paths(
-    paths: Any, scenes: Any, loops: Any, distance_m: float, spacing_m: float, agents: Any
+    paths: Any, scenes: Any, loops: Any, distances_m: Any, spacing_m: float, agents: Any
 ) -> None:
-    """Move the agents of `scenes` (S,) by `distance_m`, back to their `loops` (M, G) first, then along them.
+    """Move the agents of `scenes` (S,) by `distances_m` (M, G), back to their `loops` (M, G) first, then
+    along them.
 
     `agents` are of all M scenes and are changed: ways travelled (M, G) and last steps (M, G) on the loops,
     offsets from them (M, G, 2) [m], and the poses on them, (M, G, 4).
@@ -44,7 +45,7 @@ def advance_on_paths(
     travelled, steps, offsets, targets = agents
     for scene in scenes:
         for agent in range(loops.shape[1]):
-            offset = offsets[scene, agent]
+            offset, distance_m = offsets[scene, agent], distances_m[scene, agent]
             length = np.hypot(offset[0], offset[1])
             back = min(length, distance_m)
             if length > 0.0:

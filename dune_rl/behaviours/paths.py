@@ -25,17 +25,51 @@ def spline_path(way_points: Array, terrain: HeightField) -> Array:
     Elevation is the terrain's; yaw points to the next pose, and the last is
     repeated (Vice & Sukthankar 2025, section 2.4). Distances are horizontal.
     """
-    chords = np.hypot(*np.diff(way_points, axis=0).T)
-    knots = np.concatenate([[0.0], np.cumsum(chords)])
-    # A line through two points is its own spline; three points bend freely at their ends.
-    spline = CubicSpline(knots, way_points, bc_type="natural")
-    fine = spline(np.linspace(0.0, knots[-1], max(16, int(knots[-1] / 0.01))))
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    fine, travelled, _ = _spline(way_points)
     stations = np.arange(0.0, travelled[-1], SPACING_M)
-    xy = np.stack([np.interp(stations, travelled, fine[:, axis]) for axis in (0, 1)], axis=1)
+    xy = _resampled(fine, travelled, stations)
     step = np.diff(xy, axis=0)
     yaw = np.arctan2(step[:, 1], step[:, 0])
     return np.column_stack([xy, terrain.height(xy), np.concatenate([yaw, yaw[-1:]])])
+
+
+def spline_loop(way_points: Array, terrain: HeightField) -> Array:
+    """Poses about every 5 cm round a closed cubic spline through `way_points` (n, 2), shape (P, 4).
+
+    As `spline_path`; the last pose leads to the first, as far from it as the others are from each other.
+    """
+    fine, travelled, _ = _spline(np.concatenate([way_points, way_points[:1]]), closed=True)
+    stations = np.linspace(0.0, travelled[-1], max(4, round(travelled[-1] / SPACING_M)), endpoint=False)
+    xy = _resampled(fine, travelled, stations)
+    step = np.roll(xy, -1, axis=0) - xy
+    return np.column_stack([xy, terrain.height(xy), np.arctan2(step[:, 1], step[:, 0])])
+
+
+def way_point_stations(way_points: Array, *, closed: bool = False) -> NDArray[np.int64]:
+    """Indices (n,) of the poses of `spline_path`, or of `spline_loop`, at the way-points (n, 2)."""
+    ends = np.concatenate([way_points, way_points[:1]]) if closed else way_points
+    _, travelled, at = _spline(ends, closed=closed)
+    if closed:
+        number = max(4, round(travelled[-1] / SPACING_M))
+        return np.rint(at[:-1] / travelled[-1] * number).astype(np.int64)
+    last = len(np.arange(0.0, travelled[-1], SPACING_M)) - 1
+    return np.minimum(np.rint(at / SPACING_M).astype(np.int64), last)
+
+
+def _spline(way_points: Array, *, closed: bool = False) -> tuple[Array, Array, Array]:
+    """Close points (F, 2) of a spline, the way to each (F,) [m], and to each way-point, (n,) [m]."""
+    chords = np.hypot(*np.diff(way_points, axis=0).T)
+    knots = np.concatenate([[0.0], np.cumsum(chords)])
+    # A line through two points is its own spline; three points bend freely at their ends.
+    spline = CubicSpline(knots, way_points, bc_type="periodic" if closed else "natural")
+    places = np.linspace(0.0, knots[-1], max(16, int(knots[-1] / 0.01)))
+    fine = spline(places)
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    return fine, travelled, np.interp(knots, places, travelled)
+
+
+def _resampled(fine: Array, travelled: Array, stations: Array) -> Array:
+    return np.stack([np.interp(stations, travelled, fine[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def there_and_back(path: Array) -> Array:

@@ -14,7 +14,8 @@ class Behaviour(Protocol):
     """What decides for N agents of a group that no policy of the user drives.
 
     A behaviour that has `bind` is bound to its group first (`ContextBehaviour`). Where its class has the
-    attribute `reads_sensors`, and it is True, the group observes as an external one does.
+    attribute `reads_sensors`, and it is True, the group observes as an external one does. The attribute
+    `motion_models` of a class has the models of motion of the bodies that it can move; without it, all.
     """
 
     def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
@@ -36,9 +37,17 @@ BEHAVIOURS: Registry[Behaviour] = Registry(
     "behaviour",
     "dune_rl.behaviours.registry:BEHAVIOURS",
     own={
+        "crossing": "dune_rl.behaviours.crossing:Crossing",
+        "flee": "dune_rl.behaviours.flee:Flee",
+        "follow": "dune_rl.behaviours.follow:Follow",
         "go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal",
+        "herd": "dune_rl.behaviours.herd:Herd",
         "mppi": "dune_rl.behaviours.drivers.mppi:Mppi",
+        "orca": "dune_rl.behaviours.orca:Orca",
+        "patrol": "dune_rl.behaviours.patrol:Patrol",
         "planner": "dune_rl.behaviours.drivers.planner:Planner",
+        "random_waypoint": "dune_rl.behaviours.random_waypoint:RandomWaypoint",
+        "social_force": "dune_rl.behaviours.social_force:SocialForce",
     },
     base=BehaviourSettings,
     product=Behaviour,

@@ -6,6 +6,7 @@ from argparse import Namespace
 from typing import Any
 
 from dune_rl import command
+from dune_rl.benchmark.actors import measure_actors
 from dune_rl.benchmark.engines import measure_engines
 from dune_rl.benchmark.environment import measure_environment, measure_overhead, measure_processes
 from dune_rl.benchmark.groups import measure_groups
@@ -44,6 +45,8 @@ def run(parsed: Namespace) -> None:
         _emit(benchmark="world_memory", **setting, engine=engine, **measure_world_memory(conf))
     if "groups" in conf.parts:
         _emit(benchmark="groups", world=conf.world.name, **measure_groups(conf))
+    if "actors" in conf.parts:
+        _emit(benchmark="actors", world=conf.world.name, **measure_actors(conf))
     if "engines" in conf.parts:
         _emit(benchmark="engines", **setting, **measure_engines(conf))
     if "processes" in conf.parts:

@@ -69,6 +69,15 @@ def _parse_controller(value: Any) -> Any:
         near = closest(str(name), known)
         remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
         raise ValueError(f"there is no controller {name!r}; {remedy}")
+    if isinstance(value, str) and BEHAVIOURS.is_loaded(name):
+        settings = BEHAVIOURS.settings_class(name)
+        assert settings is not None, name
+        fields = settings.model_fields.items()
+        needed = [key for key, field in fields if field.is_required() and key != BEHAVIOURS.tag]
+        if needed:
+            raise ValueError(
+                f"{name} needs {' and '.join(needed)}; write controller: {{name: {name}, {needed[0]}: ...}}"
+            )
     return BEHAVIOURS.parse_settings({"name": value} if isinstance(value, str) else value)
 
 
@@ -213,30 +222,37 @@ def is_on_path(body: RobotSettings | BodySettings, controller: Controller, *, ha
 
 def why_not(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> str:
     """Why a body cannot do what a controller has it do, and what to write instead; empty where it can."""
-    if not isinstance(body, BodySettings):
-        if controller in (PATH, TRAJECTORY) or has_path:
-            return (
-                f"paths are walked by persons, and the body is {body.name}: choose another controller, "
-                "and leave path out"
-            )
-        return ""
-    if controller == PATH and body.motion_model in ("bicycle", "flying"):
-        cannot = "turn round on the spot at its ends" if body.motion_model == "bicycle" else "walk it"
+    if not isinstance(body, BodySettings) and (controller in (PATH, TRAJECTORY) or has_path):
+        return (
+            f"paths are walked by persons, and the body is {body.name}: choose another controller, "
+            "and leave path out"
+        )
+    motion = motion_model(body)
+    if controller == PATH and motion in ("bicycle", "flying"):
+        cannot = "turn round on the spot at its ends" if motion == "bicycle" else "walk it"
         return f"controller path: a {body.name} cannot {cannot}; write controller: go_to_goal"
-    if isinstance(controller, BehaviourSettings):
-        part = BEHAVIOURS.find(controller.name)
-        fit = None if part is None else getattr(part.target, "motion_models", None)
-        if fit is not None and body.motion_model not in fit:
-            able = [
-                name
-                for name in BODIES.own
-                if (known := BODIES.settings_class(name)) is not None and known.motion_model in fit
-            ]
-            return (
-                f"controller {controller.name} is for bodies that move as {one_of(fit)}, and a {body.name} "
-                f"is {body.motion_model}: choose another controller, or the body {one_of(able)}"
-            )
-    return ""
+    part = BEHAVIOURS.find(controller.name) if isinstance(controller, BehaviourSettings) else None
+    fit = None if part is None else getattr(part.target, "motion_models", None)
+    if fit is None or motion in fit:
+        return ""
+    assert isinstance(controller, BehaviourSettings)
+    able = [
+        name
+        for name in BODIES.own
+        if (known := BODIES.settings_class(name)) is not None and known.motion_model in fit
+    ]
+    return (
+        f"controller {controller.name} is for bodies that move as {one_of(fit)}, and {body.name} "
+        f"is {motion}: choose another controller, or the body {one_of(able)}"
+    )
+
+
+def motion_model(body: RobotSettings | BodySettings) -> str:
+    """How a body moves: unicycle, bicycle, holonomic or flying."""
+    if isinstance(body, BodySettings):
+        return body.motion_model
+    steers = getattr(getattr(body, "drive", None), "kind", None) == "ackermann"
+    return "bicycle" if steers else "unicycle"
 
 
 def reads_sensors(controller: Controller) -> bool:

@@ -110,6 +110,19 @@ class EnvConf(Settings):
         return self
 
     @model_validator(mode="after")
+    def _targets_of_behaviours_exist(self) -> Self:
+        known = ["robots", *(group.name for group in self.groups)]
+        section = "actors" if self.agents is None else "agents"
+        for group in self.groups:
+            target = getattr(group.controller, "target", None)
+            if isinstance(target, str) and target not in known:
+                raise ValueError(
+                    f"{section}.{group.name}.controller.target: there is no group {target!r}; "
+                    f"choose {one_of(known)}"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _measured_terminations_exist(self) -> Self:
         for group in self.groups:
             own = () if group.task is None else group.task.terminations
@@ -203,6 +216,7 @@ class BenchmarkConf(EnvConf):
             "new_world",
             "world_memory",
             "groups",
+            "actors",
             "processes",
             "engines",
         ],
@@ -214,6 +228,7 @@ class BenchmarkConf(EnvConf):
         "terrain",
         "new_world",
         "groups",
+        "actors",
         "processes",
     )
     scenes: int = Field(16, ge=1, le=8_192)

@@ -120,6 +120,7 @@ class AgentGroup:
         self.action_size = len(low)
         self._rest = body.rest_action()
         self.outline, self.radius_m = body.outline, body.radius_m
+        self.reach_m = body.outline.radius_m or float(np.hypot(*body.outline.half_size))
         self.wheel_radius_m = body.wheel_radius_m
         self.num_rows = num_rows
         self._controller: Controller | None = None

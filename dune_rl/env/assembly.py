@@ -104,8 +104,8 @@ def _group_on_paths(
     if setup.follows_trajectories:
         follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name)
     else:
-        radius = conf.keep_out_radius_m
-        follower = PathFollower(setup.paths or PathConf(), setup.count, radius, worlds, setup.name)
+        radius, paths = conf.keep_out_radius_m, setup.paths or PathConf()
+        follower = PathFollower(paths, setup.count, radius, worlds, setup.name, conf.speed_mps)
     spawners = shared_spawners.of(SpawnConf(), conf.keep_out_radius_m)
     goals = GoalTracker(PathGoals(follower), rows)
     return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))

@@ -144,5 +144,8 @@ class StateBuilder:
                 kind=group.body.kind,
                 turning_radius_m=group.body.turning_radius_m,
                 rear_axle_m=group.body.rear_axle_m,
+                reach_m=group.reach_m,
+                is_robot=isinstance(group.body, ArticulatedBody),
+                avoids=not group.setup.is_scripted,
             )
         return State(states, self._worlds, len(steps))

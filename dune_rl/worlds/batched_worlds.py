@@ -79,9 +79,13 @@ class BatchedWorlds:
         groups = terrains.groups if scenes is None else terrains.select_groups(scenes)
         return query_grouped(groups, HeightField.height, xy)
 
-    def clearance(self, xy: Array) -> Array:
-        """As `World.clearance`: distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle."""
-        return query_grouped(self.worlds.groups, World.clearance, xy)
+    def clearance(self, xy: Array, scenes: NDArray[np.int64] | None = None) -> Array:
+        """As `World.clearance`: distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle.
+
+        Of m `scenes` (m,) only, points are (m, ..., 2).
+        """
+        groups = self.worlds.groups if scenes is None else self.worlds.select_groups(scenes)
+        return query_grouped(groups, World.clearance, xy)
 
 
 def _terrain(world: World) -> HeightField:

@@ -55,10 +55,10 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
     assert call(benchmark.main, *words) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    alone, cameras, sensors, terrain, new_world, groups, together = lines
+    alone, cameras, sensors, terrain, new_world, groups, actors, together = lines
     assert alone["groups"] == {"rover": 1}
     assert [line["benchmark"] for line in lines] == [
-        *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "processes"),
+        *("environment", "cameras", "sensors", "terrain", "new_world", "groups", "actors", "processes"),
     ]
     ratios = (
         "overhead_ratio",
@@ -79,6 +79,9 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     for name in ("one_robot_core_ratio", "four_robots_core_ratio", "four_robots_agent_steps_per_s"):
         assert groups[name] > 0
     assert {"four_robots_overhead_ratio", "one_robot_overhead_us"} <= groups.keys()
+    # Two steps may cost less than two others: the fields are there, and numbers.
+    for name in ("actors_cost", "actors_cost_social_force", "actors_cost_orca"):
+        assert actors[name] > -1
     assert together["processes"] == 1
     assert together["core_steps_per_s"] > 0
 

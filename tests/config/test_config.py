@@ -7,6 +7,7 @@ import yaml
 
 from dune_rl import paths
 from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import AgentGroupConf, walker_sensors
 from dune_rl.config.compose import (
@@ -65,6 +66,16 @@ BODY = RandomisationConf(
     action_latency_s=Uniform(low=0.0, high=0.1),
 )
 WALKERS = AgentGroupConf(body=PersonConf(), count=2, controller="path", path=PathConf())
+
+
+def people(controller: dict[str, Any], count: int, speed_mps: float = 1.0) -> AgentGroupConf:
+    """Walkers with a behaviour."""
+    behaviour = BEHAVIOURS.parse_settings(controller)
+    body = PersonConf(speed_mps=speed_mps)
+    return WALKERS.model_copy(update={"controller": behaviour, "count": count, "body": body})
+
+
+SQUARE = [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]]
 NAVIGATION: dict[str, Any] = {
     "duration": {"reduce": "last", "initial": 0.0},
     "path_length": {"reduce": "sum"},
@@ -126,6 +137,14 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "default"): {"walker": WALKERS},
     ("actors", "walkers"): {"walker": WALKERS},
     ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
+    ("actors", "crossing"): {"walker": people({"name": "crossing"}, 2)},
+    ("actors", "flee"): {"walker": people({"name": "flee"}, 4, 1.5)},
+    ("actors", "follow"): {"walker": people({"name": "follow"}, 1)},
+    ("actors", "herd"): {"herd": people({"name": "herd"}, 8, 1.5)},
+    ("actors", "orca"): {"walker": people({"name": "orca"}, 8, 1.5)},
+    ("actors", "patrol"): {"walker": people({"name": "patrol", "places": SQUARE}, 2)},
+    ("actors", "random_waypoint"): {"walker": people({"name": "random_waypoint"}, 5)},
+    ("actors", "social_force"): {"walker": people({"name": "social_force"}, 8, 1.5)},
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
     ("metrics", "dune_code"): MetricsConf(terms={**PAPER_METRICS, **DUNE_CODE_METRICS}),

@@ -14,7 +14,7 @@ POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.
 
 
 def simulation_of(controller: object, **sections: object) -> VectorSimulation:
-    other = {"body": "rover_zero", "count": 2, "controller": controller, **sections}
+    other = {"body": "rover_zero", "count": 2, "controller": controller} | sections
     conf = compose_environment("flat", (), {"agents": {"idle": {"body": "leo_rover"}, "other": other}})
     simulation = make_simulation(conf, 2, seed=4)
     simulation.reset(np.ones(2, bool))
@@ -32,13 +32,27 @@ def goal_distances(simulation: VectorSimulation, steps: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "controller", ["go_to_goal", {"name": "go_to_goal"}, "planner", "mppi", {"checkpoint": str(POLICY)}]
+    "controller",
+    ["go_to_goal", {"name": "go_to_goal"}, "planner", "mppi", "orca", {"checkpoint": str(POLICY)}],
 )
 def test_a_group_drives_to_its_goals_by_itself(controller: object) -> None:
     simulation = simulation_of(controller)
     assert simulation.agents == ("idle_0",)
     distances = goal_distances(simulation, 160)
     assert (distances.min(axis=0) < distances[0] - 1.0).all()
+    simulation.close()
+
+
+@pytest.mark.parametrize("controller", ["orca", "social_force", "herd", "random_waypoint"])
+def test_people_with_a_behaviour_go_about_and_know_of_the_robot(controller: str) -> None:
+    simulation = simulation_of(controller, body="person", count=3)
+    people = simulation.state.groups["other"]
+    around = simulation.state.surroundings
+    assert around.is_robot.tolist() == [True, False, False, False]
+    assert people.reach_m == pytest.approx(0.25) and around.reach_m[0] > 0.25
+    goal_distances(simulation, 60)
+    moved = simulation.state.groups["other"].motion.position_w - people.motion.position_w
+    assert np.linalg.norm(moved, axis=1).max() > 0.3
     simulation.close()
 
 

@@ -1,0 +1,162 @@
+"""Where actors without a goal of their task go: places one after another, or random ones."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.behaviours.steering import SteeredBehaviour, draws_of, unit_vectors
+from dune_rl.state import GroupState, State
+from dune_rl.surroundings import EDGE_M
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Random places that are looked at, points on the way to each, and the shortest way.
+_CANDIDATES = 24
+_LOOKS = 24
+_SHORTEST_M = 2.0
+# Room beside the body on the way [m].
+_ROOM_M = 0.15
+_MAX_RISE = np.tan(np.radians(25.0))
+_SLOPE_PROBES = 0.3 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+# Who has come no nearer for so long goes elsewhere.
+_PATIENCE_S = 4.0
+_NEARER_M = 0.1
+# A target is reached within this distance, and agents slow down within that [m].
+_NEAR_M = 0.4
+_SLOW_M = 0.8
+
+
+class Destinations:
+    """Targets of N agents: `places` (P, 2) [m] in turn, or random ones, each with a pause on arrival.
+
+    Member k of a group begins at place k. Random places are within `range_m` of where the agent started, to
+    the sides; the straight way there is free of obstacles and not steeper than 25 degrees, or the agent goes
+    as far as that. An agent that gets no nearer for 4 s takes the next one. `name` is that of the random
+    stream.
+    """
+
+    def __init__(
+        self, num_rows: int, name: str, places: Array, range_m: float, pause_s: tuple[float, float]
+    ) -> None:
+        self._name, self._places, self._range_m, self._pause_s = name, places, range_m, pause_s
+        self.target_w = np.zeros((num_rows, 2))
+        self._home_w = np.zeros((num_rows, 2))
+        self._pause_left_s = np.zeros(num_rows)
+        self._since_nearer_s = np.zeros(num_rows)
+        self._nearest_m = np.zeros(num_rows)
+        self._arrived = np.zeros(num_rows, bool)
+        self._turn = np.zeros(num_rows, np.int64)
+
+    def update(self, state: State, group: GroupState, fresh: Flags, reach_m: float, near_m: float) -> Flags:
+        """Flags (N,) of agents that pause. Agents within `near_m` of their targets have arrived.
+
+        Episodes of the agents in `fresh` (N,) begin. `reach_m` is the radius of their bodies.
+        """
+        position, step_s = group.motion.position_w[:, :2], group.episode.step_s
+        if fresh.any():
+            self._begin(fresh, position, group.count)
+        distance = np.hypot(*(self.target_w - position).T)
+        nearer = distance < self._nearest_m - _NEARER_M
+        self._nearest_m = np.where(nearer, distance, self._nearest_m)
+        self._since_nearer_s = np.where(nearer | self._arrived, 0.0, self._since_nearer_s + step_s)
+        arrives = ~fresh & ~self._arrived & (distance < near_m)
+        for row in np.flatnonzero(arrives).tolist():
+            self._pause_left_s[row] = self._pause(group, row)
+        self._pause_left_s = np.maximum(self._pause_left_s - step_s * self._arrived, 0.0)
+        self._arrived = self._arrived | arrives
+        leaves = self._arrived & (self._pause_left_s <= 0.0)
+        gives_up = self._since_nearer_s > _PATIENCE_S
+        chooses = (fresh | leaves | gives_up) & ~group.done
+        if chooses.any():
+            self._choose(np.flatnonzero(chooses), state, group, reach_m, ~fresh)
+        return self._arrived
+
+    def _begin(self, fresh: Flags, position: Array, count: int) -> None:
+        self._home_w = np.where(fresh[:, None], position, self._home_w)
+        for values in (self._pause_left_s, self._since_nearer_s):
+            values[fresh] = 0.0
+        self._arrived = self._arrived & ~fresh
+        member = np.arange(len(fresh)) % count
+        self._turn = np.where(fresh, member, self._turn)
+
+    def _pause(self, group: GroupState, row: int) -> float:
+        shortest, longest = self._pause_s
+        if longest <= 0.0:
+            return 0.0
+        return float(draws_of(f"{self._name} pause", group, row).uniform(shortest, longest))
+
+    def _choose(
+        self, rows: NDArray[np.int64], state: State, group: GroupState, reach_m: float, advances: Flags
+    ) -> None:
+        """Set the targets of `rows` (m,)."""
+        self.target_w = self.target_w.copy()
+        position = group.motion.position_w[rows, :2]
+        if len(self._places):
+            self._turn[rows] += advances[rows]
+            self.target_w[rows] = self._places[self._turn[rows] % len(self._places)]
+        else:
+            self.target_w[rows] = self._random_places(rows, state, group, reach_m)
+        self._nearest_m[rows] = np.hypot(*(self.target_w[rows] - position).T)
+        self._since_nearer_s[rows] = 0.0
+        self._arrived[rows] = False
+
+    def _random_places(
+        self, rows: NDArray[np.int64], state: State, group: GroupState, reach_m: float
+    ) -> Array:
+        """Places (m, 2) [m], straight ahead of which nothing is."""
+        here, scenes = group.motion.position_w[rows, None, :2], rows // group.count
+        shares = np.stack(
+            [draws_of(self._name, group, row).random((_CANDIDATES, 2)) for row in rows.tolist()]
+        )
+        xmin, xmax, ymin, ymax = state.ground.extents[scenes].T[..., None]
+        low, high = np.stack([xmin, ymin], axis=-1), np.stack([xmax, ymax], axis=-1)
+        places = self._home_w[rows, None] + (2.0 * shares - 1.0) * self._range_m
+        places = np.clip(places, low + EDGE_M + reach_m, high - EDGE_M - reach_m)
+        way = places - here
+        ends = np.linspace(0.0, 1.0, _LOOKS)
+        points = here[:, :, None] + ends[:, None] * way[:, :, None]
+        length = np.linalg.norm(way, axis=-1)
+        clearance = state.ground.clearance(points, scenes)
+        free = clearance >= np.minimum(reach_m + _ROOM_M, clearance[..., :1])
+        free[..., 1:] &= (_rise(state, points, scenes) <= _MAX_RISE)[..., 1:]
+        # How far each way is free: up to the last point before the first that is not.
+        reached = np.cumprod(free, axis=-1).sum(axis=-1) - 1
+        is_good = (reached == _LOOKS - 1) & (length >= _SHORTEST_M)
+        gone = np.maximum(reached, 0) / (_LOOKS - 1) * length
+        choice = np.where(is_good.any(axis=1), is_good.argmax(axis=1), gone.argmax(axis=1))
+        every = np.arange(len(rows))
+        found: Array = points[every, choice, np.maximum(reached[every, choice], 0)]
+        return found
+
+
+def _rise(state: State, points: Array, scenes: NDArray[np.int64]) -> Array:
+    """Tangent of the ground's slope, (m, ...), at points (m, ..., 2) of `scenes` (m,)."""
+    heights = state.ground.height(points[..., None, :] + _SLOPE_PROBES, scenes)
+    rises = np.stack([heights[..., 0] - heights[..., 1], heights[..., 2] - heights[..., 3]], axis=-1)
+    return np.asarray(np.linalg.norm(rises, axis=-1) / (2.0 * _SLOPE_PROBES[0, 0]))
+
+
+class DestinedBehaviour(SteeredBehaviour):
+    """A behaviour that goes to `Destinations`, or, with robots, to the goals of their task."""
+
+    def __init__(self, num_rows: int, speed_mps: float, destinations: Destinations) -> None:
+        super().__init__(num_rows, speed_mps)
+        self._destinations = destinations
+
+    def targets(self, state: State, group: GroupState) -> tuple[Array, Flags]:
+        """Where the agents go now, (N, 2) [m], and which of them pause, (N,)."""
+        if group.is_robot:
+            return group.goal.position_w, np.zeros(self._num_rows, bool)
+        near_m = max(_NEAR_M, self.context.vehicle.turning_radius_m)
+        pauses = self._destinations.update(state, group, self._fresh, group.reach_m, near_m)
+        return self._destinations.target_w, pauses
+
+    def want(self, state: State, group: GroupState) -> Array:
+        """Straight to the target, and slowly on arrival; not at all in a pause."""
+        target, pauses = self.targets(state, group)
+        return self.arrive(target, np.where(pauses, 0.0, self._speed_mps), group)
+
+    def arrive(self, target_w: Array, speed_mps: Array, group: GroupState) -> Array:
+        """Velocities (N, 2) to `target_w` (N, 2), at `speed_mps` (N,) until short of it (Reynolds 1999)."""
+        direction, distance = unit_vectors(target_w - group.motion.position_w[:, :2])
+        return direction * (speed_mps * np.minimum(distance / _SLOW_M, 1.0))[:, None]
