@@ -26,13 +26,25 @@ _GROUP_NAME = re.compile(r"[A-Za-z]\w*")
 _TAKEN_NAMES = ("action", "done", "metrics", "next", "observation", "reward", "terminated", "truncated")
 
 
+def _as_list(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
 class FrozenPolicyConf(Settings):
     """A controller that is a trained policy: a run's folder, or a file of weights."""
 
     checkpoint: str = Field(min_length=1)
 
 
-Controller = Literal["external", "path", "trajectory"] | FrozenPolicyConf | BehaviourSettings
+class TrajectoryFilesConf(Settings):
+    """A controller that is a trajectory for each agent, from files (.sdf, .csv, .json) in their order."""
+
+    trajectory: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(min_length=1)
+
+
+Controller = (
+    Literal["external", "path", "trajectory"] | FrozenPolicyConf | TrajectoryFilesConf | BehaviourSettings
+)
 
 
 def _parse_body(value: Any) -> Any:
@@ -54,12 +66,15 @@ def _parse_controller(value: Any) -> Any:
         return value
     if isinstance(value, Mapping) and "checkpoint" in value:
         return FrozenPolicyConf.model_validate(value)
+    if isinstance(value, Mapping) and TRAJECTORY in value:
+        return TrajectoryFilesConf.model_validate(value)
     name = value.get("name") if isinstance(value, Mapping) else value
     if name in (EXTERNAL, PATH, TRAJECTORY):
         raise ValueError(f"{name} has no settings here: write controller: {name}")
     if name is None:
         raise ValueError(
-            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, or a checkpoint, {checkpoint: PATH}"
+            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, a checkpoint, {checkpoint: PATH}, or "
+            "a trajectory, {trajectory: FILE}"
         )
     known = [EXTERNAL, PATH, TRAJECTORY, *BEHAVIOURS.names()]
     if not isinstance(name, str) or name not in known:
@@ -74,8 +89,8 @@ class AgentGroupConf(Settings):
 
     `body` is a robot or a person. `controller` is `external` (a user or a
     learner gives its actions), `path` (a person walks there and back),
-    `trajectory` (persons follow those of the world's file), a behaviour, or a
-    checkpoint of a trained policy. `path` has the paths on which persons start,
+    `trajectory` (persons follow those of the world's file), `{trajectory: FILE}`
+    (those of another file), a behaviour, or a checkpoint of a trained policy. `path` has the paths on which persons start,
     and between whose ends they go.
 
     Where `sensors`, `task` or `metrics` are None, they follow from the rest:
@@ -96,7 +111,7 @@ class AgentGroupConf(Settings):
     def _body_can_walk_paths(self) -> Self:
         if isinstance(self.body, PersonConf):
             return self
-        if self.controller in (PATH, TRAJECTORY) or self.path is not None:
+        if follows_trajectories(self.controller) or self.controller == PATH or self.path is not None:
             raise ValueError(
                 f"paths are walked by persons, and the body is {self.body.name}: choose another controller, "
                 "and leave path out"
@@ -197,6 +212,11 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         group.task or task,
         group.metrics or metrics,
     )
+
+
+def follows_trajectories(controller: Controller) -> bool:
+    """Whether a controller moves its agents on trajectories, of the world's file or of others."""
+    return controller == TRAJECTORY or isinstance(controller, TrajectoryFilesConf)
 
 
 def reads_sensors(controller: Controller) -> bool:
