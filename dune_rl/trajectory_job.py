@@ -10,7 +10,6 @@ from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
 from dune_rl.trajectories.files import write_trajectory
 from dune_rl.trajectories.picture import draw_trajectory
-from dune_rl.trajectories.plan import plan_on_ground
 from dune_rl.trajectories.settings import parse_words
 from dune_rl.trajectories.world_choice import choose_world
 
@@ -24,19 +23,9 @@ def run(parsed: Namespace) -> None:
     for path in (out, picture):
         _check_free(path, overwrite=conf.overwrite)
     world = choose_world(world_name, world_words, command.config_folders(parsed))
-    waypoints = np.array(conf.waypoints, np.float64).reshape(-1, 2)
-    actor = plan_on_ground(
-        world,
-        waypoints,
-        velocity=conf.velocity,
-        mode=conf.mode,
-        pauses_s=np.array(conf.pauses) if any(conf.pauses) else None,
-        delay_s=conf.delay_s,
-        spacing_m=conf.spacing_m,
-        limits=conf.limits,
-        name=conf.name,
-    )
-    figure = draw_trajectory(world, actor, waypoints, f"{conf.name} in {world_name}", conf.max_slope_deg, _DPI)
+    actor = conf.plan(world)
+    title = f"{conf.name} in {Path(world_name).name}"
+    figure = draw_trajectory(world, actor, np.array(conf.waypoints), title, conf.max_slope_deg, _DPI)
     for path in (out, picture):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_trajectory(out, actor, conf.appearance)

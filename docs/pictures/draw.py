@@ -97,13 +97,14 @@ def picture(width: int, height: int, title: str, parts: Iterable[str]) -> str:
 
 # The layers, highest first: fill, and the title and explanation of each part side by side.
 LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("command", (("train", ""), ("evaluate", ""), ("report", ""), ("benchmark", ""), ("engines", ""))),
+    ("command", (("train", ""), ("evaluate", ""), ("report", ""), ("trajectory", ""), ("benchmark", ""), ("engines", ""))),
     (
         "learn",
         (
             ("reporting", "pages, tables, figures"),
             ("evaluation, episode_sets", "results folders"),
             ("view", "pictures, films"),
+            ("trajectories", "ways of actors, and their files"),
         ),
     ),
     ("learn", (("config", "schema and checks; the one place that names concrete classes"),)),

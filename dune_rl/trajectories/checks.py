@@ -18,6 +18,7 @@ Flags = NDArray[np.bool_]
 
 _LEAST_APART_M = 0.1
 _MOST_FAULTS = 12
+_IN_OBSTACLE, _TOO_NEAR = "in an obstacle", "too near an obstacle"
 
 
 class TerrainLimits(Settings):
@@ -64,13 +65,14 @@ def check_stretches(
         found += [each for each in _faults(world, xyz[:, :2], limits) if inside[each[0]]]
     count = len(stops) - 1
     told = set()
-    for point, kind, reason, remedy in found:
+    # Who is in an obstacle was too near it before.
+    for point, kind, reason, remedy in sorted(found, key=lambda each: each[1] == _TOO_NEAR):
         stretch = int(np.clip(np.searchsorted(stops, point, side="right") - 1, 0, count - 1))
         # The last stretch of a loop leads to the first way-point.
         to = 1 if np.allclose(xyz[stops[-1]], xyz[stops[0]]) and stretch == count - 1 else stretch + 2
-        if (stretch, kind) in told:
+        if (stretch, subject := _IN_OBSTACLE if kind == _TOO_NEAR else kind) in told:
             continue
-        told.add((stretch, kind))
+        told.add((stretch, subject))
         faults.append(
             f"between way-points {stretch + 1} and {to} the way is {kind} at {_place(xyz[point])}"
             f"{_in_brackets(reason)}: add way-points that lead round it{_or(remedy)}"
@@ -101,10 +103,10 @@ def _faults(world: World, xy: Array, limits: TerrainLimits) -> Iterator[tuple[in
     clearance = np.asarray(world.clearance(xy))
     for k in np.flatnonzero(clearance < limits.radius_m).tolist():
         if clearance[k] <= 0.0:
-            yield k, "in an obstacle", "", ""
+            yield k, _IN_OBSTACLE, "", ""
         else:
             distance = f"{clearance[k]:.2f} m from it, and radius_m is {limits.radius_m:g}"
-            yield k, "too near an obstacle", distance, "lower radius_m"
+            yield k, _TOO_NEAR, distance, "lower radius_m"
     slope = np.rad2deg(world.terrain.slope(xy))
     for k in np.flatnonzero(slope > limits.max_slope_deg).tolist():
         steep = f"{slope[k]:.1f} degrees, and max_slope_deg is {limits.max_slope_deg:g}"
