@@ -179,13 +179,13 @@ def plan_trajectory(
     config_dirs: Sequence[str] = (),
     **settings: Any,
 ) -> "ActorTrajectory":
-    """The trajectory of an actor through `waypoints` (n, 2) [m] of a world, as `python -m dune_rl.trajectory` plans it.
+    """The trajectory of an actor through `waypoints` (n, 2) [m] of a world: its `times` and `poses`.
 
-    Its `times` (T,) [s] and `poses` (T, 4) are x, y, z [m] and yaw [rad], with z on the ground. `world` is an
-    option's name, whose settings are among the `overrides` (`["world.seed=3"]`), or a file. `settings` are those of
-    the command: `velocity`, `mode`, `pauses_s`, `delay_s`, `spacing_m`, `radius_m`, `max_slope_deg`, `max_water_m`
-    and `name`. Raises `ConfigError` for settings, and `WorldError` that names way-points and stretches between
-    them that cannot be walked.
+    `times` (T,) are in s; `poses` (T, 4) are x, y, z [m] and yaw [rad], with z on the ground. `world` is an
+    option's name, whose settings are among the `overrides` (`["world.seed=3"]`), or a file. `settings` are
+    those of `python -m dune_rl.trajectory`: `velocity`, `mode`, `pauses_s`, `delay_s`, `spacing_m`,
+    `radius_m`, `max_slope_deg`, `max_water_m` and `name`. Raises `ConfigError` for settings, and `WorldError`
+    that names way-points and stretches between them that cannot be walked.
     """
     from dune_rl.trajectories.settings import plan_in_world
 

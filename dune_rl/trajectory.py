@@ -1,4 +1,4 @@
-"""Plan an actor's trajectory: `python -m dune_rl.trajectory world=NAME waypoints="[[0,0],[4,2]]" out=actor.sdf`."""
+"""Plan the trajectory of an actor: `python -m dune_rl.trajectory world=NAME waypoints=... out=actor.sdf`."""
 
 from argparse import Namespace
 
@@ -12,7 +12,10 @@ PAGE = HelpPage(
         ('python -m dune_rl.trajectory world=FILE.dae waypoints="[[0,0],[4,2]]" out=actor.csv', "of a file"),
     ),
     (
-        ("world=NAME", "an option, with its settings world.SETTING=VALUE; or a file (SDF, mesh, map of heights)"),
+        (
+            "world=NAME",
+            "an option, with its settings world.SETTING=VALUE; or a file (SDF, mesh, map of heights)",
+        ),
         ("waypoints=[[X,Y],...]", "two or more [m]; a cubic spline leads through them"),
         ("out=FILE", "an SDF <actor> (.sdf), .csv or .json"),
         ("velocity=V", "along the ground [m/s]; else 1"),

@@ -97,7 +97,17 @@ def picture(width: int, height: int, title: str, parts: Iterable[str]) -> str:
 
 # The layers, highest first: fill, and the title and explanation of each part side by side.
 LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("command", (("train", ""), ("evaluate", ""), ("report", ""), ("trajectory", ""), ("benchmark", ""), ("engines", ""))),
+    (
+        "command",
+        (
+            ("train", ""),
+            ("evaluate", ""),
+            ("report", ""),
+            ("trajectory", ""),
+            ("benchmark", ""),
+            ("engines", ""),
+        ),
+    ),
     (
         "learn",
         (

@@ -77,8 +77,8 @@ class TrajectoryBank(NamedTuple):
 class TrajectoryFollower:
     """Scripted poses of N = M * G agents on the trajectories of their worlds, rows scene after scene.
 
-    Agent k of a scene follows trajectory k of `actors`, or where these are None of its world. An agent that a robot holds up is late from then on.
-    `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at random.
+    Agent k of a scene follows trajectory k of `actors`, or where these are None of its world. An agent that a
+    robot holds up is late from then on. `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at random.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class TrajectoryFollower:
         if found < self.count:
             if self._actors is not None:
                 raise WorldError(
-                    f"{self._kind} has {self.count} agents, and its files of trajectories have {found} actors: "
-                    f"set its count to {found}, or name more files."
+                    f"{self._kind} has {self.count} agents, and its files of trajectories have {found} "
+                    f"actors: set its count to {found}, or name more files."
                 )
             raise WorldError(
                 f"{self._kind} has {self.count} on trajectories, and the world {world.name!r} has {found} "
@@ -203,14 +203,16 @@ def fit_to_world(actor: ActorTrajectory, world: World) -> ActorTrajectory:
     if len(outside):
         x, y = xy[outside[0]].tolist()
         raise WorldError(
-            f"the trajectory of {actor.name!r} leaves the world {world.name!r} at ({x:.2f}, {y:.2f}), {xmin:g} to "
-            f"{xmax:g} by {ymin:g} to {ymax:g} m: choose the world that it was made for, or another file."
+            f"the trajectory of {actor.name!r} leaves the world {world.name!r} at ({x:.2f}, {y:.2f}), "
+            f"which is {xmin:g} to {xmax:g} by {ymin:g} to {ymax:g} m: choose the world that it was made "
+            "for, or another file."
         )
     blocked = np.flatnonzero(world.clearance(xy) <= 0.0)
     if len(blocked):
         x, y = xy[blocked[0]].tolist()
         warnings.warn(
-            f"the trajectory of {actor.name!r} leads through an obstacle of {world.name} at ({x:.2f}, {y:.2f})",
+            f"the trajectory of {actor.name!r} leads through an obstacle of {world.name} at "
+            f"({x:.2f}, {y:.2f})",
             WorldWarning,
             stacklevel=2,
         )

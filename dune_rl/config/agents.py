@@ -90,8 +90,8 @@ class AgentGroupConf(Settings):
     `body` is a robot or a person. `controller` is `external` (a user or a
     learner gives its actions), `path` (a person walks there and back),
     `trajectory` (persons follow those of the world's file), `{trajectory: FILE}`
-    (those of another file), a behaviour, or a checkpoint of a trained policy. `path` has the paths on which persons start,
-    and between whose ends they go.
+    (those of another file), a behaviour, or a checkpoint of a trained policy.
+    `path` has the paths on which persons start, and between whose ends they go.
 
     Where `sensors`, `task` or `metrics` are None, they follow from the rest:
     see `resolve_groups`.

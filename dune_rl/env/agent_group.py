@@ -43,8 +43,8 @@ class GroupSetup:
     `body` is a factory of a model of N robots, or the settings of a kinematic body. A group without
     `controller` that follows nothing is external: its actions come from a user or a learner. `paths` are the
     paths of kinematic agents; with `follows_paths` the agents walk along them. With `follows_trajectories`
-    they walk on `trajectories`, or where these are None on those of their world. A group without `task` has rewards of 0 and never ends an
-    episode.
+    they walk on `trajectories`, or where these are None on those of their world. A group without `task` has
+    rewards of 0 and never ends an episode.
     """
 
     name: str

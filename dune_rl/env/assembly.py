@@ -96,9 +96,7 @@ def _kinematic_group(
     worlds = scenes.worlds.worlds
     follower: PathFollower | TrajectoryFollower
     if setup.follows_trajectories:
-        follower = TrajectoryFollower(
-            setup.count, conf.speed_mps, worlds, setup.name, setup.trajectories
-        )
+        follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name, setup.trajectories)
     else:
         follower = PathFollower(setup.paths or PathConf(), setup.count, conf.radius_m, worlds, setup.name)
     spawners = shared_spawners.of(SpawnConf(), conf.radius_m)

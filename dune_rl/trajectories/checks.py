@@ -51,9 +51,7 @@ def check_way_points(world: World, waypoints: Array, limits: TerrainLimits | Non
     _raise(faults)
 
 
-def check_stretches(
-    world: World, xyz: Array, stops: NDArray[np.int64], limits: TerrainLimits | None
-) -> None:
+def check_stretches(world: World, xyz: Array, stops: NDArray[np.int64], limits: TerrainLimits | None) -> None:
     """Raise `WorldError` with a line for each stretch between way-points on which the way cannot be walked.
 
     The way has the points `xyz` (P, 3) [m]; those at the way-points are `xyz[stops]`.
@@ -94,7 +92,9 @@ def water_depth(world: World, xy: Array) -> Array:
     top = float(vertices[:, 2].max()) + 1.0
     room = top - min(float(ground.min()), float(vertices[:, 2].min())) + 1.0
     origins = np.column_stack([xy, np.full(len(xy), top)])
-    hit, _ = RayScene(vertices, faces).first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), room)
+    hit, _ = RayScene(vertices, faces).first_hit(
+        origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), room
+    )
     return np.where(hit < room, np.maximum(top - hit - ground, 0.0), 0.0)
 
 
@@ -126,8 +126,8 @@ def _outside(world: World, waypoints: Array) -> Iterator[str]:
     xmin, xmax, ymin, ymax = world.extent
     for k in np.flatnonzero(~_is_inside(world, waypoints)).tolist():
         yield (
-            f"way-point {k + 1}, {_place(waypoints[k])}, is outside the world, which has x from {xmin:g} to {xmax:g} m "
-            f"and y from {ymin:g} to {ymax:g} m: move it"
+            f"way-point {k + 1}, {_place(waypoints[k])}, is outside the world, which has x from {xmin:g} to "
+            f"{xmax:g} m and y from {ymin:g} to {ymax:g} m: move it"
         )
 
 

@@ -33,7 +33,7 @@ class Appearance:
     origin_height_m: float = WALKING_ACTOR_HIP_M
 
 
-def sdf_text(actor: ActorTrajectory, appearance: Appearance = Appearance()) -> str:  # noqa: B008
+def sdf_text(actor: ActorTrajectory, appearance: Appearance = Appearance()) -> str:
     """An SDF file with an <actor> that walks the trajectory; `z` is raised by the mesh's origin."""
     lift = appearance.origin_height_m
     way_points = "\n".join(

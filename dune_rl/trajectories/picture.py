@@ -83,8 +83,8 @@ def _summary(actor: ActorTrajectory) -> str:
     pauses = f", {stood:g} s of pauses" if stood > 1e-6 else ""
     delay = f", after {actor.delay_s:g} s" if actor.delay_s else ""
     return (
-        f"{length:.1f} m on the ground at {length / walked_s:.2f} m/s, {actor.duration_s:.1f} s{pauses}{delay}, "
-        f"{'repeated' if actor.loop else 'once'}; {len(actor.times):,} poses"
+        f"{length:.1f} m on the ground at {length / walked_s:.2f} m/s, {actor.duration_s:.1f} s{pauses}"
+        f"{delay}, {'repeated' if actor.loop else 'once'}; {len(actor.times):,} poses"
     )
 
 

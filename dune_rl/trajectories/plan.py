@@ -1,5 +1,6 @@
 """A trajectory through way-points on a world's ground, at constant speed."""
 
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -38,11 +39,13 @@ def plan_on_ground(
     A cubic spline leads through them, closed in the mode `loop` (Vice & Sukthankar 2025, section 2.4). The
     speed along the ground is `velocity` [m/s]. Yaw points to the next pose, and the last is repeated. At
     way-point k the actor stands for `pauses_s[k]` [s], and turns there. Raises `WorldError` that names the
-    way-points and the stretches between them that go beyond the `limits` (None: no limits but the world's edge).
+    way-points and the stretches between them that go beyond the `limits` (None: those of the world's edge).
     """
     closed = mode == "loop"
     check_way_points(world, waypoints, limits, closed=closed)
-    stations, xyz, stops = _sample_spline(world, waypoints, spacing_m, closed=closed, every=pauses_s is not None)
+    stations, xyz, stops = _sample_spline(
+        world, waypoints, spacing_m, closed=closed, every=pauses_s is not None
+    )
     check_stretches(world, xyz, stops, limits)
     pauses = np.zeros(len(waypoints)) if pauses_s is None else pauses_s
     visited = np.append(np.arange(len(waypoints)), 0) if closed else np.arange(len(waypoints))
@@ -55,11 +58,13 @@ def plan_on_ground(
     if mode != "once":
         # The first way-point is the last, too: it has one pause, before the start.
         held[-1] = 0.0
-    times, poses = _timed_poses(stations / velocity, xyz, stops, held, round_trip=mode != "once", closed=closed)
+    times, poses = _timed_poses(
+        stations / velocity, xyz, stops, held, round_trip=mode != "once", closed=closed
+    )
     if len(times) > MOST_WAY_POINTS:
         raise WorldError(
-            f"the trajectory has {len(times):,} poses, and a file at most {MOST_WAY_POINTS:,}: raise spacing_m, or "
-            "shorten the way"
+            f"the trajectory has {len(times):,} poses, and a file at most {MOST_WAY_POINTS:,}: raise "
+            "spacing_m, or shorten the way"
         )
     return ActorTrajectory(name, times, poses, mode != "once", delay_s)
 
@@ -77,16 +82,18 @@ def _sample_spline(
     spline = CubicSpline(knots, ends, bc_type="periodic" if closed else "natural")
     pieces = [
         np.linspace(low, high, max(2, int(np.ceil((high - low) / _FINE_M))), endpoint=False)
-        for low, high in zip(knots, knots[1:], strict=False)
+        for low, high in pairwise(knots.tolist())
     ]
     fine = np.append(np.concatenate(pieces), knots[-1])
     at_knots = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])])
-    travelled = np.concatenate([[0.0], np.linalg.norm(np.diff(_on_ground(world, spline(fine)), axis=0), axis=1)])
+    travelled = np.concatenate(
+        [[0.0], np.linalg.norm(np.diff(_on_ground(world, spline(fine)), axis=0), axis=1)]
+    )
     travelled = np.cumsum(travelled)
     if travelled[-1] > MOST_WAY_POINTS * spacing_m:
         raise WorldError(
-            f"the way is {travelled[-1]:,.0f} m long, and has at most {MOST_WAY_POINTS:,} poses: raise spacing_m "
-            f"({spacing_m:g} m), or shorten the way"
+            f"the way is {travelled[-1]:,.0f} m long, and has at most {MOST_WAY_POINTS:,} poses: raise "
+            f"spacing_m ({spacing_m:g} m), or shorten the way"
         )
     regular = np.arange(0.0, travelled[-1], spacing_m)
     fixed = travelled[at_knots] if every else travelled[[0, -1]]

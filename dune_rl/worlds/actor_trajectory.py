@@ -47,6 +47,6 @@ class ActorTrajectory:
 
 
 def unwrap_yaw(yaw: Array) -> Array:
-    """Yaw (T,) [rad] without jumps of a whole turn: each turn is the shorter one, half turns are to the left."""
+    """Yaw (T,) [rad] without jumps of a whole turn: turns are the shorter ones, half turns to the left."""
     turns = np.floor((np.pi + _HALF_TURN_ROOM - np.diff(yaw, prepend=yaw[:1])) / (2 * np.pi))
     return np.asarray(yaw + 2 * np.pi * np.cumsum(turns))

@@ -39,7 +39,7 @@ from dune_rl.config.compose import (
 from dune_rl.engine_comparison.job import parse_settings as engines_settings
 from dune_rl.episode_sets import __main__ as episode_sets
 from dune_rl.episode_sets import read_episode_set
-from dune_rl.errors import DuneError
+from dune_rl.errors import ConfigError, DuneError
 from dune_rl.reporting.settings import parse_words
 from dune_rl.robots import __main__ as robots
 from dune_rl.sensors.conf import ROBOT_SENSORS

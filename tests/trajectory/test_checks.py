@@ -33,7 +33,9 @@ def test_all_faulty_way_points_are_named_at_once():
     assert "way-point 3, (99.00, 0.00), is outside the world, which has x from -10 to 10 m" in lines[0]
     assert "way-point 2, (2.00, 0.50), is in an obstacle: move it" in message
     near = next(line for line in lines if line.startswith("way-point 5"))
-    assert re.search(r"is too near an obstacle \(0\.\d\d m from it, and radius_m is 0.25\): move it, or lo", near)
+    assert re.search(
+        r"is too near an obstacle \(0\.\d\d m from it, and radius_m is 0.25\): move it, or lo", near
+    )
     assert "way-point 4, (-4.00, -4.00), is in water (0.50 m deep, and max_water_m is 0)" in message
 
 
@@ -49,9 +51,15 @@ def test_steep_way_points_are_named_and_a_higher_limit_admits_them():
 @pytest.mark.parametrize(
     ("points", "words"),
     [
-        ([(0, 0), (4, 0)], r"^between way-points 1 and 2 the way is in an obstacle at \(1.\d\d, 0.00\): add [^\n]*$"),
+        (
+            [(0, 0), (4, 0)],
+            r"^between way-points 1 and 2 the way is in an obstacle at \(1.\d\d, 0.00\): add [^\n]*$",
+        ),
         ([(-6, 5), (0, 5), (0, 0), (4, 0)], r"^between way-points 3 and 4 the way is in an obstacle"),
-        ([(0, 2.2), (4, 2.2)], r"^between way-points 1 and 2 the way is too near an obstacle at \(1.\d\d, 2.20\)"),
+        (
+            [(0, 2.2), (4, 2.2)],
+            r"^between way-points 1 and 2 the way is too near an obstacle at \(1.\d\d, 2.20\)",
+        ),
         ([(0, 0), (-6, 6), (5, 5)], None),
     ],
 )

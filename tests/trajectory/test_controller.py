@@ -24,7 +24,8 @@ def write(path, points, world="flat", **settings):
 def follow(files, *words: str, world="flat", scenes=1):
     listed = "[" + ",".join(map(str, files)) + "]"
     conf = compose_environment(
-        world, [f"actors.walker.controller={{trajectory: {listed}}}", f"actors.walker.count={len(files)}", *words]
+        world,
+        [f"actors.walker.controller={{trajectory: {listed}}}", f"actors.walker.count={len(files)}", *words],
     )
     return make_simulation(conf, scenes, 0)
 
@@ -54,7 +55,9 @@ def test_actors_follow_their_files_on_time(tmp_path):
 
 def test_what_does_not_fit_is_refused_by_name(tmp_path):
     write(tmp_path / "a.csv", [[-3, -2], [2, 1]])
-    with pytest.raises(WorldError, match="walker has 2 agents, and its files of trajectories have 1 actors: set its"):
+    with pytest.raises(
+        WorldError, match="walker has 2 agents, and its files of trajectories have 1 actors: set its"
+    ):
         follow([tmp_path / "a.csv"], "actors.walker.count=2")
     far = plan_on_ground(_wide(), np.array([[0.0, 0.0], [500.0, 0.0]]), spacing_m=1)
     write_trajectory(tmp_path / "far.csv", far, Appearance())

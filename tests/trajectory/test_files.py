@@ -55,7 +55,9 @@ def test_what_is_written_is_read_back(tmp_path, kind, mode):
 @settings(max_examples=25, deadline=None)
 @given(
     text=st.text(
-        st.characters(blacklist_categories=("Cs", "Cc", "Cn", "Zs", "Zl", "Zp", "Cf", "Co")), min_size=1, max_size=20
+        st.characters(blacklist_categories=("Cs", "Cc", "Cn", "Zs", "Zl", "Zp", "Cf", "Co")),
+        min_size=1,
+        max_size=20,
     ),
     kind=st.sampled_from(["sdf", "csv", "json"]),
 )
@@ -79,8 +81,12 @@ def test_the_origin_of_the_skin_is_above_the_ground(guard, tmp_path):
 
 def test_several_actors_and_bare_columns_are_read(tmp_path):
     path = tmp_path / "two.csv"
-    path.write_text("actor,time_s,x_m,y_m,z_m,yaw_rad\na,0,0,0,0,0\nb,1,5,0,0,0\na,2,1,0,0,0\nb,3,6,0,0,0\na,4,0,0,0,0\n")
-    with pytest.warns(WorldWarning, match="the loop of the actor 'b' ends 1.0 m from its start: it walks back"):
+    path.write_text(
+        "actor,time_s,x_m,y_m,z_m,yaw_rad\na,0,0,0,0,0\nb,1,5,0,0,0\na,2,1,0,0,0\nb,3,6,0,0,0\na,4,0,0,0,0\n"
+    )
+    with pytest.warns(
+        WorldWarning, match="the loop of the actor 'b' ends 1.0 m from its start: it walks back"
+    ):
         first, second = read_actor_file(path)
     assert (first.name, first.loop, first.delay_s) == ("a", True, 0.0)
     np.testing.assert_array_equal(first.times, [0, 2, 4])
@@ -93,18 +99,30 @@ BAD = {
     "word.csv": ("time_s,x_m,y_m,z_m,yaw_rad\n0,a,0,0,0\n", "has 'a' for x_m in line 2: write a number"),
     "nan.csv": ("time_s,x_m,y_m,z_m,yaw_rad\n0,nan,0,0,0\n", "has numbers that are not finite"),
     "back.csv": ("time_s,x_m,y_m,z_m,yaw_rad\n1,0,0,0,0\n1,1,0,0,0\n", "times that rise from pose to pose"),
-    "loop.csv": ("loop,time_s,x_m,y_m,z_m,yaw_rad\nmaybe,0,0,0,0,0\n", "for loop in line 2: write true or fal"),
+    "loop.csv": (
+        "loop,time_s,x_m,y_m,z_m,yaw_rad\nmaybe,0,0,0,0,0\n",
+        "for loop in line 2: write true or fal",
+    ),
     "empty.csv": ("time_s,x_m,y_m,z_m,yaw_rad\n", "has no actors with trajectories"),
     "bytes.csv": (b"\xff\xfe\x00", "is no CSV file"),
     "list.json": ("[1]", "is no file of trajectories"),
     "extra.json": ('{"actors": [], "more": 1}', "is no file of trajectories"),
-    "short.json": (json.dumps({"actors": [{"times_s": [0, 1], "poses": [[0, 0, 0, 0]]}]}), "as many times as poses"),
-    "far.json": (json.dumps({"actors": [{"times_s": [0], "poses": [[1e9, 0, 0, 0]]}]}), "farther off than 1e.06 m"),
+    "short.json": (
+        json.dumps({"actors": [{"times_s": [0, 1], "poses": [[0, 0, 0, 0]]}]}),
+        "as many times as poses",
+    ),
+    "far.json": (
+        json.dumps({"actors": [{"times_s": [0], "poses": [[1e9, 0, 0, 0]]}]}),
+        "farther off than 1e.06 m",
+    ),
     "late.json": (
         json.dumps({"actors": [{"times_s": [0], "poses": [[0, 0, 0, 0]], "delay_s": -1}]}),
         "needs a delay_s of 0",
     ),
-    "entity.sdf": ('<!DOCTYPE a [<!ENTITY b "c">]><sdf version="1.7"><actor name="&b;"/></sdf>', "declares XML ent"),
+    "entity.sdf": (
+        '<!DOCTYPE a [<!ENTITY b "c">]><sdf version="1.7"><actor name="&b;"/></sdf>',
+        "declares XML ent",
+    ),
     "model.sdf": ('<sdf version="1.7"><model name="m"/></sdf>', "has no actors with trajectories"),
     "a.txt": ("", "is no file of trajectories: .txt is none of .sdf, .csv, .json"),
 }

@@ -148,7 +148,10 @@ def test_an_actor_that_walks_through_an_obstacle_is_named(tmp_path):
         (actor("a", "<waypoint><time>x</time></waypoint>"), "<time> must hold 1 numbers"),
         (actor("a", way_point(-1, 0, 0)), "must be 0 to 1e.06 "),
         (actor("a", *SQUARE, script="<delay_start>-2</delay_start>"), "<delay_start> of the actor 'a'"),
-        (actor("a", *SQUARE).replace('tension="0.6"', 'tension="2"'), "tension of the actor 'a' must be 0 to 1"),
+        (
+            actor("a", *SQUARE).replace('tension="0.6"', 'tension="2"'),
+            "tension of the actor 'a' must be 0 to 1",
+        ),
     ],
 )
 def test_a_faulty_actor_is_refused(tmp_path, element, message):

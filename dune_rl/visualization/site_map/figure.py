@@ -59,7 +59,9 @@ def draw_site_map(content: MapContent, title: str, settings: str, dpi: int) -> F
     draw_text(figure, _LEFT, 7.4, _shorten(settings), 7.5, colour=colours.FAINT)
     extent = content.world.extent
     wide = (extent[1] - extent[0]) / (extent[3] - extent[2]) > _WIDE_SHAPE
-    whole = fit_rectangle(extent, PageRectangle(_LEFT, _BOTTOM, _WIDE_SITE_IN if wide else _SITE_IN, _TOP - _BOTTOM))
+    whole = fit_rectangle(
+        extent, PageRectangle(_LEFT, _BOTTOM, _WIDE_SITE_IN if wide else _SITE_IN, _TOP - _BOTTOM)
+    )
     closer = _enlarged_area(content) if _area(content.spawner.region) < _LARGE_SHARE * _area(extent) else None
     tints = obstacle_tints(content.footprints)
     _panel(figure, content, extent, whole, tints, dpi, "the world", closer)

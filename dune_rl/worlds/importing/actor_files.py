@@ -22,7 +22,13 @@ from dune_rl.worlds.actor_trajectory import (
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, SKIN_NOTE, close_loop
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfReader
-from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, first_line, printable, read_bytes
+from dune_rl.worlds.importing.untrusted_files import (
+    ImportReport,
+    WorldFiles,
+    first_line,
+    printable,
+    read_bytes,
+)
 
 Array = NDArray[np.float64]
 
@@ -92,12 +98,19 @@ def _read_json(data: bytes, name: str) -> list[ActorTrajectory]:
         fault = error.errors()[0]
         place = ".".join(map(str, fault["loc"]))
         raise WorldError(
-            f"{name} is no file of trajectories ({place + ': ' if place else ''}{first_line(fault['msg'])}): write it "
-            "with python -m dune_rl.trajectory."
+            f"{name} is no file of trajectories ({place + ': ' if place else ''}{first_line(fault['msg'])}): "
+            "write it with python -m dune_rl.trajectory."
         ) from None
     return [
         _make_actor(
-            *(one.name, np.array(one.times_s), np.array(one.poses).reshape(-1, 4), one.loop, one.delay_s, name)
+            *(
+                one.name,
+                np.array(one.times_s),
+                np.array(one.poses).reshape(-1, 4),
+                one.loop,
+                one.delay_s,
+                name,
+            )
         )
         for one in records.actors
     ]
@@ -154,7 +167,10 @@ def _make_actor(
         (not (np.isfinite(times).all() and np.isfinite(poses).all()), "has numbers that are not finite"),
         (not 0.0 <= delay_s <= LONGEST_S, f"needs a delay_s of 0 to {LONGEST_S:g}"),
         (bool((np.diff(times) <= 0.0).any()), "needs times that rise from pose to pose"),
-        (len(times) and not 0.0 <= times[0] <= times[-1] <= LONGEST_S, f"needs times of 0 to {LONGEST_S:g} s"),
+        (
+            len(times) and not 0.0 <= times[0] <= times[-1] <= LONGEST_S,
+            f"needs times of 0 to {LONGEST_S:g} s",
+        ),
         (bool((np.abs(poses[:, :3]) > FARTHEST_M).any()), f"has a pose farther off than {FARTHEST_M:g} m"),
     ]
     for faulty, message in faults:

@@ -33,8 +33,8 @@ SKIN_NOTE = "skins and animations of <actor>s are not drawn; a person of ours wa
 def parse_actor(element: Element, matrix: Array, report: ImportReport) -> ActorTrajectory | None:
     """The trajectory of an <actor> in the frame `matrix` (4, 4); None, with a warning, if it has none.
 
-    Trajectories of a script follow one another, each on its own spline as in Gazebo. Way-points of equal times
-    count once, the last of them.
+    Trajectories of a script follow one another, each on its own spline as in Gazebo. Way-points of equal
+    times count once, the last of them.
     """
     name = printable(element.get("name") or "actor", 60)
     points = _way_points(element, name, matrix)
@@ -87,7 +87,9 @@ def _way_points(element: Element, name: str, matrix: Array) -> dict[float, Array
         if not own:
             continue
         if len(points) + len(own) > MOST_WAY_POINTS:
-            raise WorldError(f"the actor {name!r} has more than {MOST_WAY_POINTS:,} <waypoint>s: reduce them.")
+            raise WorldError(
+                f"the actor {name!r} has more than {MOST_WAY_POINTS:,} <waypoint>s: reduce them."
+            )
         times = np.array(sorted(own))
         poses = np.stack([own[time] for time in times.tolist()])
         poses[:, 3] = unwrap_yaw(poses[:, 3])

@@ -15,9 +15,9 @@ _CLOSED_M = 1e-3
 def add_spline_points(times: Array, poses: Array, tension: float = 0.0) -> tuple[Array, Array]:
     """The way-points `times` (T,) and `poses` (T, 4), and points of Gazebo's spline between them.
 
-    Gazebo moves actors on a cubic Hermite spline over the number of the way-point: the tangent of each is half
-    the way from the one before to the one behind, times 1 - `tension` (Catmull-Rom with 0), and time passes
-    evenly between two. Lines between the points of the result are within 2 cm of it. Yaw stays linear.
+    Gazebo moves actors on a cubic Hermite spline over the number of the way-point: the tangent of each is
+    half the way from the one before to the one behind, times 1 - `tension` (Catmull-Rom with 0), and time
+    passes evenly between two. Lines between the points of the result are within 2 cm of it. Yaw stays linear.
     """
     if len(times) < 2:
         return times, poses
