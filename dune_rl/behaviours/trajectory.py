@@ -78,7 +78,8 @@ class TrajectoryFollower:
     """Scripted poses of N = M * G agents on the trajectories of their worlds, rows scene after scene.
 
     Agent k of a scene follows trajectory k of `actors`, or where these are None of its world. An agent that a
-    robot holds up is late from then on. `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at random.
+    robot holds up is late from then on. `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at
+    random.
     """
 
     def __init__(
