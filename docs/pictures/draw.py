@@ -114,9 +114,9 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("reporting", "pages, tables, figures"),
             ("evaluation, episode_sets", "results folders"),
             ("view", "pictures, films"),
-            ("trajectories", "ways of actors, and their files"),
         ),
     ),
+    ("learn", (("trajectories", "planned ways of actors, and their files"),)),
     ("learn", (("config", "schema and checks; the one place that names concrete classes"),)),
     (
         "learn",
