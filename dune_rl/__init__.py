@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
     from dune_rl.env.pettingzoo import ParallelDuneEnv
     from dune_rl.env.torchrl import DuneEnv
+    from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -39,6 +40,7 @@ __all__ = [
     "gym_vector_env",
     "make",
     "parallel_env",
+    "plan_trajectory",
     "register_algorithm",
     "register_behaviour",
     "register_body",
@@ -168,6 +170,27 @@ def make(
 
     conf = compose_environment(world, overrides, settings, config_dirs=config_dirs)
     return make_torchrl_env(conf, num_scenes, seed, flatten)
+
+
+def plan_trajectory(
+    waypoints: Sequence[Sequence[float]],
+    world: str = "inspection",
+    *,
+    overrides: Sequence[str] = (),
+    config_dirs: Sequence[str] = (),
+    **settings: Any,
+) -> "ActorTrajectory":
+    """The trajectory of an actor through `waypoints` (n, 2) [m] of a world: its `times` and `poses`.
+
+    `times` (T,) are in s; `poses` (T, 4) are x, y, z [m] and yaw [rad], with z on the ground. `world` is an
+    option's name, whose settings are among the `overrides` (`["world.seed=3"]`), or a file. `settings` are
+    those of `python -m dune_rl.trajectory`: `velocity`, `mode`, `pauses_s`, `delay_s`, `spacing_m`,
+    `radius_m`, `max_slope_deg`, `max_water_m` and `name`. Raises `ConfigError` for settings, and `WorldError`
+    that names way-points and stretches between them that cannot be walked.
+    """
+    from dune_rl.trajectories.settings import plan_in_world
+
+    return plan_in_world(world, waypoints, overrides, config_dirs, settings)
 
 
 def sensor_bounds(

@@ -8,6 +8,7 @@ COMMANDS = (
     ("report", "a page, figures and tables of runs and evaluations: runs/NAME"),
     ("episode_sets", "list the sets of episodes, check them, or make your own"),
     ("view", "pictures, films and maps: +world=inspection"),
+    ("trajectory", "an actor's way through way-points, as SDF, CSV or JSON"),
     ("benchmark", "what a step costs on this machine"),
     ("engines", "compare PyBullet and DART"),
     ("robots", "what a URDF gives: FILE.urdf"),

@@ -9,7 +9,7 @@ from realism_tables import devices_table, faults_table, sensors_table
 from settings_tables import Section, as_code, first_paragraph, read_section, render_section
 from vort_table import vort_table
 
-from dune_rl import paths, report
+from dune_rl import paths, report, trajectory
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
@@ -34,6 +34,7 @@ from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS
 from dune_rl.tasks.task import TaskConf
+from dune_rl.trajectories.settings import TrajectoryConf
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.surfaces import SURFACES
 
@@ -53,6 +54,7 @@ SECTIONS: Mapping[str, tuple[Any, str]] = {
 _ALONE: Mapping[str, tuple[type[Settings], HelpPage]] = {
     "engines": (EnginesConf, engines_command.PAGE),
     "report": (ReportConf, report.PAGE),
+    "trajectory": (TrajectoryConf, trajectory.PAGE),
 }
 _TAGS = frozenset({"name", "term", "sensor"})
 

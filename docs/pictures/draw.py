@@ -97,7 +97,17 @@ def picture(width: int, height: int, title: str, parts: Iterable[str]) -> str:
 
 # The layers, highest first: fill, and the title and explanation of each part side by side.
 LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("command", (("train", ""), ("evaluate", ""), ("report", ""), ("benchmark", ""), ("engines", ""))),
+    (
+        "command",
+        (
+            ("train", ""),
+            ("evaluate", ""),
+            ("report", ""),
+            ("trajectory", ""),
+            ("benchmark", ""),
+            ("engines", ""),
+        ),
+    ),
     (
         "learn",
         (
@@ -106,6 +116,7 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("view", "pictures, films"),
         ),
     ),
+    ("learn", (("trajectories", "planned ways of actors, and their files"),)),
     ("learn", (("config", "schema and checks; the one place that names concrete classes"),)),
     (
         "learn",

@@ -32,8 +32,8 @@ _HALF = 0.5
 class SteeredBehaviour(ABC):
     """A behaviour that wants a velocity, and gets the nearest one at which it collides with nobody (ORCA).
 
-    Actions are (N, 2): speed [m/s] and relative heading [rad]. `motion_models` are the models of motion of the
-    bodies that it can move. A group that is not the agents' own avoids them, if it does, as they avoid it:
+    Actions are (N, 2): speed [m/s] and relative heading [rad]. `motion_models` are those of the bodies
+    that it can move. A group that is not the agents' own avoids them, if it does, as they avoid it:
     each makes half of the change, or all of it where the other gives way to nobody.
     """
 

@@ -1,5 +1,6 @@
-"""The controller `trajectory`: actors that follow the timed way-points of a world's file."""
+"""The controller `trajectory`: actors that follow the timed way-points of a world's file, or of others."""
 
+import warnings
 from collections.abc import Callable
 from typing import NamedTuple, Self
 from weakref import WeakKeyDictionary
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from dune_rl.errors import WorldError
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
+from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -75,12 +77,20 @@ class TrajectoryBank(NamedTuple):
 class TrajectoryFollower:
     """Scripted poses of N = M * G agents on the trajectories of their worlds, rows scene after scene.
 
-    Agent k of a scene follows trajectory k of its world. An agent that a robot holds up is late from then on.
-    `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at random.
+    Agent k of a scene follows trajectory k of `actors`, or where these are None of its world. An agent that a
+    robot holds up is late from then on. `goals_w` (N, 2) [m] are the last way-points. Nothing is drawn at
+    random.
     """
 
-    def __init__(self, count: int, speed_mps: float, worlds: SharedPerScene[World], kind: str) -> None:
-        self.count = count
+    def __init__(
+        self,
+        count: int,
+        speed_mps: float,
+        worlds: SharedPerScene[World],
+        kind: str,
+        actors: tuple[ActorTrajectory, ...] | None = None,
+    ) -> None:
+        self.count, self._actors = count, actors
         self._speed_mps, self._kind, self._worlds = speed_mps, kind, worlds
         # Entries live as long as their worlds.
         self._banks: WeakKeyDictionary[World, TrajectoryBank] = WeakKeyDictionary()
@@ -94,16 +104,25 @@ class TrajectoryFollower:
         self._offsets = np.zeros((scenes, count, 2))
 
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
-        """Read the trajectories of `world`; raises `WorldError` if it has fewer than the group has agents."""
+        """Take the trajectories through `world`; raises `WorldError` if there are fewer than agents."""
         if world in self._banks:
             return
-        found = len(world.trajectories)
+        found = len(world.trajectories if self._actors is None else self._actors)
         if found < self.count:
+            if self._actors is not None:
+                raise WorldError(
+                    f"{self._kind} has {self.count} agents, and its files of trajectories have {found} "
+                    f"actors: set its count to {found}, or name more files."
+                )
             raise WorldError(
                 f"{self._kind} has {self.count} on trajectories, and the world {world.name!r} has {found} "
                 "actors with one: choose actors=walkers or actors=none, or a smaller count."
             )
-        self._banks[world] = TrajectoryBank.of(world.trajectories[: self.count])
+        if self._actors is None:
+            self._banks[world] = TrajectoryBank.of(world.trajectories[: self.count])
+        else:
+            fitted = tuple(fit_to_world(actor, world) for actor in self._actors[: self.count])
+            self._banks[world] = TrajectoryBank.of(fitted)
 
     def clear_paths(self) -> None:
         """Nothing: trajectories depend on their worlds alone."""
@@ -172,3 +191,30 @@ class TrajectoryFollower:
             self._banks[world].on_ground, world.terrain.height(poses[..., :2]), poses[..., 2]
         )
         return found
+
+
+def fit_to_world(actor: ActorTrajectory, world: World) -> ActorTrajectory:
+    """The trajectory of a file in `world`, on its ground if it is near that.
+
+    Raises `WorldError` where it leaves the world, and warns where it leads through an obstacle.
+    """
+    xmin, xmax, ymin, ymax = world.extent
+    xy = actor.poses[:, :2]
+    outside = np.flatnonzero((xy < [xmin, ymin]).any(axis=1) | (xy > [xmax, ymax]).any(axis=1))
+    if len(outside):
+        x, y = xy[outside[0]].tolist()
+        raise WorldError(
+            f"the trajectory of {actor.name!r} leaves the world {world.name!r} at ({x:.2f}, {y:.2f}), "
+            f"which is {xmin:g} to {xmax:g} by {ymin:g} to {ymax:g} m: choose the world that it was made "
+            "for, or another file."
+        )
+    blocked = np.flatnonzero(world.clearance(xy) <= 0.0)
+    if len(blocked):
+        x, y = xy[blocked[0]].tolist()
+        warnings.warn(
+            f"the trajectory of {actor.name!r} leads through an obstacle of {world.name} at "
+            f"({x:.2f}, {y:.2f})",
+            WorldWarning,
+            stacklevel=2,
+        )
+    return actor.set_on_ground(world.terrain)

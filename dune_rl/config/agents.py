@@ -28,13 +28,25 @@ _GROUP_NAME = re.compile(r"[A-Za-z]\w*")
 _TAKEN_NAMES = ("action", "done", "metrics", "next", "observation", "reward", "terminated", "truncated")
 
 
+def _as_list(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
 class FrozenPolicyConf(Settings):
     """A controller that is a trained policy: a run's folder, or a file of weights."""
 
     checkpoint: str = Field(min_length=1)
 
 
-Controller = Literal["external", "path", "trajectory"] | FrozenPolicyConf | BehaviourSettings
+class TrajectoryFilesConf(Settings):
+    """A controller that is a trajectory for each agent, from files (.sdf, .csv, .json) in their order."""
+
+    trajectory: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(min_length=1)
+
+
+Controller = (
+    Literal["external", "path", "trajectory"] | FrozenPolicyConf | TrajectoryFilesConf | BehaviourSettings
+)
 
 
 def _parse_body(value: Any) -> Any:
@@ -57,12 +69,15 @@ def _parse_controller(value: Any) -> Any:
         return value
     if isinstance(value, Mapping) and "checkpoint" in value:
         return FrozenPolicyConf.model_validate(value)
+    if isinstance(value, Mapping) and TRAJECTORY in value:
+        return TrajectoryFilesConf.model_validate(value)
     name = value.get("name") if isinstance(value, Mapping) else value
     if name in (EXTERNAL, PATH, TRAJECTORY):
         raise ValueError(f"{name} has no settings here: write controller: {name}")
     if name is None:
         raise ValueError(
-            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, or a checkpoint, {checkpoint: PATH}"
+            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, a checkpoint, {checkpoint: PATH}, or "
+            "a trajectory, {trajectory: FILE}"
         )
     known = [EXTERNAL, PATH, TRAJECTORY, *BEHAVIOURS.names()]
     if not isinstance(name, str) or name not in known:
@@ -86,10 +101,11 @@ class AgentGroupConf(Settings):
 
     `body` is a robot, or a person, vehicle, animal or drone (`BODIES`).
     `controller` is `external` (a user or a learner gives its actions), `path`
-    (there and back along a path), `trajectory` (the one of the world's file), a
-    behaviour, or a checkpoint of a trained policy. `path` has the paths on which
-    persons start, and between whose ends they go; other bodies have none unless
-    it is given, and start and go in the region of their task.
+    (there and back along a path), `trajectory` (the one of the world's file),
+    `{trajectory: FILE}` (those of another file), a behaviour, or a checkpoint of
+    a trained policy. `path` has the paths on which persons start, and between
+    whose ends they go; other bodies have none unless it is given, and start and
+    go in the region of their task.
 
     Where `sensors`, `task` or `metrics` are None, they follow from the rest:
     see `resolve_groups`.
@@ -217,12 +233,14 @@ def is_on_path(body: RobotSettings | BodySettings, controller: Controller, *, ha
     """Whether agents start on paths or trajectories: persons do, and other bodies that are given one."""
     if not isinstance(body, BodySettings):
         return False
-    return isinstance(body, PersonConf) or controller in (PATH, TRAJECTORY) or has_path
+    return isinstance(body, PersonConf) or controller == PATH or follows_trajectories(controller) or has_path
 
 
 def why_not(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> str:
     """Why a body cannot do what a controller has it do, and what to write instead; empty where it can."""
-    if not isinstance(body, BodySettings) and (controller in (PATH, TRAJECTORY) or has_path):
+    if not isinstance(body, BodySettings) and (
+        controller == PATH or follows_trajectories(controller) or has_path
+    ):
         return (
             f"paths are walked by persons, and the body is {body.name}: choose another controller, "
             "and leave path out"
@@ -253,6 +271,11 @@ def motion_model(body: RobotSettings | BodySettings) -> str:
         return body.motion_model
     steers = getattr(getattr(body, "drive", None), "kind", None) == "ackermann"
     return "bicycle" if steers else "unicycle"
+
+
+def follows_trajectories(controller: Controller) -> bool:
+    """Whether a controller moves its agents on trajectories, of the world's file or of others."""
+    return controller == TRAJECTORY or isinstance(controller, TrajectoryFilesConf)
 
 
 def reads_sensors(controller: Controller) -> bool:

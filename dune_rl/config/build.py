@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING
 from gymnasium.vector import AutoresetMode
 
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.config.agents import PATH, TRAJECTORY
+from dune_rl.config.agents import (
+    PATH,
+    TRAJECTORY,
+    ResolvedGroup,
+    TrajectoryFilesConf,
+    follows_trajectories,
+)
 from dune_rl.config.controllers import controller_factory
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
@@ -28,6 +34,7 @@ from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.region_candidates import describe_choice
 from dune_rl.worlds.settings import WorldSettings
@@ -87,13 +94,24 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             controller=controller_factory(group.controller),
             paths=group.path,
             follows_paths=group.controller == PATH,
-            follows_trajectories=group.controller == TRAJECTORY,
+            follows_trajectories=follows_trajectories(group.controller),
+            trajectories=_trajectories(group),
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
         )
         for group in conf.groups
     ]
+
+
+def _trajectories(group: ResolvedGroup) -> tuple[ActorTrajectory, ...] | None:
+    """The trajectories of the files that a group's controller names; None if it names none."""
+    if not isinstance(group.controller, TrajectoryFilesConf):
+        return None
+    # Only now: reading SDF needs libraries that most environments do without.
+    from dune_rl.worlds.importing.actor_files import read_actor_file
+
+    return tuple(actor for file in group.controller.trajectory for actor in read_actor_file(file))
 
 
 def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:

@@ -24,6 +24,7 @@ from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
 from dune_rl.state import EnergyState, GoalState, GroupState, ScanQueries, State
 from dune_rl.tasks.task import Task, TaskConf
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -42,8 +43,8 @@ class GroupSetup:
     `body` is a factory of a model of N robots, or the settings of a kinematic body. A group without
     `controller` that follows nothing is external: its actions come from a user or a learner. `paths` are the
     paths of kinematic agents; with `follows_paths` the agents walk along them. With `follows_trajectories`
-    they walk on the trajectories of their world. A group without `task` has rewards of 0 and never ends an
-    episode.
+    they walk on `trajectories`, or where these are None on those of their world. A group without `task` has
+    rewards of 0 and never ends an episode.
     """
 
     name: str
@@ -53,6 +54,7 @@ class GroupSetup:
     paths: PathConf | None = None
     follows_paths: bool = False
     follows_trajectories: bool = False
+    trajectories: tuple[ActorTrajectory, ...] | None = None
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None

@@ -102,7 +102,7 @@ def _group_on_paths(
     worlds = scenes.worlds.worlds
     follower: PathFollower | TrajectoryFollower
     if setup.follows_trajectories:
-        follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name)
+        follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name, setup.trajectories)
     else:
         radius, paths = conf.keep_out_radius_m, setup.paths or PathConf()
         follower = PathFollower(paths, setup.count, radius, worlds, setup.name, conf.speed_mps)

@@ -192,7 +192,7 @@ def _draw_ground_of(world: World, group: AgentGroup, side_in: float) -> _Ground:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
     draw_ground(axes, content, rectangle, (side_in, side_in), _DPI)
-    draw_props(axes, content.footprints, obstacle_tints(content))
+    draw_props(axes, content.footprints, obstacle_tints(content.footprints))
     draw_region(axes, content.spawner.region, 1.5)
     canvas.draw()
     return _Ground(np.asarray(canvas.buffer_rgba())[..., :3].copy(), rectangle, content)

@@ -19,7 +19,8 @@ def loaded_packages(code: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "module", ["train", "evaluate", "report", "view.command_line", "benchmark.command_line", "engines"]
+    "module",
+    ["train", "evaluate", "report", "view.command_line", "benchmark.command_line", "engines", "trajectory"],
 )
 def test_help_loads_none_of_the_heavy_packages(module: str) -> None:
     code = f"import sys; sys.argv = ['x', '--help']; from dune_rl.{module} import main; main()"

@@ -39,10 +39,12 @@ from dune_rl.config.compose import (
 from dune_rl.engine_comparison.job import parse_settings as engines_settings
 from dune_rl.episode_sets import __main__ as episode_sets
 from dune_rl.episode_sets import read_episode_set
-from dune_rl.errors import ConfigError
+from dune_rl.errors import ConfigError, DuneError
 from dune_rl.reporting.settings import parse_words
 from dune_rl.robots import __main__ as robots
 from dune_rl.sensors.conf import ROBOT_SENSORS
+from dune_rl.trajectories.settings import parse_words as trajectory_words
+from dune_rl.trajectories.world_choice import choose_world
 
 # The page of clients has tests of its own.
 SHOWN = [
@@ -100,6 +102,8 @@ def compose_command(words: list[str]) -> None:
         engines_settings(overrides)
     elif program == "dune_rl.report":
         parse_words(rest)
+    elif program == "dune_rl.trajectory":
+        trajectory_words(rest)
     elif program == "dune_rl.view":
         compose_view(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     else:
@@ -173,8 +177,13 @@ def test_the_shown_errors_are_the_real_ones() -> None:
     assert shown
     for text in shown:
         command, *expected = text.strip().splitlines()
-        with pytest.raises(ConfigError) as caught:
-            compose(shlex.split(command)[4:])
+        words = shlex.split(command)
+        with pytest.raises(DuneError) as caught:
+            if "dune_rl.trajectory" in words:
+                world, settings, conf = trajectory_words(words[3:])
+                conf.plan(choose_world(world, settings))
+            else:
+                compose(words[4:])
         assert str(caught.value).splitlines() == expected
 
 

@@ -18,7 +18,7 @@ from dune_rl.settings import Settings
 
 
 def all_sections() -> Iterator[Section]:
-    for command in (*generated_pages.COMMANDS, "engines", "report"):
+    for command in (*generated_pages.COMMANDS, "engines", "report", "trajectory"):
         yield generated_pages.command_settings(command)
     for name in generated_pages.SECTIONS:
         yield generated_pages.section_settings(name)

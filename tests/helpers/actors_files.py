@@ -14,6 +14,12 @@ def actor(name: str, *way_points: str, script: str = "", more: str = "") -> str:
     return f'<actor name="{name}"><pose>9 9 1 0 0 0</pose>{skin}{walking}{script}{more}</actor>'
 
 
+def line(start: float, end: float, y: float) -> tuple[str, ...]:
+    """Way-points along x at 1 m/s, so close that Gazebo's spline between them is straight."""
+    count = round(abs(end - start) / 0.05)
+    return tuple(way_point(0.05 * k, start + (end - start) * k / count, y) for k in range(count + 1))
+
+
 SQUARE = (
     way_point(0, 2, 2),
     way_point(4, 6, 2),

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from actors_files import SQUARE, actor, way_point
+from actors_files import SQUARE, actor, line, way_point
 from gazebo import GROUND, include, model, sdf
 
 import dune_rl
@@ -53,15 +53,17 @@ def positions(simulation) -> np.ndarray:
     return body.motion.position_w.copy()
 
 
-def test_poses_are_linear_between_way_points_and_turn_the_shorter_way(tmp_path):
+def test_poses_are_on_gazebo_s_spline_and_turn_the_shorter_way(tmp_path):
     (walker,) = read(tmp_path, actor("walker", *SQUARE))
     assert walker.name == "walker" and walker.loop and walker.on_ground
     np.testing.assert_allclose(pose_at(walker, 0.0), [2, 2, 1, 0], atol=1e-6)
-    np.testing.assert_allclose(pose_at(walker, 1.0), [3, 2, 1, 0], atol=1e-6)
-    np.testing.assert_allclose(pose_at(walker, 5.0), [6, 2, 1, np.pi / 4], atol=1e-6)
+    # Tangents are 0.2 of the way from the point before to the one behind, with a tension of 0.6; the path is
+    # closed. Its lines are within 2 cm of the spline.
+    np.testing.assert_allclose(pose_at(walker, 1.0), [2.7, 1.8875, 1, 0], atol=0.02)
+    np.testing.assert_allclose(pose_at(walker, 5.0), [6.1, 1.9, 1, np.pi / 4], atol=0.02)
     # From half a turn to three quarters of one, not back through zero.
     x, y, _, yaw = pose_at(walker, 16.0)
-    np.testing.assert_allclose([x, y], [2, 4], atol=1e-6)
+    np.testing.assert_allclose([x, y], [1.8, 4], atol=0.02)
     assert yaw == pytest.approx(-0.75 * np.pi, abs=1e-5)
     # It begins anew.
     np.testing.assert_allclose(pose_at(walker, 19.0), pose_at(walker, 1.0), atol=1e-6)
@@ -78,9 +80,9 @@ def test_loop_delay_and_auto_start_are_as_the_script_says(tmp_path):
     np.testing.assert_allclose(pose_at(once, 1.0)[:2], [2, 0], atol=1e-9)
     np.testing.assert_allclose(pose_at(once, 50.0)[:2], [4, 0], atol=1e-9)
     np.testing.assert_allclose(pose_at(late, 2.9), pose_at(late, 0.0), atol=1e-9)
-    np.testing.assert_allclose(pose_at(late, 4.0)[:2], [3, 2], atol=1e-6)
+    np.testing.assert_allclose(pose_at(late, 4.0)[:2], [2.7, 1.8875], atol=0.02)
     # The delay comes before each round.
-    np.testing.assert_allclose(pose_at(late, 21.0 + 4.0)[:2], [3, 2], atol=1e-6)
+    np.testing.assert_allclose(pose_at(late, 21.0 + 4.0), pose_at(late, 4.0), atol=1e-6)
     np.testing.assert_allclose(pose_at(waits, 50.0)[:2], [0, 0], atol=1e-9)
 
 
@@ -146,6 +148,10 @@ def test_an_actor_that_walks_through_an_obstacle_is_named(tmp_path):
         (actor("a", "<waypoint><time>x</time></waypoint>"), "<time> must hold 1 numbers"),
         (actor("a", way_point(-1, 0, 0)), "must be 0 to 1e.06 "),
         (actor("a", *SQUARE, script="<delay_start>-2</delay_start>"), "<delay_start> of the actor 'a'"),
+        (
+            actor("a", *SQUARE).replace('tension="0.6"', 'tension="2"'),
+            "tension of the actor 'a' must be 0 to 1",
+        ),
     ],
 )
 def test_a_faulty_actor_is_refused(tmp_path, element, message):
@@ -209,8 +215,9 @@ def test_way_points_that_are_too_far_off_are_refused(tmp_path):
 
 
 def test_actors_walk_on_time_on_the_ground_in_every_scene(tmp_path):
-    late = actor("late", *SQUARE, script="<delay_start>1</delay_start>")
-    simulation = simulation_of(write(tmp_path, actor("a", *SQUARE), late), 2)
+    walk = line(2, 6, 2)
+    late = actor("late", *walk, script="<delay_start>1</delay_start>")
+    simulation = simulation_of(write(tmp_path, actor("a", *walk), late), 2)
     try:
         simulation.reset()
         start = positions(simulation).reshape(2, 2, 3)
@@ -245,7 +252,7 @@ def test_robots_start_away_from_actors(tmp_path):
 
 
 def test_an_actor_that_a_robot_holds_up_is_late_and_walks_on(tmp_path):
-    walk = actor("a", way_point(0, 0, 0), way_point(8, 8, 0), script="<loop>false</loop>")
+    walk = actor("a", *line(0, 8, 0), script="<loop>false</loop>")
     simulation = simulation_of(write(tmp_path, walk))
     try:
         simulation.reset()

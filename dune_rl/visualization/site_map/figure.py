@@ -1,10 +1,13 @@
 """The page of a map: the world, an enlarged region, the legend and a table of statistics."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dune_rl.visualization.site_map import colours
+from dune_rl.visualization.site_map.layers import PropFootprints
 from dune_rl.visualization.site_map.legend import (
     LINE_IN,
     STATISTICS_ROWS,
@@ -56,16 +59,19 @@ def draw_site_map(content: MapContent, title: str, settings: str, dpi: int) -> F
     draw_text(figure, _LEFT, 7.4, _shorten(settings), 7.5, colour=colours.FAINT)
     extent = content.world.extent
     wide = (extent[1] - extent[0]) / (extent[3] - extent[2]) > _WIDE_SHAPE
-    whole = _fit(extent, PageRectangle(_LEFT, _BOTTOM, _WIDE_SITE_IN if wide else _SITE_IN, _TOP - _BOTTOM))
+    whole = fit_rectangle(
+        extent, PageRectangle(_LEFT, _BOTTOM, _WIDE_SITE_IN if wide else _SITE_IN, _TOP - _BOTTOM)
+    )
     closer = _enlarged_area(content) if _area(content.spawner.region) < _LARGE_SHARE * _area(extent) else None
-    tints = obstacle_tints(content)
+    tints = obstacle_tints(content.footprints)
     _panel(figure, content, extent, whole, tints, dpi, "the world", closer)
-    slopes, props, episodes = slope_legend(content), prop_legend(content, tints), episode_legend(content)
+    slopes, episodes = slope_legend(content.max_slope_deg), episode_legend(content)
+    props = prop_legend(content.world, content.footprints, tints)
     left, below = whole.left + whole.width + _GAP, _TOP
     room = _RIGHT - left
     if closer is not None:
         side = min(_WIDE_CLOSER_IN if wide else _CLOSER_IN, room)
-        place = _fit(closer, PageRectangle(left, _TOP - side, side, side))
+        place = fit_rectangle(closer, PageRectangle(left, _TOP - side, side, side))
         _panel(figure, content, closer, place, tints, dpi, "starts and goals", None)
         below = place.bottom - _BELOW_AXES
     table_in = (len(STATISTICS_ROWS) + 1.5) * LINE_IN
@@ -93,7 +99,7 @@ def _area(rectangle: Rectangle) -> float:
     return (rectangle[1] - rectangle[0]) * (rectangle[3] - rectangle[2])
 
 
-def _fit(rectangle: Rectangle, room: PageRectangle) -> PageRectangle:
+def fit_rectangle(rectangle: Rectangle, room: PageRectangle) -> PageRectangle:
     """The largest page rectangle with the proportions of `rectangle` at the top left of `room`."""
     width, height = rectangle[1] - rectangle[0], rectangle[3] - rectangle[2]
     scale = min(room.width / width, room.height / height)
@@ -117,9 +123,9 @@ def _enlarged_area(content: MapContent) -> Rectangle:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def obstacle_tints(content: MapContent) -> dict[str, str]:
+def obstacle_tints(footprints: Sequence[PropFootprints]) -> dict[str, str]:
     """The colour of each kind of obstacle."""
-    kinds = [each.kind for each in content.footprints if not each.drivable]
+    kinds = [each.kind for each in footprints if not each.drivable]
     return dict(zip(kinds, colours.OBSTACLES, strict=False))
 
 
@@ -145,14 +151,15 @@ def _panel(
     draw_tracks(axes, content.tracks, 2.0 if detail else 1.0, marks=detail)
     if detail:
         draw_episodes(axes, content, per_m, joined=not content.tracks)
-    _frame(axes)
+    frame_panel(axes)
     draw_text(figure, place.left, place.top + 0.1, caption, 9, weight="bold")
     draw_scale_bar(figure, place, per_m)
     if rectangle == content.world.extent:
         draw_axis_arrows(figure, place)
 
 
-def _frame(axes: Axes) -> None:
+def frame_panel(axes: Axes) -> None:
+    """Label and frame the axes of a panel."""
     axes.set_xlabel("x [m], east", fontsize=7.5, color=colours.INK, labelpad=2)
     axes.set_ylabel("y [m], north", fontsize=7.5, color=colours.INK, labelpad=2)
     axes.tick_params(labelsize=7, colors=colours.INK, length=3, width=0.6)

@@ -10,6 +10,7 @@ from matplotlib.patches import Rectangle as Box
 
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import (
+    PropFootprints,
     SiteStatistics,
     site_statistics,
     slope_edges,
@@ -18,6 +19,7 @@ from dune_rl.visualization.site_map.layers import (
 )
 from dune_rl.visualization.site_map.page import PageRectangle, draw_text, page_axes
 from dune_rl.visualization.site_map.panel import MapContent
+from dune_rl.worlds.world import World
 
 LINE_IN = 0.162
 
@@ -26,26 +28,26 @@ Section = tuple[str, list[tuple[Swatch, str]]]
 _WIDE, _HIGH = 0.26, 0.115
 
 
-def slope_legend(content: MapContent) -> Section:
+def slope_legend(max_slope_deg: float) -> Section:
     """Section of the slope classes."""
-    edges = slope_edges(content.max_slope_deg)
+    edges = slope_edges(max_slope_deg)
     steps = zip(colours.SLOPES, edges, edges[1:], strict=False)
     entries = [(_filled_box(fill), f"{low:g} to {high:g}°") for fill, low, high in steps]
     too_steep = _striped_box(colours.TOO_STEEP, colours.TOO_STEEP_STRIPE)
     return "slope", [*entries, (too_steep, f"over {edges[-1]:g}°, too steep")]
 
 
-def prop_legend(content: MapContent, tints: dict[str, str]) -> Section:
+def prop_legend(world: World, footprints: Sequence[PropFootprints], tints: dict[str, str]) -> Section:
     """Section of the kinds of props; `tints` has the colours of obstacles."""
     entries: list[tuple[Swatch, str]] = []
-    for each in content.footprints:
+    for each in footprints:
         fill = colours.DRIVABLE if each.drivable else tints[each.kind]
         entries.append((_filled_box(fill), f"{each.kind}, drivable" if each.drivable else each.kind))
-    if water_props(content.world):
+    if water_props(world):
         entries.append((_filled_box(colours.WATER), "water"))
-    if vegetation_props(content.world):
+    if vegetation_props(world):
         entries.append((_filled_box("#b0d0b0"), "leaves, no obstacle"))
-    if content.world.grass is not None:
+    if world.grass is not None:
         entries.append((_filled_box("#cbdf9c"), "tall grass"))
     return "objects" if entries else "no objects", entries
 

@@ -33,7 +33,7 @@ from dune_rl.worlds.world import Rectangle, World
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_STRIPE_IN = 0.028
+STRIPE_IN = 0.028
 _CONTOUR_COLUMNS = 320
 _SHORTEST_CONTOUR_IN = 0.35
 
@@ -71,26 +71,38 @@ class MapContent:
 
 def render_ground(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
     """Colours (rows, columns, 3) of the ground in sRGB: slope, shading, spawn cells, plants and water."""
+    picture = slope_colours(ground, content.max_slope_deg, stripe_px)
+    across, up = np.arange(len(ground.x)), np.arange(len(ground.y))[:, None]
+    free = content.spawner.free_space
+    chosen = cell_values_at(free, spawn_mask(content.spawner), ground.points)
+    _blend(picture, chosen, colours.SPAWN, 0.16)
+    _blend(picture, chosen & _stripes(across - up, 1.6 * stripe_px), colours.SPAWN, 0.30)
+    return shade_ground(picture, content.world, ground)
+
+
+def slope_colours(ground: GroundGrid, max_slope_deg: float, stripe_px: float) -> Array:
+    """Colours (rows, columns, 3) in sRGB of the slopes of the ground, with stripes where it is too steep."""
     palette = np.array([colours.rgb(c) for c in (*colours.SLOPES, colours.TOO_STEEP)])
-    classes = slope_class(ground.slope, content.max_slope_deg)
+    classes = slope_class(ground.slope, max_slope_deg)
     picture = palette[classes]
     rows, columns = classes.shape
     across, up = np.arange(columns), np.arange(rows)[:, None]
     picture[(classes == SLOPE_CLASSES) & _stripes(across + up, stripe_px)] = colours.rgb(
         colours.TOO_STEEP_STRIPE
     )
-    free = content.spawner.free_space
-    chosen = cell_values_at(free, spawn_mask(content.spawner), ground.points)
-    _blend(picture, chosen, colours.SPAWN, 0.16)
-    _blend(picture, chosen & _stripes(across - up, 1.6 * stripe_px), colours.SPAWN, 0.30)
-    if content.world.grass is not None:
-        _blend(picture, grass_mask(content.world, ground), colours.GRASS, 0.5)
+    return picture
+
+
+def shade_ground(picture: Array, world: World, ground: GroundGrid) -> Array:
+    """Colours (rows, columns, 3) of the ground with grass, light from the north-west, water and plants."""
+    if world.grass is not None:
+        _blend(picture, grass_mask(world, ground), colours.GRASS, 0.5)
     # Shading moves colours towards black and white, so their hues stay those of the legend.
     light = np.clip(ground.shade, 0.0, 1.5)[..., None]
     picture *= 1.0 - 0.55 * np.maximum(1.0 - light, 0.0)
     picture += 0.8 * np.maximum(light - 1.0, 0.0) * (1.0 - picture)
-    _blend(picture, covered_by(water_props(content.world), ground), colours.WATER, 0.92)
-    _blend(picture, covered_by(vegetation_props(content.world), ground), colours.GREENERY, 0.38)
+    _blend(picture, covered_by(water_props(world), ground), colours.WATER, 0.92)
+    _blend(picture, covered_by(vegetation_props(world), ground), colours.GREENERY, 0.38)
     return picture
 
 
@@ -131,16 +143,17 @@ def draw_ground(
     """Draw relief, slopes, contours, plants and water of `rectangle`, with one cell per pixel."""
     columns, rows = (max(2, round(side * dpi)) for side in size_in)
     ground = GroundGrid.sample(content.world.terrain, rectangle, columns, rows)
-    picture = render_ground(content, ground, _STRIPE_IN * dpi)
-    under = render_passages(content, ground, _STRIPE_IN * dpi)
+    picture = render_ground(content, ground, STRIPE_IN * dpi)
+    under = render_passages(content, ground, STRIPE_IN * dpi)
     for layer, order in ((picture, 0.0), (under, 3.0)):
         axes.imshow(layer, extent=rectangle, origin="lower", interpolation="nearest", zorder=order)
     axes.set_xlim(rectangle[:2])
     axes.set_ylim(rectangle[2:])
-    _contours(axes, content.world, rectangle, size_in)
+    draw_contours(axes, content.world, rectangle, size_in)
 
 
-def _contours(axes: Axes, world: World, rectangle: Rectangle, size_in: tuple[float, float]) -> None:
+def draw_contours(axes: Axes, world: World, rectangle: Rectangle, size_in: tuple[float, float]) -> None:
+    """Draw the contour lines of `rectangle`, with their heights."""
     columns = _CONTOUR_COLUMNS
     rows = max(2, round(columns * size_in[1] / size_in[0]))
     ground = GroundGrid.sample(world.terrain, rectangle, columns, rows)

@@ -6,28 +6,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import WorldError
-from dune_rl.worlds.actor_trajectory import ActorTrajectory
+from dune_rl.worlds.actor_trajectory import (
+    FARTHEST_M,
+    LONGEST_S,
+    MOST_WAY_POINTS,
+    ActorTrajectory,
+    unwrap_yaw,
+)
 from dune_rl.worlds.importing.sdf.shapes import parse_numbers, parse_pose
+from dune_rl.worlds.importing.sdf.trajectory_spline import add_spline_points
 from dune_rl.worlds.importing.untrusted_files import ImportReport, printable
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
-MOST_ACTORS, _MOST_WAY_POINTS, _LONGEST_S = 500, 20_000, 1e6
-_FARTHEST_M = 1e6
+MOST_ACTORS = 500
 # A loop whose ends are farther apart than this is closed by a way back, at this speed if the script has none.
 _CLOSED_M, _USUAL_MPS = 0.1, 1.0
-# Origins of actors are up to this high above the ground that they walk on: Gazebo's are at the hip.
-_HIGHEST_ORIGIN_M = 2.0
 # Distance of the places where obstacles are looked for, and how many these are.
 _LOOK_M, _MOST_LOOKS = 0.25, 20_000
 _TRUE = ("true", "1")
+# Does not concern who wants nothing but the trajectories.
+SKIN_NOTE = "skins and animations of <actor>s are not drawn; a person of ours walks in their place"
 
 
 def parse_actor(element: Element, matrix: Array, report: ImportReport) -> ActorTrajectory | None:
     """The trajectory of an <actor> in the frame `matrix` (4, 4); None, with a warning, if it has none.
 
-    Trajectories of a script follow one another. Way-points of equal times count once, the last of them.
+    Trajectories of a script follow one another, each on its own spline as in Gazebo. Way-points of equal
+    times count once, the last of them.
     """
     name = printable(element.get("name") or "actor", 60)
     points = _way_points(element, name, matrix)
@@ -38,17 +45,17 @@ def parse_actor(element: Element, matrix: Array, report: ImportReport) -> ActorT
         report.warn(f"the actor {name!r} {reason}has no <trajectory> and is left out")
         return None
     if element.find("skin") is not None or element.find("animation") is not None:
-        report.warn("skins and animations of <actor>s are not drawn; a person of ours walks in their place")
+        report.warn(SKIN_NOTE)
     times = np.array(sorted(points))
     poses = np.stack([points[time] for time in times.tolist()])
-    poses[:, 3] = np.unwrap(poses[:, 3])
+    poses[:, 3] = unwrap_yaw(poses[:, 3])
     script = element.find("script")
     assert script is not None
     loop = (script.findtext("loop") or "true").strip() in _TRUE
     delay_s = float(parse_numbers(script.find("delay_start"), 1, (0.0,))[0])
-    if not 0.0 <= delay_s <= _LONGEST_S:
+    if not 0.0 <= delay_s <= LONGEST_S:
         raise WorldError(
-            f"<delay_start> of the actor {name!r} must be 0 to {_LONGEST_S:g} s (got {delay_s:g})."
+            f"<delay_start> of the actor {name!r} must be 0 to {LONGEST_S:g} s (got {delay_s:g})."
         )
     # Until the first way-point's time the actor stands there.
     delay_s, times = delay_s + float(times[0]), times - times[0]
@@ -56,7 +63,7 @@ def parse_actor(element: Element, matrix: Array, report: ImportReport) -> ActorT
         report.warn(f"the actor {name!r} stands at its start, since its <auto_start> is false")
         times, poses = times[:1], poses[:1]
     elif loop:
-        times, poses = _close_loop(name, times, poses, report)
+        times, poses = close_loop(name, times, poses, report)
     return ActorTrajectory(name, times, poses, loop, delay_s)
 
 
@@ -65,28 +72,47 @@ def _way_points(element: Element, name: str, matrix: Array) -> dict[float, Array
     points: dict[float, Array] = {}
     start = 0.0
     for trajectory in element.findall("script/trajectory"):
-        times = []
+        own: dict[float, Array] = {}
         for way_point in trajectory.findall("waypoint"):
             time = float(parse_numbers(way_point.find("time"), 1, (0.0,))[0])
-            if not 0.0 <= time <= _LONGEST_S:
+            if not 0.0 <= time <= LONGEST_S:
                 raise WorldError(
-                    f"a <waypoint>'s <time> of the actor {name!r} must be 0 to {_LONGEST_S:g} (got {time:g})."
+                    f"a <waypoint>'s <time> of the actor {name!r} must be 0 to {LONGEST_S:g} (got {time:g})."
                 )
             pose = matrix @ parse_pose(way_point)
-            if not np.abs(pose[:3, 3]).max() <= _FARTHEST_M:
-                raise WorldError(f"a <waypoint> of the actor {name!r} is farther off than {_FARTHEST_M:g} m.")
+            if not np.abs(pose[:3, 3]).max() <= FARTHEST_M:
+                raise WorldError(f"a <waypoint> of the actor {name!r} is farther off than {FARTHEST_M:g} m.")
             yaw = np.arctan2(pose[1, 0], pose[0, 0])
-            points[start + time] = np.array([*pose[:3, 3], yaw])
-            times.append(time)
-        start += max(times, default=0.0)
-        if start > _LONGEST_S:
-            raise WorldError(f"the <trajectory>s of the actor {name!r} must end before {_LONGEST_S:g} s.")
-    if len(points) > _MOST_WAY_POINTS:
-        raise WorldError(f"the actor {name!r} has more than {_MOST_WAY_POINTS:,} <waypoint>s: reduce them.")
+            own[time] = np.array([*pose[:3, 3], yaw])
+        if not own:
+            continue
+        if len(points) + len(own) > MOST_WAY_POINTS:
+            raise WorldError(
+                f"the actor {name!r} has more than {MOST_WAY_POINTS:,} <waypoint>s: reduce them."
+            )
+        times = np.array(sorted(own))
+        poses = np.stack([own[time] for time in times.tolist()])
+        poses[:, 3] = unwrap_yaw(poses[:, 3])
+        times, poses = add_spline_points(times, poses, _tension(trajectory, name))
+        points |= {start + time: pose for time, pose in zip(times.tolist(), poses, strict=True)}
+        start += float(times[-1])
+        if start > LONGEST_S:
+            raise WorldError(f"the <trajectory>s of the actor {name!r} must end before {LONGEST_S:g} s.")
     return points
 
 
-def _close_loop(name: str, times: Array, poses: Array, report: ImportReport) -> tuple[Array, Array]:
+def _tension(trajectory: Element, name: str) -> float:
+    text = trajectory.get("tension") or "0"
+    try:
+        tension = float(text)
+    except ValueError:
+        tension = np.nan
+    if not 0.0 <= tension <= 1.0:
+        raise WorldError(f"tension of the actor {name!r} must be 0 to 1 (got {printable(text, 40)!r}).")
+    return tension
+
+
+def close_loop(name: str, times: Array, poses: Array, report: ImportReport) -> tuple[Array, Array]:
     """The way-points and, where the last is far from the first, a way back at the mean speed."""
     back = float(np.linalg.norm(poses[-1, :2] - poses[0, :2]))
     if back <= _CLOSED_M:
@@ -120,11 +146,8 @@ def place_on_ground(
         xy = actor.poses[:, :2]
         if (xy < [xmin, ymin]).any() or (xy > [xmax, ymax]).any():
             report.warn(f"the actor {actor.name!r} walks beyond the edge of the ground")
-        over = actor.poses[:, 2] - world.terrain.height(xy)
-        near = bool((over <= _HIGHEST_ORIGIN_M).all())
-        if near and (world.clearance(_points_between(xy)) <= 0.0).any():
+        on_it = actor.set_on_ground(world.terrain)
+        if on_it.on_ground and (world.clearance(_points_between(xy)) <= 0.0).any():
             report.warn(f"the actor {actor.name!r} walks through an obstacle")
-        placed.append(
-            ActorTrajectory(actor.name, actor.times, actor.poses, actor.loop, actor.delay_s, on_ground=near)
-        )
+        placed.append(on_it)
     return tuple(placed)

@@ -1,0 +1,141 @@
+"""Settings of `python -m dune_rl.trajectory`, and which of its words are the world's."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self, cast
+
+import numpy as np
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import Field, model_validator
+from yaml import YAMLError
+
+from dune_rl.config.checks import validate
+from dune_rl.errors import ConfigError
+from dune_rl.trajectories.checks import TerrainLimits
+from dune_rl.trajectories.files import WALKING_ACTOR, WALKING_ACTOR_HIP_M, Appearance
+from dune_rl.trajectories.plan import SPACING_M, Mode, plan_on_ground
+from dune_rl.trajectories.world_choice import choose_world
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
+from dune_rl.worlds.importing.actor_files import FORMATS
+from dune_rl.worlds.world import World
+
+_TEXTS = ("out", "picture", "name", "skin", "animation")
+_HINT = 'python -m dune_rl.trajectory world=inspection waypoints="[[0,0],[4,2]]" out=actor.sdf'
+
+
+class PlanConf(TerrainLimits):
+    """Settings of a trajectory: the way, its timing and its limits."""
+
+    waypoints: tuple[tuple[float, float], ...]
+    velocity: float = Field(1.0, gt=0.0, le=50.0)
+    mode: Mode = "back_and_forth"
+    pauses_s: float | tuple[float, ...] = 0.0
+    delay_s: float = Field(0.0, ge=0.0, le=1e5)
+    spacing_m: float = Field(SPACING_M, ge=0.005, le=5.0)
+    name: str = Field("walker", min_length=1, max_length=60)
+
+    @model_validator(mode="after")
+    def _plannable(self) -> Self:
+        if not self.name.isprintable():
+            raise ValueError("name must be of printable characters")
+        given = self.pauses_s if isinstance(self.pauses_s, tuple) else (self.pauses_s,)
+        if any(not 0.0 <= pause <= 1e5 for pause in given):
+            raise ValueError("pauses_s must be from 0 to 1e5 s")
+        if isinstance(self.pauses_s, tuple) and len(self.pauses_s) != len(self.waypoints):
+            raise ValueError(
+                f"pauses_s must be one number, or one for each way-point: {len(self.waypoints)} of them "
+                f"(got {len(self.pauses_s)})"
+            )
+        return self
+
+    def plan(self, world: World) -> ActorTrajectory:
+        """The trajectory through `world`; raises `WorldError` where it cannot be walked."""
+        every = self.pauses_s
+        pauses = np.array(every) if isinstance(every, tuple) else np.full(len(self.waypoints), every)
+        return plan_on_ground(
+            world,
+            np.array(self.waypoints, np.float64).reshape(-1, 2),
+            velocity=self.velocity,
+            mode=self.mode,
+            pauses_s=pauses if pauses.any() else None,
+            delay_s=self.delay_s,
+            spacing_m=self.spacing_m,
+            limits=TerrainLimits(**{key: getattr(self, key) for key in TerrainLimits.model_fields}),
+            name=self.name,
+        )
+
+
+class TrajectoryConf(PlanConf):
+    """Settings of `python -m dune_rl.trajectory` beside the world's."""
+
+    out: str = Field(min_length=1)
+    skin: str = Field(WALKING_ACTOR, min_length=1)
+    animation: str | None = Field(None, min_length=1)
+    origin_height_m: float | None = Field(None, ge=0.0, le=2.0)
+    picture: str | None = None
+    overwrite: bool = False
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Self:
+        if Path(self.out).suffix.lower() not in FORMATS:
+            raise ValueError(f"out must end in {', '.join(FORMATS)} (got {self.out!r})")
+        if self.picture is not None and Path(self.picture).suffix.lower() != ".png":
+            raise ValueError(f"picture must end in .png (got {self.picture!r})")
+        return self
+
+    @property
+    def appearance(self) -> Appearance:
+        """What an SDF says of the actor's mesh."""
+        height = self.origin_height_m
+        if height is None:
+            height = WALKING_ACTOR_HIP_M if self.skin == WALKING_ACTOR else 0.0
+        return Appearance(self.skin, self.animation or self.skin, height)
+
+    @property
+    def picture_path(self) -> Path:
+        """Where the picture is written: `picture`, or beside `out`."""
+        return Path(self.picture) if self.picture else Path(self.out).with_suffix(".png")
+
+
+def parse_words(words: Sequence[str]) -> tuple[str, list[str], TrajectoryConf]:
+    """The world, the words of its settings, and the settings of the trajectory; `ConfigError` for faults."""
+    world: str | None = None
+    world_words: list[str] = []
+    values: dict[str, Any] = {}
+    for word in words:
+        key, equals, text = word.partition("=")
+        key = key.lstrip("+")
+        if not equals:
+            raise ConfigError(f"cannot read {word!r}; write key=value: {_HINT}")
+        if key == "world":
+            world = text
+        elif key.startswith("world."):
+            world_words.append(f"{key}={text}")
+        else:
+            # Paths and names are taken as they are, not parsed.
+            values[key] = text if key in _TEXTS else _parse(f"{key}={text}", key)
+    faults = [] if world else [f"choose a world: world=NAME or world=FILE, as in {_HINT}"]
+    conf = validate(TrajectoryConf, values, faults)
+    assert world is not None
+    return world, world_words, conf
+
+
+def plan_in_world(
+    world: str | Mapping[str, Any],
+    waypoints: Sequence[Sequence[float]],
+    overrides: Sequence[str],
+    config_dirs: Sequence[str],
+    settings: Mapping[str, Any],
+) -> ActorTrajectory:
+    """The trajectory through a world that is chosen as on the command line (`choose_world`)."""
+    conf = validate(PlanConf, {**settings, "waypoints": np.asarray(waypoints).tolist()})
+    return conf.plan(choose_world(world, overrides, config_dirs))
+
+
+def _parse(word: str, key: str) -> object:
+    try:
+        found = cast("dict[str, Any]", OmegaConf.to_object(OmegaConf.from_dotlist([word])))
+    except (OmegaConfBaseException, YAMLError, ValueError) as error:
+        raise ConfigError(f"cannot read {word!r}; write it as in {_HINT}") from error
+    return found.get(key)
