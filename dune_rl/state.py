@@ -204,7 +204,8 @@ class GroupState:
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
     any. `energy` and `scanner` are None unless a term needs them. `endings` has the flags (N,) of each
-    termination term by name; rewards and metrics are evaluated after these.
+    termination term by name; rewards and metrics are evaluated after these. `kind` is "robot", or the name
+    of a kinematic body, such as "person".
     """
 
     name: str
@@ -220,6 +221,7 @@ class GroupState:
     endings: dict[str, Flags] = field(default_factory=dict)
     wheel_radius_m: float | None = None
     scanner: ScanQueries | None = None
+    kind: str = "robot"
 
     @cached_property
     def nearest_return(self) -> Array:

@@ -121,6 +121,7 @@ class AgentGroup:
         self._rest = body.rest_action()
         self.outline, self.radius_m = body.outline, body.radius_m
         self.wheel_radius_m = body.wheel_radius_m
+        self.kind: str = body.conf.name if isinstance(body, KinematicBody) else "robot"
         self.num_rows = num_rows
         self._controller: Controller | None = None
         self.scanner: ScanQueries | None = None

@@ -133,5 +133,6 @@ class StateBuilder:
                 wheel_radius_m=group.wheel_radius_m,
                 energy=group.energy,
                 scanner=group.scanner,
+                kind=group.kind,
             )
         return State(states, self._worlds, len(steps))
