@@ -174,6 +174,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         title=f"{conf.world.name}, seed {conf.seed}",
         hyperparameters=choose_hyperparameters(config, words),
         make_pictures=EvaluationTracks,
+        judged=conf.driven_group.name,
     )
     (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)

@@ -164,7 +164,7 @@ def resolve_groups(
     | robot  | checkpoint  | environment's | roaming       | none          |
     | robot  | a behaviour | none          | roaming       | none          |
     | person | external    | walker's      | walking       | none          |
-    | person | checkpoint  | walker's      | none          | none          |
+    | person | checkpoint  | walker's      | to and fro    | none          |
     | person | another     | none          | none          | none          |
 
     Roaming robots start and go where the environment's task has it, and get another goal at each.
@@ -187,6 +187,8 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         metrics = defaults.metrics.model_copy(update={"energy": False}) if is_person else defaults.metrics
     elif not is_person:
         task = roaming_task(defaults.task)
+    elif observes:
+        task = roaming_task(walking_task())
     return ResolvedGroup(
         name,
         group.body,

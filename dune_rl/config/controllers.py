@@ -12,6 +12,7 @@ from dune_rl.config.agents import FrozenPolicyConf
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.driver_context import bind_to_group
+from dune_rl.errors import CheckpointError
 from dune_rl.sensors.sensor import Reading
 
 
@@ -31,7 +32,9 @@ def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
 
 
 def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
-    """Raises `CheckpointError` where the file has no policy for what the group observes and does."""
+    """Raises `CheckpointError`, which names the group's setting, where the file has no policy for what the
+    group observes and does.
+    """
     # Only now: most groups need no PyTorch.
     import torch
     from tensordict import TensorDict
@@ -41,7 +44,15 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
     from dune_rl.learning.saved_policies import load_group_policy
 
     spec = PolicySpec.of_bounds(group.observation_bounds, group.action_bounds)
-    policy = Deterministic(load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)[0])
+    try:
+        found, _ = load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)
+    except CheckpointError as error:
+        raise CheckpointError(
+            f"the controller of the group {group.name} (controller.checkpoint): {error}\n"
+            f"A policy of another group does not fit: give {group.name} the body and sensors of the one "
+            "that was trained, or take another checkpoint."
+        ) from None
+    policy = Deterministic(found)
 
     def act(readings: dict[str, Reading]) -> NDArray[np.float64]:
         rows = group.num_rows

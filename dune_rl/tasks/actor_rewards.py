@@ -51,13 +51,19 @@ def robots_of(state: State, group: GroupState, names: tuple[str, ...] = ()) -> R
         np.concatenate([one.by_scene(one.motion.position_w[:, :2]) for one in found], axis=1),
         np.concatenate([one.by_scene(one.motion.velocity_w[:, :2]) for one in found], axis=1),
         np.concatenate([one.by_scene(one.goal.position_w) for one in found], axis=1),
-        np.concatenate([one.by_scene(one.goal.previous_distance - one.goal.distance) for one in found], axis=1),
+        np.concatenate(
+            [one.by_scene(one.goal.previous_distance - one.goal.distance) for one in found], axis=1
+        ),
         ~np.concatenate([one.by_scene(one.done) for one in found], axis=1),
     )
 
 
 def closing_in(
-    state: State, group: GroupState, *, groups: tuple[str, ...] = (), ahead_m: Annotated[float, Field(ge=0.0)] = 2.0
+    state: State,
+    group: GroupState,
+    *,
+    groups: tuple[str, ...] = (),
+    ahead_m: Annotated[float, Field(ge=0.0)] = 2.0,
 ) -> Array:
     """Metres that the agent itself moved in this step towards the place `ahead_m` ahead of the nearest robot.
 
@@ -102,7 +108,7 @@ def blocking(
 
 
 def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] = ()) -> Array:
-    """Metres by which the nearest robot came nearer to its goal in this step; its weight is negative as a rule."""
+    """Metres by which the nearest robot came nearer to its goal in this step; weigh it negatively."""
     robots = robots_of(state, group, groups)
     if not robots.active.shape[1]:
         return np.zeros(len(group.done))

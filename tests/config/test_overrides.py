@@ -90,9 +90,24 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "take 10, 20, 25, 40 or 50 with 200"),
         (["world=flat", "learning.replay.capacity=64"],
          "learning: replay.capacity must be at least batch_size (got 64 and 512)"),
-        (["world=flat", "actors=external_walkers"],
-         "one agent group is driven here, and rover and walker are external; give all but one another "
-         "controller (actors=walkers has walkers on paths), or take parallel_env or make"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walkr.hidden=[8]"],
+         "learning.groups.walkr: there is no external group 'walkr'; did you mean walker?"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.hiden=[8]"],
+         "learning.groups.walker.hiden is not a setting; did you mean hidden?"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.batch_size=0"],
+         "learning.groups.walker.batch_size must be at least 1 (got 0)"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.replay.capacity=8"],
+         "learning.groups.walker.replay.capacity must be at least batch_size (got 8 and 512)"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.collector.scenes=8"],
+         "learning: groups.walker.collector: all groups share it; set it for the run"),
+        (["world=flat", "actors=external_walkers", "learning.groups={walker: {frozen: a, hidden: [8]}}"],
+         "learning: groups.walker.hidden: a frozen group learns nothing; leave it or frozen out"),
+        (["world=flat", "learning.groups.rover.frozen=runs/a"],
+         "every external group is frozen, so that nothing learns; leave out learning.groups.rover.frozen, or "
+         "evaluate the policies with python -m dune_rl.evaluate"),
+        (["world=flat", "learning.population.probability=0.5"],
+         "learning.population.probability: past opponents are of other groups that learn, and rover alone "
+         "does; set it to 0, or have another group learn (actors=learning_walkers)"),
         (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
         (["world=flat", "learning.hidden=[256"],
          "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "

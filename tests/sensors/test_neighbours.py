@@ -10,7 +10,9 @@ from dune_rl.sensors.neighbours import Neighbours, NeighboursConf
 from dune_rl.state import GroupState, Motion
 
 
-def placed(name: str, rows, *, count: int = 1, yaw: float = 0.0, velocity=(0.0, 0.0), **changes) -> GroupState:
+def placed(
+    name: str, rows, *, count: int = 1, yaw: float = 0.0, velocity=(0.0, 0.0), **changes
+) -> GroupState:
     """Agents at `rows` (x, y), with one heading and velocity."""
     position, n = np.array([[x, y, 0.0] for x, y in rows]), len(rows)
     angles, velocities = np.tile([0.0, 0.0, yaw], (n, 1)), np.tile([*velocity, 0.0], (n, 1))
