@@ -18,6 +18,7 @@ from rich.table import Table
 from dune_rl.config.agents import ResolvedGroup, roaming_task
 from dune_rl.config.checks import validate
 from dune_rl.config.compose import compose_environment
+from dune_rl.config.migration import migrated
 from dune_rl.config.schema import EnvConf, EvaluateConf
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError, DuneError
@@ -91,7 +92,8 @@ def _population(location: str, config_dirs: Sequence[str]) -> Population:
         )
     file = find_checkpoint_file(path, *POLICY_SOURCES)
     content = read_checkpoint_file(file, "policy", "checkpoint")
-    saved = {name: content["config"][name] for name in EnvConf.model_fields if name in content["config"]}
+    config = migrated(content["config"])
+    saved = {name: config[name] for name in EnvConf.model_fields if name in config}
     actors = [one for one in validate(EnvConf, saved).groups if not isinstance(one.body, RobotSettings)]
     if not any(one.is_external for one in actors):
         trained = ", ".join(sorted(content["groups"]))

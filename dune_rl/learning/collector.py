@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase
 
 from dune_rl.errors import DuneWarning
 from dune_rl.learning.group_policy import JointPolicy
@@ -58,7 +58,7 @@ def _worker_env(make_env: MakeEnv, scenes: int, seed: int) -> EnvBase:
 
 
 def _env_with_draws(make_env: MakeEnv, num_groups: int, scenes: int, seed: int) -> EnvBase:
-    return TransformedEnv(make_env(scenes, seed), OpponentDraws(num_groups))
+    return make_env(scenes, seed).append_transform(OpponentDraws(num_groups))
 
 
 @contextmanager

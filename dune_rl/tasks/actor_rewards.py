@@ -54,7 +54,7 @@ def robots_of(state: State, group: GroupState, names: tuple[str, ...] = ()) -> R
         np.concatenate(
             [one.by_scene(one.goal.previous_distance - one.goal.distance) for one in found], axis=1
         ),
-        ~np.concatenate([one.by_scene(one.done) for one in found], axis=1),
+        np.concatenate([~one.done.reshape(-1, one.count) for one in found], axis=1),
     )
 
 
@@ -104,7 +104,8 @@ def blocking(
     beside = np.abs(offset[..., 0] * along[:, None, :, 1] - offset[..., 1] * along[:, None, :, 0])
     inside = (ahead > 0.0) & (ahead <= length[:, None]) & robots.active[:, None]
     share = np.maximum(1.0 - ahead / ahead_m, 0.0) * np.maximum(1.0 - beside / width_m, 0.0)
-    return np.where(inside, share, 0.0).max(axis=-1).reshape(-1)
+    most: Array = np.where(inside, share, 0.0).max(axis=-1)
+    return most.reshape(-1)
 
 
 def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] = ()) -> Array:
@@ -154,13 +155,14 @@ class RanIntoRobot:
         theirs = -(robots.velocity_w[:, None] * towards).sum(axis=-1).reshape(rows, count)
         most_own, most_theirs = np.maximum(own, self._own), np.maximum(theirs, self._theirs)
         self._own, self._theirs = own, theirs
-        began = group.contacts.new > 0
+        began: Flags = group.contacts.new > 0
         if not began.any():
             return np.zeros(rows)
         nearest, _ = _nearest(position, robots._replace(active=np.ones_like(robots.active)))
         chosen = np.arange(rows), nearest.reshape(-1)
-        by_itself = (most_own > most_theirs) & (most_own > self._min_speed_mps)
-        return (began & by_itself[chosen]).astype(float)
+        mine, theirs = most_own[chosen], most_theirs[chosen]
+        value: Array = (began & (mine > theirs) & (mine > self._min_speed_mps)).astype(float)
+        return value
 
 
 def _directions(offset: Array) -> tuple[Array, Array]:

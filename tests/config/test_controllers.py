@@ -50,5 +50,8 @@ def test_settings_of_a_behaviour_reach_it() -> None:
 
 
 def test_a_policy_of_another_body_is_refused() -> None:
-    with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values"):
+    with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values") as error:
         simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
+    first, *_, last = str(error.value).splitlines()
+    assert first.startswith(f"the controller of the group other (controller.checkpoint): {POLICY} was made")
+    assert last.startswith("A policy of another group does not fit: give other the body and sensors")
