@@ -267,4 +267,9 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         f"  tensorboard --logdir {result.run_dir.parent}",
         f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
     ]
+    if len(conf.external_groups) > 1:
+        lines.append(
+            f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
+            f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
+        )
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)

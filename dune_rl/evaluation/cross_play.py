@@ -77,13 +77,13 @@ def _population(location: str, config_dirs: Sequence[str]) -> Population:
         for file in sorted((folder / "actors").glob("*.yaml"))
     ]
     if location in options:
-        actors = compose_environment("flat", (), {"actors": location}, config_dirs=config_dirs).actors
-        external = [name for name, group in actors.items() if group.controller == "external"]
+        option = compose_environment("flat", (), {"actors": location}, config_dirs=config_dirs).actors
+        external = [name for name, group in option.items() if group.controller == "external"]
         if external:
             raise ConfigError(
                 f"nobody drives {external[0]} of actors={location}; give a run that trained it in its place"
             )
-        groups = {name: group.model_dump(mode="json") for name, group in actors.items()}
+        groups = {name: group.model_dump(mode="json") for name, group in option.items()}
         return Population(location, _OPTION, location, None, groups)
     path = Path(location)
     if not path.exists():

@@ -73,7 +73,7 @@ class PopulationPolicy(GroupPolicy):
         self.past = torch.nn.ModuleList(past)
         self.register_buffer("filled", torch.zeros((), dtype=torch.int64))
         self._probability, self._number, self._num_groups = conf.probability, number, num_groups
-        self.in_keys = [*self.in_keys, DRAWS]
+        self.in_keys: list[Any] = [*self.in_keys, DRAWS]
         self.out_keys = [*self.out_keys, (self.group, PAST)]
         self._draws, self._chosen = torch.zeros(0, 0), torch.zeros(0, dtype=torch.int64)
 

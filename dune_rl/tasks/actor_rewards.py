@@ -179,5 +179,5 @@ def _nearest(own: Array, robots: Robots) -> tuple[np.ndarray, Flags]:
     offset = robots.position_w[:, None] - own[:, :, None]
     distance = np.where(robots.active[:, None], np.hypot(offset[..., 0], offset[..., 1]), np.inf)
     nearest = distance.argmin(axis=-1)
-    present: Flags = np.broadcast_to(robots.active.any(axis=1)[:, None], nearest.shape)
+    present: Flags = np.isfinite(distance).any(axis=-1)
     return nearest, present
