@@ -47,6 +47,7 @@ def draw_matrices(rows: Sequence[Row], measures: Sequence[str], path: Path) -> N
             }
             _draw(axes, measure, cells, robots, populations)
         grid[0].set_ylabel("robot")
+        figure.supxlabel("in brackets: 95 % intervals; darker is better", fontsize=7, color="#6b6b70")
         with write_atomically(path) as temporary:
             figure.savefig(temporary, format="png")
 
@@ -94,7 +95,10 @@ def _draw(
     unit = "" if about.is_share or not about.unit else f" [{about.unit}]"
     axes.set_title(f"{measure}: {about.meaning}{unit}", fontsize=8, loc="left")
     axes.set_xlabel("among")
-    axes.tick_params(length=0)
+    axes.tick_params(which="both", length=0)
+    axes.set_xticks(np.arange(len(populations) - 1) + 0.5, minor=True)
+    axes.set_yticks(np.arange(len(robots) - 1) + 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=2.0)
     axes.spines[:].set_visible(False)
 
 
