@@ -48,7 +48,7 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
         (["world=flat", "actors=crowd"],
-         "there is no actors 'crowd'; choose default, external_walkers, none or walkers"),
+         "there is no actors 'crowd'; choose default, external_walkers, learning_walkers, none or walkers"),
         (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
         (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
         (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
