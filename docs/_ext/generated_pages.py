@@ -160,6 +160,7 @@ _REWARD_MEANINGS = {
     "groups": "names of the groups of robots that count; none: all others do",
     "ahead_m": "how far ahead of the robot, on its way [m]",
     "width_m": "how far beside the robot's way the value falls to 0 [m]",
+    "pushing": "value of a further step in which the agent moves on into the robot",
     "min_speed_mps": "slower than this an agent runs into nothing [m/s]",
     "unless": "names of rewards: the term pays nothing in a step in which one of these does",
 }

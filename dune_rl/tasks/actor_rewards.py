@@ -121,9 +121,11 @@ def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] =
 class RanIntoRobot:
     """1 in a step in which a contact with a robot begins that the agent itself brought about.
 
-    Of the two, the agent is the one that moved into the other if its speed towards the nearest robot exceeds
-    both `min_speed_mps` and the robot's speed towards the agent. Both are the larger of before the contact
-    and in its step, as a contact slows what moves.
+    It is `pushing` in each further step of a contact in which the agent goes on to move into the robot.
+
+    Of the two, the agent is the one that moves into the other if its speed towards the nearest robot exceeds
+    both `min_speed_mps` and the robot's speed towards the agent. Both are the larger of this step's and the
+    last one's, as a contact slows what moves.
     """
 
     def __init__(
@@ -132,8 +134,9 @@ class RanIntoRobot:
         *,
         groups: tuple[str, ...] = (),
         min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
+        pushing: Annotated[float, Field(ge=0.0)] = 0.1,
     ) -> None:
-        self._groups, self._min_speed_mps = groups, min_speed_mps
+        self._groups, self._min_speed_mps, self._pushing = groups, min_speed_mps, pushing
         self._own = np.zeros((num_rows, 1))
         self._theirs = np.zeros((num_rows, 1))
 
@@ -155,14 +158,14 @@ class RanIntoRobot:
         theirs = -(robots.velocity_w[:, None] * towards).sum(axis=-1).reshape(rows, count)
         most_own, most_theirs = np.maximum(own, self._own), np.maximum(theirs, self._theirs)
         self._own, self._theirs = own, theirs
-        began: Flags = group.contacts.new > 0
-        if not began.any():
+        touching = group.contacts.touching
+        if not touching.any():
             return np.zeros(rows)
         nearest, _ = _nearest(position, robots._replace(active=np.ones_like(robots.active)))
         chosen = np.arange(rows), nearest.reshape(-1)
         mine, theirs = most_own[chosen], most_theirs[chosen]
-        value: Array = (began & (mine > theirs) & (mine > self._min_speed_mps)).astype(float)
-        return value
+        value = np.where(group.contacts.new > 0, 1.0, self._pushing)
+        return np.where(touching & (mine > theirs) & (mine > self._min_speed_mps), value, 0.0)
 
 
 def _directions(offset: Array) -> tuple[Array, Array]:
@@ -179,5 +182,4 @@ def _nearest(own: Array, robots: Robots) -> tuple[np.ndarray, Flags]:
     offset = robots.position_w[:, None] - own[:, :, None]
     distance = np.where(robots.active[:, None], np.hypot(offset[..., 0], offset[..., 1]), np.inf)
     nearest = distance.argmin(axis=-1)
-    present: Flags = np.isfinite(distance).any(axis=-1)
-    return nearest, present
+    return nearest, np.isfinite(distance.min(axis=-1))

@@ -127,6 +127,18 @@ def test_the_one_that_moved_into_the_other_is_charged() -> None:
     assert collision(own=0.5, robot=0.8, in_its_step=(0.5, 0.0)) == 0.0
 
 
+def test_who_goes_on_to_push_pays_in_each_step() -> None:
+    term = RanIntoRobot(1, pushing=0.25)
+    moving = {"position": (0.5, 0.0, 0.0), "velocity_w": (-0.5, 0.0, 0.0), "touching": True}
+    assert value(term, walkers(**moving, new=1), agents()) == [1.0]
+    assert value(term, walkers(**moving), agents()) == [0.25]
+    # Held back by the robot: the last step's speed counts once more, and then no longer.
+    held = {**moving, "velocity_w": (0.0, 0.0, 0.0)}
+    assert value(term, walkers(**held), agents()) == [0.25]
+    assert value(term, walkers(**held), agents()) == [0.0]
+    assert value(term, walkers(**moving), agents(velocity_w=(0.8, 0.0, 0.0))) == [0.0]
+
+
 def test_a_new_episode_forgets_who_moved() -> None:
     term, moving = RanIntoRobot(2), walkers(2, position=(0.6, 0.0, 0.0), velocity_w=(-1.0, 0.0, 0.0))
     robots = agents(2)
