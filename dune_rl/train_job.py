@@ -23,6 +23,7 @@ from rich.console import Console
 
 from dune_rl import command, paths
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
+from dune_rl.config.controllers import check_policies
 from dune_rl.config.schema import Conf, EnvConf, ViewConf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
@@ -48,6 +49,7 @@ def run(parsed: Namespace) -> None:
         conf = compose(parsed.overrides, folders)
         # Before Hydra writes its own files.
         _check_device(conf)
+        check_policies(conf)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]

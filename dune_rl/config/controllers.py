@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.config.agents import Controller as ControllerConf
 from dune_rl.config.agents import FrozenPolicyConf
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.driver_context import bind_to_group
@@ -23,6 +24,36 @@ def controller_factory(conf: ControllerConf) -> MakeController | None:
     if isinstance(conf, FrozenPolicyConf):
         return partial(_frozen_policy, conf)
     return None
+
+
+def check_policies(conf: EnvConf) -> None:
+    """Raise CheckpointError, which names every setting at fault, unless all groups that play a trained policy
+    have one to play.
+
+    Whether it fits what the group observes and does is known once an environment is made.
+    """
+    played = {
+        f"controller.checkpoint of the group {group.name}": (group.name, group.controller.checkpoint)
+        for group in conf.groups
+        if isinstance(group.controller, FrozenPolicyConf)
+    }
+    if isinstance(conf, Conf):
+        for group in conf.external_groups:
+            frozen = conf.learning.frozen(group.name)
+            if frozen is not None:
+                played[f"learning.groups.{group.name}.frozen"] = (group.name, frozen)
+    if not played:
+        return
+    from dune_rl.learning.saved_policies import check_has_policy
+
+    faults = []
+    for setting, (name, location) in played.items():
+        try:
+            check_has_policy(Path(location), name)
+        except CheckpointError as error:
+            faults.append(f"{setting}: {error}")
+    if faults:
+        raise CheckpointError("\n".join(faults))
 
 
 def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:

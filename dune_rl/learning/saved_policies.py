@@ -94,6 +94,12 @@ class SavedPolicy:
         return network
 
 
+def check_has_policy(path: Path, group: str) -> None:
+    """Raise CheckpointError unless a file or run folder can be read and has a policy for `group`."""
+    file = find_checkpoint_file(path, *POLICY_SOURCES)
+    _entry(read_checkpoint_file(file, "policy", "checkpoint")["groups"], file, group)
+
+
 def read_saved_policy(path: Path, group: str, here: PolicySpec) -> SavedPolicy:
     """The policy for `group` as `load_group_policy` finds it, whose observation may have fewer parts."""
     file = find_checkpoint_file(path, *POLICY_SOURCES)

@@ -69,7 +69,8 @@ class LearningConf(Settings):
     """Base of the settings of every algorithm; `name` is the algorithm's name in the registry.
 
     `groups` has, by the name of an agent group, the settings that its learner has instead of these; with
-    `frozen`, a run's folder or a policy's file, the group acts by that policy and does not learn.
+    `frozen`, a run's folder or a policy's file, the group acts by that policy and does not learn, whatever
+    else is set for it.
     """
 
     name: str
@@ -91,11 +92,6 @@ class LearningConf(Settings):
             frozen = changes.get(FROZEN)
             if frozen is not None and (not isinstance(frozen, str) or not frozen):
                 raise ValueError(f"groups.{group}.{FROZEN} must be the path of a policy (got {frozen!r})")
-            others = [name for name in changes if name != FROZEN]
-            if frozen is not None and others:
-                raise ValueError(
-                    f"groups.{group}.{others[0]}: a frozen group learns nothing; leave it or {FROZEN} out"
-                )
         return self
 
     def frozen(self, group: str) -> str | None:

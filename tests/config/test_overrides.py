@@ -100,8 +100,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "learning.groups.walker.replay.capacity must be at least batch_size (got 8 and 512)"),
         (["world=flat", "actors=external_walkers", "learning.groups.walker.collector.scenes=8"],
          "learning: groups.walker.collector: all groups share it; set it for the run"),
-        (["world=flat", "actors=external_walkers", "learning.groups={walker: {frozen: a, hidden: [8]}}"],
-         "learning: groups.walker.hidden: a frozen group learns nothing; leave it or frozen out"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.frozen=3"],
+         "learning: groups.walker.frozen must be the path of a policy (got 3)"),
         (["world=flat", "learning.groups.rover.frozen=runs/a"],
          "every external group is frozen, so that nothing learns; leave out learning.groups.rover.frozen, or "
          "evaluate the policies with python -m dune_rl.evaluate"),
