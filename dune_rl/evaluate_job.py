@@ -39,6 +39,9 @@ def run(parsed: Namespace) -> None:
     if parsed.cfg:
         print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
         return
+    if conf.cross_play:
+        _cross_play(conf, command.config_folders(parsed))
+        return
     _evaluate(conf)
 
 
@@ -145,7 +148,22 @@ def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -
             )
 
 
+def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:
+    from dune_rl.evaluation.cross_play import begin_cross_play, find_populations, run_cross_play
+
+    populations = find_populations(conf, config_dirs)
+    out = Path(conf.out) if conf.out else default_folder(_plan(conf))
+    _check_writable(out)
+    begin_cross_play(conf, populations, out, overwrite=conf.overwrite)
+    run_cross_play(out, command.make_console())
+
+
 def _resume(path: Path, processes: int | None) -> None:
+    from dune_rl.evaluation.cross_play import is_cross_play, run_cross_play
+
+    if is_cross_play(path):
+        run_cross_play(path, command.make_console(), processes)
+        return
     from dune_rl.evaluation.folder import ResultsFolder, read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.run_plan import prepare_run, run_plan

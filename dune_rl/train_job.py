@@ -23,6 +23,7 @@ from rich.console import Console
 
 from dune_rl import command, paths
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
+from dune_rl.config.controllers import check_policies
 from dune_rl.config.schema import Conf, EnvConf, ViewConf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
@@ -48,6 +49,7 @@ def run(parsed: Namespace) -> None:
         conf = compose(parsed.overrides, folders)
         # Before Hydra writes its own files.
         _check_device(conf)
+        check_policies(conf)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
@@ -174,6 +176,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         title=f"{conf.world.name}, seed {conf.seed}",
         hyperparameters=choose_hyperparameters(config, words),
         make_pictures=EvaluationTracks,
+        judged=conf.driven_group.name,
     )
     (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
@@ -266,4 +269,9 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         f"  tensorboard --logdir {result.run_dir.parent}",
         f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
     ]
+    if len(conf.external_groups) > 1:
+        lines.append(
+            f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
+            f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
+        )
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)

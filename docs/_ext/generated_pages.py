@@ -171,6 +171,12 @@ _REWARD_MEANINGS = {
     "weight": "factor on the term",
     "termination": "name of the termination term",
     "comfort_m": "clearance below which the value grows [m]",
+    "own_group": "whether other agents of the own group count too",
+    "groups": "names of the groups of robots that count; none: all others do",
+    "ahead_m": "how far ahead of the robot, on its way [m]",
+    "width_m": "how far beside the robot's way the value falls to 0 [m]",
+    "pushing": "value of a further step in which the agent moves on into the robot",
+    "min_speed_mps": "slower than this an agent runs into nothing [m/s]",
     "unless": "names of rewards: the term pays nothing in a step in which one of these does",
 }
 _TERMINATION_MEANINGS = {

@@ -189,7 +189,7 @@ def resolve_groups(
     | robot  | checkpoint  | environment's | roaming       | none          |
     | robot  | a behaviour | none          | roaming       | none          |
     | person | external    | walker's      | walking       | none          |
-    | person | checkpoint  | walker's      | none          | none          |
+    | person | checkpoint  | walker's      | to and fro    | none          |
     | person | another     | none          | none          | none          |
     | other  | external    | walker's      | environment's | environment's |
     | other  | checkpoint  | walker's      | roaming       | none          |
@@ -217,6 +217,8 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         metrics = defaults.metrics.model_copy(update={"energy": False}) if is_body else defaults.metrics
     elif not on_path:
         task = roaming_task(defaults.task)
+    elif observes:
+        task = roaming_task(walking_task())
     return ResolvedGroup(
         name,
         group.body,

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.config.agents import Controller as ControllerConf
 from dune_rl.config.agents import FrozenPolicyConf
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.driver_context import bind_to_group
+from dune_rl.errors import CheckpointError
 from dune_rl.sensors.sensor import Reading
 
 
@@ -24,6 +26,36 @@ def controller_factory(conf: ControllerConf) -> MakeController | None:
     return None
 
 
+def check_policies(conf: EnvConf) -> None:
+    """Raise CheckpointError, which names every setting at fault, unless all groups that play a trained policy
+    have one to play.
+
+    Whether it fits what the group observes and does is known once an environment is made.
+    """
+    played = {
+        f"controller.checkpoint of the group {group.name}": (group.name, group.controller.checkpoint)
+        for group in conf.groups
+        if isinstance(group.controller, FrozenPolicyConf)
+    }
+    if isinstance(conf, Conf):
+        for group in conf.external_groups:
+            frozen = conf.learning.frozen(group.name)
+            if frozen is not None:
+                played[f"learning.groups.{group.name}.frozen"] = (group.name, frozen)
+    if not played:
+        return
+    from dune_rl.learning.saved_policies import check_has_policy
+
+    faults = []
+    for setting, (name, location) in played.items():
+        try:
+            check_has_policy(Path(location), name)
+        except CheckpointError as error:
+            faults.append(f"{setting}: {error}")
+    if faults:
+        raise CheckpointError("\n".join(faults))
+
+
 def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
     behaviour = BEHAVIOURS.build(conf, group.num_rows)
     bind_to_group(behaviour, conf.name, group)
@@ -31,7 +63,9 @@ def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
 
 
 def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
-    """Raises `CheckpointError` where the file has no policy for what the group observes and does."""
+    """Raises `CheckpointError`, which names the group's setting, where the file has no policy for what the
+    group observes and does.
+    """
     # Only now: most groups need no PyTorch.
     import torch
     from tensordict import TensorDict
@@ -41,7 +75,15 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
     from dune_rl.learning.saved_policies import load_group_policy
 
     spec = PolicySpec.of_bounds(group.observation_bounds, group.action_bounds)
-    policy = Deterministic(load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)[0])
+    try:
+        found, _ = load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)
+    except CheckpointError as error:
+        raise CheckpointError(
+            f"the controller of the group {group.name} (controller.checkpoint): {error}\n"
+            f"A policy of another group does not fit: give {group.name} the body and sensors of the one "
+            "that was trained, or take another checkpoint."
+        ) from None
+    policy = Deterministic(found)
 
     def act(readings: dict[str, Reading]) -> NDArray[np.float64]:
         rows = group.num_rows

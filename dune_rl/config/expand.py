@@ -125,7 +125,9 @@ def _options_of(body: Any, group: Mapping[Any, Any]) -> Mapping[str, str]:
         return {}
     known = BODIES.settings_class(name) if BODIES.is_loaded(name) else None
     is_person = known is not None and issubclass(known, PersonConf)
-    walks = group.get("controller") in (PATH, TRAJECTORY) or group.get("path") is not None
+    controller = group.get("controller")
+    follows = isinstance(controller, Mapping) and TRAJECTORY in controller
+    walks = controller in (PATH, TRAJECTORY) or follows or group.get("path") is not None
     return _OF_WALKERS if is_person or walks else _OF_BODIES
 
 

@@ -2,10 +2,11 @@
 
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationError, model_validator
 
 from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import AgentGroups, GroupDefaults, ResolvedGroup, resolve_groups, robot_groups
+from dune_rl.config.checks import describe_faults
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.sac.settings import SacConf
@@ -182,8 +183,8 @@ class SingleAgentConf(OneGroupConf):
         return self
 
 
-class Conf(OneGroupConf):
-    """A training run."""
+class Conf(EnvConf):
+    """A training run: every external group learns, or acts by a frozen policy."""
 
     learning: AlgorithmConf = SacConf()
     seed: int = Field(1, ge=0)
@@ -193,6 +194,42 @@ class Conf(OneGroupConf):
     objective: str = Field("success", min_length=1)
     film: bool = True
     resume: str | None = None
+
+    @property
+    def driven_group(self) -> ResolvedGroup:
+        """The first group that learns: the one that the objective and the best policy are of."""
+        return next(group for group in self.external_groups if self.learning.frozen(group.name) is None)
+
+    @model_validator(mode="after")
+    def _groups_that_learn_are_there(self) -> Self:
+        names, learning = [group.name for group in self.external_groups], self.learning
+        faults = []
+        for name in learning.groups:
+            if name not in names:
+                near = closest(name, names)
+                remedy = f"did you mean {near}?" if near else f"choose {one_of(names)}"
+                faults.append(f"learning.groups.{name}: there is no external group {name!r}; {remedy}")
+                continue
+            try:
+                learning.of_group(name)
+            except ValidationError as error:
+                changes = learning.changes_of(name)
+                lines = describe_faults(error, type(learning), changes)
+                faults += [f"learning.groups.{name}.{line}" for line in lines]
+        free = [name for name in names if learning.frozen(name) is None]
+        if not free:
+            faults.append(
+                "every external group is frozen, so that nothing learns; leave out "
+                f"learning.groups.{names[0]}.frozen, or evaluate the policies with python -m dune_rl.evaluate"
+            )
+        elif learning.population.probability and len(free) == 1:
+            faults.append(
+                "learning.population.probability: past opponents are of other groups that learn, and "
+                f"{free[0]} alone does; set it to 0, or have another group learn (actors=learning_walkers)"
+            )
+        if faults:
+            raise ValueError("\n".join(faults))
+        return self
 
     @model_validator(mode="after")
     def _objective_is_a_metric(self) -> Self:
@@ -314,6 +351,8 @@ class EvaluateConf(EnvConf):
     processes: int = Field(1, ge=1, le=1_024)
     steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False
     actor_steps: bool = False
+    cross_play: bool = False
+    populations: Names = ()
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
 
@@ -354,6 +393,19 @@ class EvaluateConf(EnvConf):
                 f"protocol={self.protocol} has runs of control steps, whatever the number of episodes; "
                 "write runs=N in place of episodes"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _cross_play_has_populations(self) -> Self:
+        if self.cross_play and not self.populations:
+            raise ValueError(
+                "cross_play tests robots among populations of actors; name some: "
+                "populations=[walkers,none,RUN], options of actors or runs that trained actors"
+            )
+        if self.populations and not self.cross_play:
+            raise ValueError("populations are of a cross-play; give cross_play=true as well")
+        if self.cross_play and self.protocol is not None:
+            raise ValueError("cross_play counts episodes, and a protocol runs; leave protocol out")
         return self
 
     @model_validator(mode="after")

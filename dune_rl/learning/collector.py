@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.errors import DuneWarning
 from dune_rl.learning.group_policy import JointPolicy
+from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.worker_watch import WorkerWatch
 from dune_rl.seeding import stream
@@ -56,6 +57,10 @@ def _worker_env(make_env: MakeEnv, scenes: int, seed: int) -> EnvBase:
     return make_env(scenes, seed)
 
 
+def _env_with_draws(make_env: MakeEnv, num_groups: int, scenes: int, seed: int) -> EnvBase:
+    return make_env(scenes, seed).append_transform(OpponentDraws(num_groups))
+
+
 @contextmanager
 def _blocked_signals() -> Iterator[None]:
     # Processes started meanwhile inherit the mask for life: Ctrl-C then reaches the learner alone, which
@@ -77,7 +82,8 @@ class TransitionCollector:
     Until `random_frames` more frames are in, actions are drawn uniformly. In
     the mode `serial`, `state` restores the scenes in the middle of their
     episodes, bit for bit; in the other modes a resumed run begins new episodes.
-    Each `stage` of a serial run has episodes of its own.
+    Each `stage` of a serial run has episodes of its own. With a `population` the policies are joined by its
+    snapshots, which act in a share of the episodes.
     """
 
     def __init__(
@@ -92,9 +98,15 @@ class TransitionCollector:
         state: Mapping[str, Any] | None = None,
         threads: int = 1,
         stage: int = 0,
+        population: Population | None = None,
     ) -> None:
         """`threads` are the learners', which TorchRL's collectors set again."""
+        self._population = population
+        if population is not None:
+            policies = population.join(policies)
+            make_env = partial(_env_with_draws, make_env, population.num_groups)
         self._policies = dict(policies)
+        self._fill()
         self._policy = JointPolicy(self._policies.values())
         self._env: EnvBase | None = None
         # A whole number of batches; otherwise TorchRL rounds up too, with a warning.
@@ -110,8 +122,11 @@ class TransitionCollector:
             self._env = make_env(conf.scenes, environment_seed(seed, stage, 0))
             self._collector = Collector(self._env, track_traj_ids=False, **common)
             if state is not None:
-                self._env.resume(state)
+                self._env.resume(state["scenes"])
                 self._collector.reset()
+                for policy in self._with_past:
+                    if policy.group in state["opponents"]:
+                        policy.resume_episodes(state["opponents"][policy.group])
             self._watch = WorkerWatch(())
             return
         factories = [
@@ -134,7 +149,11 @@ class TransitionCollector:
 
     @torch.no_grad()
     def send(self, policies: Mapping[str, TensorDictModuleBase]) -> None:
-        """Act by the weights and statistics of `policies`, on whatever device, from the next batch on."""
+        """Act by the weights and statistics of `policies`, on whatever device, from the next batch on.
+
+        So do episodes that begin by the snapshots that the population has now.
+        """
+        self._fill()
         for group, policy in policies.items():
             ours, theirs = self._policies[group].state_dict(keep_vars=True), policy.state_dict()
             for key, value in theirs.items():
@@ -144,9 +163,23 @@ class TransitionCollector:
             # The workers confirm what they got.
             self._watch.wait(partial(self._collector.update_policy_weights_, self._policy))
 
+    def _fill(self) -> None:
+        for policy in self._with_past:
+            assert self._population is not None
+            policy.fill(self._population.snapshots[policy.group])
+
     def state(self) -> dict[str, Any] | None:
-        """Where the scenes are in their episodes, as plain data; None where that is not kept."""
-        return None if self._env is None else self._env.state()
+        """Where the scenes are in their episodes, and who acts in them, as plain data; None where that is
+        not kept.
+        """
+        if self._env is None:
+            return None
+        opponents = {policy.group: policy.episodes() for policy in self._with_past}
+        return {"scenes": self._env.state(), "opponents": opponents}
+
+    @property
+    def _with_past(self) -> list[PopulationPolicy]:
+        return [policy for policy in self._policies.values() if isinstance(policy, PopulationPolicy)]
 
     def close(self) -> None:
         """End the workers and close the environments."""

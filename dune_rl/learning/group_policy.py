@@ -1,6 +1,6 @@
 """Policies of agent groups: from (group, "observation") to (group, "action")."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 import torch
@@ -32,7 +32,7 @@ class GroupPolicy(TensorDictModuleBase):
         outputs: Iterable[str] = ("action",),
     ) -> None:
         super().__init__()
-        self.group = group
+        self.group, self.spec = group, spec
         self.network = network
         self._outputs = tuple(outputs)
         self.in_keys = [(group, "observation", key) for key in spec.keys]
@@ -67,7 +67,7 @@ class JointPolicy(TensorDictModuleBase):
 class Deterministic:
     """The most likely behaviour of a trained policy: the squashed location of its distribution."""
 
-    def __init__(self, module: torch.nn.Module) -> None:
+    def __init__(self, module: Callable[[TensorDictBase], TensorDictBase]) -> None:
         self._module = module
 
     @torch.no_grad()

@@ -16,12 +16,19 @@ from dune_rl.learning.settings import EvaluationConf
 class PeriodicEvaluation:
     """Evaluates the learners' policies on the same episodes every so many frames, and knows the best result.
 
-    `env` has the scenes of the evaluation. `seed` is that of its episodes.
+    `env` has the scenes of the evaluation. `seed` is that of its episodes. What is best is decided by the
+    group `judged`; None: by all groups in the mean.
     """
 
     def __init__(
-        self, conf: EvaluationConf, env: EnvBase, learners: Mapping[str, Algorithm], seed: int
+        self,
+        conf: EvaluationConf,
+        env: EnvBase,
+        learners: Mapping[str, Algorithm],
+        seed: int,
+        judged: str | None = None,
     ) -> None:
+        self._judged = judged
         self._conf, self._env, self._seed = conf, env, seed
         self._learners = learners
         # Evaluations act on the CPU, whatever device learns.
@@ -89,16 +96,21 @@ class PeriodicEvaluation:
             self._next_at += self._conf.every_frames
         self._evaluated_at = frames
         self.rows = rows
-        scores = [selection_score(average_metrics(episodes)) for episodes in rows.values()]
+        scores = [selection_score(each) for each in self._judged_statistics()]
         mean = sum(scores) / len(scores)
         is_best = mean >= self._best_score
         if is_best:
             self._best_score = mean
         return is_best
 
+    def _judged_statistics(self) -> list[MetricsRow]:
+        """The last evaluation's statistics of the groups that decide what is best."""
+        chosen = {group: rows for group, rows in self.rows.items() if self._judged in (None, group)}
+        return [average_metrics(episodes) for episodes in (chosen or self.rows).values()]
+
     def score(self) -> dict[str, Any]:
         """How the last evaluation went, for the file of a policy that was chosen by it."""
-        statistics = [average_metrics(episodes) for episodes in self.rows.values()]
+        statistics = self._judged_statistics()
         measures = ["SR" if "SR" in each else "return" for each in statistics]
         return {
             "measure": ", ".join(dict.fromkeys(measures)),

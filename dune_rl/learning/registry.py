@@ -57,25 +57,28 @@ def build_learner(conf: LearningConf, context: "LearnerContext") -> "Algorithm":
 def build_learners(
     conf: LearningConf, env: "EnvBase", total_frames: int, folder: Path, device: "torch.device"
 ) -> "dict[str, Algorithm]":
-    """The learner of each group of agents of `env`, whose training writes to `folder`."""
+    """The learner of each group of agents of `env`, which writes to `folder`; or its frozen policy."""
     from dune_rl.learning.algorithm import LearnerContext
+    from dune_rl.learning.frozen import FrozenPolicy
     from dune_rl.learning.policy_spec import PolicySpec
 
-    return {
-        group: build_learner(
-            conf,
-            LearnerContext(
-                group=group,
-                num_agents=len(agents),
-                spec=PolicySpec.of(env, group),
-                total_frames=total_frames,
-                folder=folder,
-                device=device,
-                algorithm=conf.name,
-            ),
+    learners: dict[str, Algorithm] = {}
+    for group, agents in env.group_map.items():
+        context = LearnerContext(
+            group=group,
+            num_agents=len(agents),
+            spec=PolicySpec.of(env, group),
+            total_frames=total_frames,
+            folder=folder,
+            device=device,
+            algorithm=conf.name,
         )
-        for group, agents in env.group_map.items()
-    }
+        frozen = conf.frozen(group)
+        if frozen is None:
+            learners[group] = build_learner(conf.of_group(group), context)
+        else:
+            learners[group] = FrozenPolicy(context, Path(frozen))
+    return learners
 
 
 def algorithm_class(name: str, source: str) -> "type[Algorithm]":

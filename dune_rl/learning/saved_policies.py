@@ -1,10 +1,12 @@
 """Trained policies in files, and acting by them."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.errors import CheckpointError
@@ -76,17 +78,52 @@ def load_policy(
     return Deterministic(JointPolicy(policies)), content["config"]
 
 
-def _group_policy(
+@dataclass(frozen=True)
+class SavedPolicy:
+    """What a file holds of one policy: its algorithm's name, spec, network's settings and weights."""
+
+    algorithm: str
+    spec: PolicySpec
+    network: Mapping[str, Any]
+    weights: Mapping[str, torch.Tensor]
+
+    def make_network(self, device: torch.device | str = "cpu") -> TensorDictModuleBase:
+        """The network with these weights; raises CheckpointError where its algorithm is not there."""
+        network = algorithm_class(self.algorithm, "the policy").make_network(self.spec, self.network, device)
+        network.load_state_dict(self.weights)
+        return network
+
+
+def check_has_policy(path: Path, group: str) -> None:
+    """Raise CheckpointError unless a file or run folder can be read and has a policy for `group`."""
+    file = find_checkpoint_file(path, *POLICY_SOURCES)
+    _entry(read_checkpoint_file(file, "policy", "checkpoint")["groups"], file, group)
+
+
+def read_saved_policy(path: Path, group: str, here: PolicySpec) -> SavedPolicy:
+    """The policy for `group` as `load_group_policy` finds it, whose observation may have fewer parts."""
+    file = find_checkpoint_file(path, *POLICY_SOURCES)
+    content = read_checkpoint_file(file, "policy", "checkpoint")
+    return _saved_policy(content, file, group, here, allow_more=True)
+
+
+def _saved_policy(
     content: Mapping[str, Any], file: Path, group: str, here: PolicySpec, allow_more: bool
-) -> GroupPolicy:
+) -> SavedPolicy:
     entry = _entry(content["groups"], file, group)
     spec = PolicySpec.from_plain(entry["spec"])
     spec.require(here.only(spec.keys) if allow_more else here, str(file))
-    network = algorithm_class(entry["algorithm"], str(file)).make_network(spec, entry["network"])
+    algorithm_class(entry["algorithm"], str(file))
     # A checkpoint has the weights among the learner's state.
     weights: Mapping[str, torch.Tensor] = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
-    network.load_state_dict(weights)
-    return GroupPolicy(group, spec, network)
+    return SavedPolicy(entry["algorithm"], spec, entry["network"], weights)
+
+
+def _group_policy(
+    content: Mapping[str, Any], file: Path, group: str, here: PolicySpec, allow_more: bool
+) -> GroupPolicy:
+    saved = _saved_policy(content, file, group, here, allow_more)
+    return GroupPolicy(group, saved.spec, saved.make_network())
 
 
 def _entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dune_rl.settings import Settings
 
@@ -46,8 +46,32 @@ class CheckpointConf(Settings):
     replay: bool = Field(True, description="keep the replay buffer too; an interrupted run always does")
 
 
+class PopulationConf(Settings):
+    """Past policies as opponents: every so often a snapshot of each group that learns joins its pool.
+
+    In a share of the episodes one group, drawn at random, acts as it does at present, and every other group
+    that learns acts by a snapshot drawn from its own pool, without noise. A group learns nothing from what a
+    snapshot of it did, and its statistics of training leave that out.
+    """
+
+    probability: float = Field(0.0, ge=0.0, le=1.0, description="share of episodes that have them")
+    every_frames: int = Field(100_000, ge=1, description="frames between two snapshots")
+    size: int = Field(5, ge=1, le=100, description="snapshots kept of each group, the latest")
+
+
+# The key under `groups` of a policy's file, by which a group acts without learning.
+FROZEN = "frozen"
+# What a run has once, whatever its groups.
+_OF_THE_RUN = ("name", "threads", "collector", "evaluation", "checkpoint", "population", "groups")
+
+
 class LearningConf(Settings):
-    """Base of the settings of every algorithm; `name` is the algorithm's name in the registry."""
+    """Base of the settings of every algorithm; `name` is the algorithm's name in the registry.
+
+    `groups` has, by the name of an agent group, the settings that its learner has instead of these; with
+    `frozen`, a run's folder or a policy's file, the group acts by that policy and does not learn, whatever
+    else is set for it.
+    """
 
     name: str
     threads: int | None = Field(
@@ -56,6 +80,35 @@ class LearningConf(Settings):
     collector: CollectorConf = CollectorConf()
     evaluation: EvaluationConf = EvaluationConf()
     checkpoint: CheckpointConf = CheckpointConf()
+    population: PopulationConf = PopulationConf()
+    groups: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _groups_set_what_is_theirs(self) -> Self:
+        for group, changes in self.groups.items():
+            taken = [name for name in changes if name in _OF_THE_RUN]
+            if taken:
+                raise ValueError(f"groups.{group}.{taken[0]}: all groups share it; set it for the run")
+            frozen = changes.get(FROZEN)
+            if frozen is not None and (not isinstance(frozen, str) or not frozen):
+                raise ValueError(f"groups.{group}.{FROZEN} must be the path of a policy (got {frozen!r})")
+        return self
+
+    def frozen(self, group: str) -> str | None:
+        """Where the policy is that `group` acts by without learning; None for a group that learns."""
+        found: str | None = self.groups.get(group, {}).get(FROZEN)
+        return found
+
+    def changes_of(self, group: str) -> dict[str, Any]:
+        """All settings of the learner of `group`, as plain data, which need not be valid."""
+        changes = {name: value for name, value in self.groups.get(group, {}).items() if name != FROZEN}
+        return {**_merged(self.model_dump(), changes), "groups": {}}
+
+    def of_group(self, group: str) -> Self:
+        """The settings of the learner of `group`; raises pydantic's ValidationError for invalid ones."""
+        if not self.groups.get(group):
+            return self
+        return type(self).model_validate(self.changes_of(group))
 
     def resolved(self, device: str) -> Self:
         """These settings with what depends on the machine decided for this one and a learner on `device`.
@@ -67,3 +120,13 @@ class LearningConf(Settings):
     def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
         """What to tell the user of a run that was `saved` with other settings, or does not suit `device`."""
         return []
+
+
+def _merged(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`settings` with nested `changes`."""
+    out = dict(settings)
+    for name, value in changes.items():
+        inner = out.get(name)
+        both = isinstance(inner, Mapping) and isinstance(value, Mapping)
+        out[name] = _merged(inner, value) if both else value  # type: ignore[arg-type]
+    return out

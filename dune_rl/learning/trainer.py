@@ -23,6 +23,7 @@ from dune_rl.learning.interrupts import StopRequest, stop_on_signals
 from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.population import make_population
 from dune_rl.learning.random_state import random_state, set_random_state
 from dune_rl.learning.registry import build_learners
 from dune_rl.learning.run.events import HParam
@@ -55,14 +56,15 @@ class TrainingResult:
 class Trainer:
     """Trains the agent groups of an environment in `run_dir`, from scratch or from a checkpoint (`resume`).
 
-    Every group of `env.group_map` has its own learner; `learning` has the
+    Every group of `env.group_map` has its own learner, or acts by a frozen policy; `learning` has the
     algorithm and its settings. `make_env(num_scenes, seed)` must be picklable
     unless the collector is serial. `config` is the resolved configuration as
     plain containers; it is stored with the weights. With a serial collector, a
     run that was stopped and resumed ends with the same weights as an
     uninterrupted one; with worker processes, a resumed run starts new episodes.
     TensorBoard lists `hyperparameters` beside the results, and shows what `make_pictures(env, episodes)`
-    draws of the first episodes of each evaluation.
+    draws of the first episodes of each evaluation. The best policies are those with which the group `judged`
+    does best; None: all groups in the mean.
 
     Raises CheckpointError if the folder cannot be written, already holds a
     run, or the checkpoint does not fit. `train` may be called once.
@@ -83,6 +85,7 @@ class Trainer:
         title: str = "",
         hyperparameters: Mapping[str, HParam] | None = None,
         make_pictures: Callable[[EnvBase, int], EvaluationPictures] | None = None,
+        judged: str | None = None,
     ) -> None:
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
         self._saved = read_checkpoint_file(source, "checkpoint") if source else None
@@ -104,7 +107,8 @@ class Trainer:
         torch.manual_seed(seed)
         np.random.seed(seed % 2**32)
         self._learners = build_learners(learning, env, total_frames, run_dir, torch.device(device))
-        self._evaluation = PeriodicEvaluation(evaluation, env, self._learners, evaluation_seed)
+        self._evaluation = PeriodicEvaluation(evaluation, env, self._learners, evaluation_seed, judged)
+        self._population = make_population(learning.population, self._learners)
         self.frames = 0
         self._next_save = learning.checkpoint.every_frames
         self._warmup = WarmUp(self._learners)
@@ -114,6 +118,8 @@ class Trainer:
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]
             self._evaluation.restore(counters)
+            if self._population is not None and self._saved.get("population") is not None:
+                self._population.restore(self._saved["population"])
         self._pictures = None
         if make_pictures is not None and evaluation.tracks:
             self._pictures = make_pictures(env, min(evaluation.tracks, evaluation.episodes))
@@ -192,6 +198,9 @@ class Trainer:
     def _loop(self, collector: TransitionCollector, end: int, stop: StopRequest) -> None:
         for batch in collector:
             self._learn(batch)
+            if self._population is not None and not self._warmup.goes_on(self.frames):
+                self._population.take_if_due(self.frames)
+                self._log.scalars(None, {"population/snapshots": len(self._population)}, self.frames)
             collector.send(self._warmup.learners_policies())
             self._report()
             if self._evaluation.is_due(self.frames) and not stop():
@@ -237,6 +246,7 @@ class Trainer:
             state=self._scenes_to_resume(),
             threads=self._threads,
             stage=1 if scripted else 0,
+            population=None if scripted else self._population,
         )
         collector.send(self._warmup.learners_policies())
         set_random_state(before)
@@ -284,6 +294,7 @@ class Trainer:
                 "state": collector.state(),
             },
             "log": self._log.state(),
+            "population": None if self._population is None else self._population.state(),
         }
         self._folder.save(self._learners, self.frames, progress, with_experience=with_experience)
 
@@ -292,4 +303,8 @@ class Trainer:
             return None
         then, now = self._saved["collector"], self._conf.collector
         here = (now.mode, now.scenes, bool(self._warmup.scripted))
-        return then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None
+        state = then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None
+        # Runs of earlier versions have the scenes alone; and opponents that were others are drawn anew.
+        if state is not None and "scenes" not in state:
+            state = {"scenes": state, "opponents": {}}
+        return state

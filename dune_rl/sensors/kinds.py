@@ -20,6 +20,7 @@ from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.sensors.medium import Compose, RangeEffect, effects_of
 from dune_rl.sensors.navigation import EstimatedGoal, EstimatedVelocity, Navigation
 from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
+from dune_rl.sensors.neighbours import Neighbours, NeighboursConf
 from dune_rl.sensors.odometry import Odometry, OdometryConf
 from dune_rl.sensors.position import Position, PositionConf
 from dune_rl.sensors.realism.camera import CameraRealismConf, realistic_camera
@@ -167,6 +168,12 @@ def _nearest_agent(request: SensorRequest, context: SensorContext) -> Sensor:
     return _plain(sensor, request, context)
 
 
+def _neighbours(request: SensorRequest, context: SensorContext) -> Sensor:
+    closing_mps = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
+    sensor = Neighbours(request.settings, context.num_rows, closing_mps, request.name)
+    return _plain(sensor, request, context)
+
+
 def _encoders(request: SensorRequest, context: SensorContext) -> Sensor:
     wheels = context.carrier.num_joints
     sensor = Encoders(request.settings, context.num_rows, wheels, context.step_s, request.name)
@@ -212,6 +219,7 @@ SENSOR_KINDS: dict[str, SensorKind] = {
     "velocity": SensorKind(NoSensorSettings, _velocity, SpeedRealismConf),
     "planar_velocity": SensorKind(NoSensorSettings, _planar_velocity, ReadingRealismConf),
     "nearest_agent": SensorKind(NearestAgentConf, _nearest_agent, ReadingRealismConf),
+    "neighbours": SensorKind(NeighboursConf, _neighbours, ReadingRealismConf),
     "encoders": SensorKind(EncodersConf, _encoders, EncoderRealismConf),
     "odometry": SensorKind(OdometryConf, _odometry, OdometryRealismConf),
     "currents": SensorKind(CurrentsConf, _currents, ReadingRealismConf),

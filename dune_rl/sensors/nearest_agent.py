@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import clip, wrap_angle
-from dune_rl.sensors.sensor import PI32, Array, Bounds, Flags, Reading
+from dune_rl.sensors.others import find_others
+from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
 from dune_rl.sensors.velocity import heading_frame
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -53,7 +54,9 @@ class NearestAgent:
     def measure(self, now: GroupState, state: State) -> None:
         """Find the nearest agent of each row and read its motion."""
         reading = np.zeros((len(self._reading), 4), np.float32)
-        position, velocity, present = self._others(now, state)
+        names = self._groups or tuple(name for name in state.groups if name != now.name)
+        others = find_others(names, now, state)
+        position, velocity, present = others.position_w, others.velocity_w, others.present
         if position.shape[1] == 0:
             reading[:, 0] = self._farthest_m
             self._reading = reading
@@ -72,24 +75,3 @@ class NearestAgent:
     def read(self) -> dict[str, Reading]:
         """The latest distance, bearing and relative velocity."""
         return {self._name: self._reading.copy()}
-
-    def _others(self, now: GroupState, state: State) -> tuple[Array, Array, Flags]:
-        """Positions and velocities (N, A, 2) of the agents that each row looks at, and which count (N, A)."""
-        names = self._groups or tuple(name for name in state.groups if name != now.name)
-        positions: list[Array] = []
-        velocities: list[Array] = []
-        present: list[Flags] = []
-        for name in names:
-            other = state.groups[name]
-            if name == now.name and other.count == 1:
-                continue
-            motion = other.motion
-            for values, found in ((motion.position_w, positions), (motion.velocity_w, velocities)):
-                by_scene = other.by_scene(values[:, :2])
-                found.append(np.repeat(by_scene, now.count, axis=0))
-            itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
-            present.append(np.tile(~itself, (len(positions[-1]) // len(itself), 1)))
-        if not positions:
-            empty = np.zeros((len(now.motion.position_w), 0, 2))
-            return empty, empty, np.zeros(empty.shape[:2], bool)
-        return np.concatenate(positions, 1), np.concatenate(velocities, 1), np.concatenate(present, 1)

@@ -26,6 +26,7 @@ _OWN = (
     "lidar",
     "lidar_3d",
     "nearest_agent",
+    "neighbours",
     "odometry",
     "planar_velocity",
     "position",

@@ -16,6 +16,12 @@ _OWN_REWARDS = (
     "progress",
     "velocity",
 )
+_OWN_ACTOR_REWARDS = {
+    "blocking": "blocking",
+    "closing_in": "closing_in",
+    "ran_into_robot": "RanIntoRobot",
+    "robot_progress": "robot_progress",
+}
 _OWN_TERMINATIONS = {
     "flipped": "flipped",
     "goal_reached": "goal_reached",
@@ -49,7 +55,8 @@ class TerminationTermConf(TermConf):
 REWARDS = TermRegistry(
     "reward",
     "dune_rl.tasks.registry:REWARDS",
-    own={name: f"dune_rl.tasks.rewards:{name}" for name in _OWN_REWARDS},
+    own={name: f"dune_rl.tasks.rewards:{name}" for name in _OWN_REWARDS}
+    | {name: f"dune_rl.tasks.actor_rewards:{target}" for name, target in _OWN_ACTOR_REWARDS.items()},
     base=RewardTermConf,
 )
 TERMINATIONS = TermRegistry(

@@ -73,18 +73,28 @@ def progress(state: State, group: GroupState) -> Array:
     return group.goal.previous_distance - group.goal.distance
 
 
-def near_miss(state: State, group: GroupState, *, comfort_m: Annotated[float, Field(gt=0.0)] = 1.2) -> Array:
+def near_miss(
+    state: State,
+    group: GroupState,
+    *,
+    comfort_m: Annotated[float, Field(gt=0.0)] = 1.2,
+    own_group: bool = False,
+) -> Array:
     """Closeness to the nearest agent of another group: 0 beyond `comfort_m`, growing to 1 on contact.
 
-    Distances are from surface to surface, of circles of each group's `radius_m`, seen from above.
+    With `own_group` the other agents of the own group count too. Distances are from surface to surface, of
+    circles of each group's `radius_m`, seen from above.
     """
     own = group.by_scene(group.motion.position_w[:, :2])[:, :, None]
     closeness = np.zeros(own.shape[:2])
-    for other in state.groups.values():
-        if other is group:
+    for name, other in state.groups.items():
+        is_own = name == group.name
+        if is_own and (not own_group or group.count == 1):
             continue
         offset = other.by_scene(other.motion.position_w[:, :2])[:, None] - own
         apart = np.hypot(offset[..., 0], offset[..., 1]) - group.radius_m - other.radius_m
+        if is_own:
+            apart = np.where(np.eye(group.count, dtype=bool), np.inf, apart)
         nearest = np.maximum(apart, 0.0).min(axis=2)
         closeness = np.maximum(closeness, 1.0 - nearest / comfort_m)
     return np.minimum(closeness, 1.0).reshape(-1)

@@ -79,9 +79,9 @@ def logged(run: Any, name: str) -> list[float]:
 
 
 @pytest.mark.client(
-    "BenchMARL", "MAPPO and MASAC train rover and walkers, and evaluate", "dune_rl.clients.benchmarl"
+    "BenchMARL", "MAPPO, MASAC and ISAC train rover and walkers, and evaluate", "dune_rl.clients.benchmarl"
 )
-@pytest.mark.parametrize("algorithm", ["Mappo", "Masac"])
+@pytest.mark.parametrize("algorithm", ["Mappo", "Masac", "Isac"])
 def test_rover_and_walkers_learn(algorithm: str, tmp_path: Path, tasks: ModuleType) -> None:
     run = experiment(algorithm, tmp_path, tasks)
     assert run.group_map == GROUPS and run.max_steps == 8

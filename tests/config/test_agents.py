@@ -297,10 +297,14 @@ def test_groups_take_the_place_of_the_shorthands() -> None:
     assert fault(robots=["rover_zero"], robot="leo_rover") == both
 
 
-def test_one_group_is_trained_and_gymnasium_has_one_agent() -> None:
+def test_all_groups_are_trained_and_gymnasium_has_one_agent() -> None:
     assert compose(["+world=flat", TEAM]).driven_group.name == "rover"
-    with pytest.raises(ConfigError, match="one agent group is driven here, and rover and leo_rover"):
-        compose(["+world=flat", "robots=[rover_zero,leo_rover]"])
+    both = compose(["+world=flat", "robots=[rover_zero,leo_rover]", "learning.groups.rover.frozen=runs/a"])
+    assert both.driven_group.name == "leo_rover"
+    several = compose(["+world=flat", "+experiment=multi_agent"])
+    assert [group.name for group in several.external_groups] == ["rover", "walker"]
+    assert several.learning.of_group("walker").hidden == (128, 128)
+    assert several.learning.of_group("rover") is several.learning
     with pytest.raises(ConfigError, match="Gymnasium has one agent, and rover has 3; take"):
         compose_environment("flat", [TEAM], None, SingleAgentConf)
 

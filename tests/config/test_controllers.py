@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dune_rl.config.build import make_simulation
-from dune_rl.config.compose import compose_environment
+from dune_rl.config.compose import compose, compose_environment
+from dune_rl.config.controllers import check_policies
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import CheckpointError
 
@@ -63,6 +64,27 @@ def test_settings_of_a_behaviour_reach_it() -> None:
     slow.close()
 
 
+def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
+    words = [
+        "+world=flat",
+        "+experiment=multi_agent",
+        f"learning.groups.walker.frozen={tmp_path / 'a.pt'}",
+        f"+actors.foe={{body: person, controller: {{checkpoint: {tmp_path / 'b.pt'}}}}}",
+    ]
+    with pytest.raises(CheckpointError) as error:
+        check_policies(compose(words))
+    said = [line for line in str(error.value).splitlines() if "There is no" in line]
+    assert said == [
+        f"controller.checkpoint of the group foe: There is no {tmp_path / 'b.pt'}.",
+        f"learning.groups.walker.frozen: There is no {tmp_path / 'a.pt'}.",
+    ]
+    check_policies(compose(["+world=flat", "+experiment=multi_agent"]))
+    check_policies(compose(["+world=flat", f"actors.walker.controller={{checkpoint: {POLICY}}}"]))
+
+
 def test_a_policy_of_another_body_is_refused() -> None:
-    with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values"):
+    with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values") as error:
         simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
+    first, *_, last = str(error.value).splitlines()
+    assert first.startswith(f"the controller of the group other (controller.checkpoint): {POLICY} was made")
+    assert last.startswith("A policy of another group does not fit: give other the body and sensors")

@@ -48,8 +48,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
         (["world=flat", "actors=crowd"],
-         "there is no actors 'crowd'; choose crossing, default, external_walkers, flee, follow, herd, none, "
-         "orca, patrol, random_waypoint, social_force or walkers"),
+         "there is no actors 'crowd'; choose crossing, default, external_walkers, flee, follow, herd, "
+         "learning_walkers, none, orca, patrol, random_waypoint, social_force or walkers"),
         (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
         (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
         (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
@@ -91,9 +91,24 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "take 10, 20, 25, 40 or 50 with 200"),
         (["world=flat", "learning.replay.capacity=64"],
          "learning: replay.capacity must be at least batch_size (got 64 and 512)"),
-        (["world=flat", "actors=external_walkers"],
-         "one agent group is driven here, and rover and walker are external; give all but one another "
-         "controller (actors=walkers has walkers on paths), or take parallel_env or make"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walkr.hidden=[8]"],
+         "learning.groups.walkr: there is no external group 'walkr'; did you mean walker?"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.hiddn=[8]"],
+         "learning.groups.walker.hiddn is not a setting; did you mean hidden?"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.batch_size=0"],
+         "learning.groups.walker.batch_size must be at least 1 (got 0)"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.replay.capacity=8"],
+         "learning.groups.walker.replay.capacity must be at least batch_size (got 8 and 512)"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.collector.scenes=8"],
+         "learning: groups.walker.collector: all groups share it; set it for the run"),
+        (["world=flat", "actors=external_walkers", "learning.groups.walker.frozen=3"],
+         "learning: groups.walker.frozen must be the path of a policy (got 3)"),
+        (["world=flat", "learning.groups.rover.frozen=runs/a"],
+         "every external group is frozen, so that nothing learns; leave out learning.groups.rover.frozen, or "
+         "evaluate the policies with python -m dune_rl.evaluate"),
+        (["world=flat", "learning.population.probability=0.5"],
+         "learning.population.probability: past opponents are of other groups that learn, and rover alone "
+         "does; set it to 0, or have another group learn (actors=learning_walkers)"),
         (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
         (["world=flat", "learning.hidden=[256"],
          "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "

@@ -218,6 +218,10 @@ class PointMass(EnvBase):
             self._trace[scene].append(actions[scene].double().numpy())
         return self._pack(self._advance(actions.double().numpy().reshape(-1, 2), np.ones(m, bool)))
 
+    def episode_keys(self) -> tuple[int, np.ndarray]:
+        """The seed and the ids (M,) of the present episodes."""
+        return self._seed, self._id
+
     def state(self) -> dict[str, Any]:
         """Episode ids and the actions since each episode's start."""
         traces = [torch.tensor(np.array(trace).reshape(-1, self._agents, 2)) for trace in self._trace]

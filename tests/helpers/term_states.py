@@ -73,6 +73,8 @@ def agents(
     wheel_radius_m: float | None = None,
     joint_speed: Any = None,
     scanner: ScanQueries | None = NO_RETURN,
+    goal: Any = (0.0, 0.0),
+    kind: str = "robot",
 ) -> GroupState:
     """`rows` agents in the open, 5 m from their goals and facing them, at rest, but for what is given.
 
@@ -103,7 +105,7 @@ def agents(
             acceleration_b=vector(acceleration_b),
         ),
         ContactState(numbers(touching, bool), numbers(new, int), numbers(total, int)),
-        GoalState(np.zeros((rows, 2)), distances, distances + numbers(progress), numbers(bearing)),
+        GoalState(vector(goal), distances, distances + numbers(progress), numbers(bearing)),
         numbers(done, bool),
         FixedProximity(np.zeros((rows, 0, 7)), numbers(clearance)),
         radius_m,
@@ -111,6 +113,7 @@ def agents(
         {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
         wheel_radius_m,
         scanner,
+        kind,
     )
 
 

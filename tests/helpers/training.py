@@ -65,11 +65,17 @@ def trainer(
 
 
 def make_sac(
-    spec: PolicySpec, folder: Path, *, total_frames: int = 1, agents: int = 1, **settings: Any
+    spec: PolicySpec,
+    folder: Path,
+    *,
+    total_frames: int = 1,
+    agents: int = 1,
+    group: str = "rover",
+    **settings: Any,
 ) -> Sac:
-    """A learner of the group `rover` by itself."""
+    """A learner of one group by itself."""
     context = LearnerContext(
-        group="rover",
+        group=group,
         num_agents=agents,
         spec=spec,
         total_frames=total_frames,

@@ -127,6 +127,10 @@ class DuneEnv(CopiedByReplay, EnvBase):
         """Let the next reset of all scenes start at episode `first_episode` of `seed`."""
         self._simulation.reseed(seed, first_episode)
 
+    def episode_keys(self) -> tuple[int, NDArray[np.int64]]:
+        """The seed and the ids (M,) of the present episodes."""
+        return self._simulation.seed, self._simulation.episodes
+
     # -- packing ----------------------------------------------------------------------------------
 
     def _pack(self, steps: dict[str, GroupStep] | None, terminated: Flags, truncated: Flags) -> TensorDict:

@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dune_rl.learning.curve import draw_curve
+from dune_rl.learning.group_batch import acted_by_past
 from dune_rl.learning.measures import MetricsRow, average_metrics, write_csv
 from dune_rl.learning.objective import measure_objective
 from dune_rl.learning.run.events import EventFile, HParam, Picture
@@ -45,13 +46,18 @@ class RunLog:
     ) -> None:
         """Log the episodes that ended in `batch`; every hundred of a group make a line of metrics.csv.
 
-        `kind` is "warmup" while another policy than the learners' drives.
+        `kind` is "warmup" while another policy than the learners' drives. Episodes in which a past policy
+        acted for a group are none of its own.
         """
         finished = batch["next", "done"].squeeze(-1)
         if not finished.any():
             return
         for group, recent in self._recent.items():
-            rows: Tensor = batch["next", group, "metrics"][finished].flatten(0, 1)
+            past = acted_by_past(batch, group)
+            own = finished if past is None else finished & ~past
+            if not own.any():
+                continue
+            rows: Tensor = batch["next", group, "metrics"][own].flatten(0, 1)
             complete = recent.extend(rows.tolist())
             for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
                 if name.startswith(_SAMPLED):

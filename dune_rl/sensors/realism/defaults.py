@@ -31,6 +31,7 @@ _DEFAULTS: Mapping[str, tuple[type[RealismConf], Any]] = {
     "height_scan": (ReadingRealismConf, {"each": {"noise": 0.02}}),
     "currents": (ReadingRealismConf, {"each": {"noise": 0.1}}),
     "planar_velocity": (ReadingRealismConf, {"each": {"noise": 0.05}}),
+    "neighbours": (ReadingRealismConf, {"each": {"noise": 0.05}}),
     "nearest_agent": (ReadingRealismConf, {"each": {"noise": 0.05}}),
 }
 # What a body without wheels knows of its speed, by the motion of its legs; an estimate.

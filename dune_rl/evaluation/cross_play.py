@@ -1,0 +1,266 @@
+"""Cross-play: every robot's policy among every population of actors, in one folder.
+
+Each population has a results folder of its own in it, as of any evaluation, so that what was cut off goes on,
+and all robots have the same episodes among all populations.
+"""
+
+import csv
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from dune_rl.config.agents import ResolvedGroup, roaming_task
+from dune_rl.config.checks import validate
+from dune_rl.config.compose import compose_environment
+from dune_rl.config.migration import migrated
+from dune_rl.config.schema import EnvConf, EvaluateConf
+from dune_rl.episode_sets import read_episode_set
+from dune_rl.errors import ConfigError, DuneError
+from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices
+from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
+from dune_rl.evaluation.policies import policy_sources
+from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
+from dune_rl.evaluation.run_plan import prepare_run, run_plan
+from dune_rl.evaluation.running import EvaluationPlan
+from dune_rl.files import write_atomically
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
+from dune_rl.learning.measures import write_csv
+from dune_rl.paths import conf_folder
+from dune_rl.robots.settings import RobotSettings
+
+RECORD, MATRIX, PICTURE = "cross_play.json", "cross_play.csv", "cross_play.png"
+MEASURES = ("SR", "TC", "OC")
+_OPTION, _CHECKPOINT = "option", "checkpoint"
+
+
+@dataclass(frozen=True)
+class Population:
+    """Actors that robots are tested among: an option of `actors`, or those of a run, by its checkpoint.
+
+    `groups` are the agent groups as plain data; `sha256` is that of the checkpoint.
+    """
+
+    name: str
+    kind: str
+    location: str
+    sha256: str | None
+    groups: Mapping[str, Any]
+
+
+def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tuple[Population, ...]:
+    """The populations that `conf` names; `ConfigError` names every one that is none."""
+    found, faults = [], []
+    for location in conf.populations:
+        try:
+            found.append(_population(location, config_dirs))
+        except DuneError as error:
+            faults.append(f"populations: {error}")
+    if faults:
+        raise ConfigError("\n".join(faults))
+    names = [one.name for one in found]
+    return tuple(
+        one if names.count(one.name) == 1 else replace(one, name=one.location.strip("/").replace("/", "_"))
+        for one in found
+    )
+
+
+def _population(location: str, config_dirs: Sequence[str]) -> Population:
+    options = [
+        file.stem
+        for folder in (conf_folder(), *map(Path, config_dirs))
+        for file in sorted((folder / "actors").glob("*.yaml"))
+    ]
+    if location in options:
+        option = compose_environment("flat", (), {"actors": location}, config_dirs=config_dirs).actors
+        external = [name for name, group in option.items() if group.controller == "external"]
+        if external:
+            raise ConfigError(
+                f"nobody drives {external[0]} of actors={location}; give a run that trained it in its place"
+            )
+        groups = {name: group.model_dump(mode="json") for name, group in option.items()}
+        return Population(location, _OPTION, location, None, groups)
+    path = Path(location)
+    if not path.exists():
+        raise ConfigError(
+            f"{location} is no option of actors ({', '.join(sorted(options))}), and no run or policy file"
+        )
+    file = find_checkpoint_file(path, *POLICY_SOURCES)
+    content = read_checkpoint_file(file, "policy", "checkpoint")
+    config = migrated(content["config"])
+    saved = {name: config[name] for name in EnvConf.model_fields if name in config}
+    actors = [one for one in validate(EnvConf, saved).groups if not isinstance(one.body, RobotSettings)]
+    if not any(one.is_external for one in actors):
+        trained = ", ".join(sorted(content["groups"]))
+        raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
+    with file.open("rb") as opened:
+        sha256 = hashlib.file_digest(opened, "sha256").hexdigest()
+    name = path.resolve().name if path.is_dir() else path.parent.name or path.stem
+    return Population(
+        name, _CHECKPOINT, location, sha256, {one.name: _plain(one, location) for one in actors}
+    )
+
+
+def _plain(group: ResolvedGroup, location: str) -> dict[str, Any]:
+    """A group of a run as plain data, which acts by the run's policy where it learned there."""
+    return {
+        "body": group.body.model_dump(mode="json"),
+        "count": group.count,
+        "controller": {"checkpoint": location} if group.is_external else _controller(group),
+        "path": None if group.path is None else group.path.model_dump(mode="json"),
+        "sensors": None if group.sensors is None else group.sensors.model_dump(mode="json"),
+        # Its goals, and no rewards, which nobody reads.
+        "task": None if group.task is None else roaming_task(group.task).model_dump(mode="json"),
+    }
+
+
+def _controller(group: ResolvedGroup) -> Any:
+    conf = group.controller
+    return conf if isinstance(conf, str) else conf.model_dump(mode="json")
+
+
+def settings_among(conf: EvaluateConf, population: Population, out: Path) -> EvaluateConf:
+    """The settings of the evaluation of the robots of `conf` among `population`, with results in `out`."""
+    data = {**conf.model_dump(mode="json"), "cross_play": False, "populations": [], "out": str(out)}
+    if conf.agents is None:
+        data["actors"] = dict(population.groups)
+    else:
+        robots = {
+            name: group
+            for name, group in data["agents"].items()
+            if isinstance(conf.agents[name].body, RobotSettings)
+        }
+        data["agents"] = {**robots, **population.groups}
+    return validate(EvaluateConf, data)
+
+
+def begin_cross_play(
+    conf: EvaluateConf, populations: Sequence[Population], out: Path, *, overwrite: bool
+) -> None:
+    """Make the folder of a cross-play and those of its populations, with nothing evaluated yet."""
+    settings = [settings_among(conf, one, out / one.name) for one in populations]
+    plans = [_plan(each) for each in settings]
+    if out.is_dir():
+        names = {RECORD, MATRIX, PICTURE, *(one.name for one in populations)}
+        others = sorted(each.name for each in out.iterdir() if each.name not in names)
+        if others:
+            raise ConfigError(f"out={out} holds other files ({others[0]}); choose another folder")
+    for one in populations:
+        check_free(out / one.name, overwrite=overwrite)
+    for one, plan in zip(populations, plans, strict=True):
+        with ResultsFolder.create(out / one.name, plan.conf, describe_provenance(plan), overwrite=overwrite):
+            pass
+    for old in (MATRIX, PICTURE):
+        (out / old).unlink(missing_ok=True)
+    record = {
+        "populations": [
+            {key: value for key, value in asdict(one).items() if key != "groups"} for one in populations
+        ],
+        "robots": [source.plain() for source in plans[0].sources],
+    }
+    with write_atomically(out / RECORD) as temporary:
+        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def run_cross_play(out: Path, console: Console, processes: int | None = None) -> None:
+    """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it."""
+    populations = _read_record(out)["populations"]
+    try:
+        for one in populations:
+            _run_population(out / one["name"], one, console, processes)
+    except BaseException:
+        console.print(
+            f"Cut off; go on with python -m dune_rl.evaluate resume={out}", highlight=False, soft_wrap=True
+        )
+        raise
+    rows = [
+        {"robot": row["policy"], "group": row["group"], "population": one["name"], **row["estimate"]}
+        for one in populations
+        for row in _summary(out / one["name"])
+    ]
+    write_csv(out / MATRIX, rows)
+    draw_matrices(rows, MEASURES, out / PICTURE)
+    _show(rows, console)
+    console.print(f"Results: {out}", highlight=False, soft_wrap=True)
+
+
+def is_cross_play(path: Path) -> bool:
+    """Whether a folder is that of a cross-play."""
+    return (path / RECORD).is_file()
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads((path / RECORD).read_text(encoding="utf-8"))
+        names = [one["name"] for one in content["populations"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ConfigError(f"{path / RECORD} is missing or damaged; run the cross-play again") from None
+    if any(Path(name).name != name for name in names):
+        raise ConfigError(f"{path / RECORD} names a folder outside of {path}; run the cross-play again")
+    found: dict[str, Any] = content
+    return found
+
+
+def _run_population(
+    path: Path, population: Mapping[str, Any], console: Console, processes: int | None
+) -> None:
+    provenance = read_provenance(path)
+    if provenance.get("complete"):
+        return
+    _check_unchanged(population)
+    plan = _plan(read_settings(path))
+    check_same_sources(plan, provenance, path)
+    console.print(f"Among {population['name']}", highlight=False, markup=False)
+    prepared = prepare_run(plan)
+    with ResultsFolder.reopen(path) as folder:
+        run_plan(plan, folder, prepared, console, processes or plan.conf.processes)
+
+
+def _check_unchanged(population: Mapping[str, Any]) -> None:
+    if population["kind"] != _CHECKPOINT:
+        return
+    file = find_checkpoint_file(Path(population["location"]), *POLICY_SOURCES)
+    with file.open("rb") as opened:
+        now = hashlib.file_digest(opened, "sha256").hexdigest()
+    if now != population["sha256"]:
+        raise ConfigError(
+            f"{population['location']} has other weights than when the cross-play began; run it again"
+        )
+
+
+def _plan(conf: EvaluateConf) -> EvaluationPlan:
+    episode_set = None if conf.set is None else read_episode_set(conf.set)
+    return EvaluationPlan(conf, policy_sources(conf), episode_set)
+
+
+def _summary(path: Path) -> list[dict[str, Any]]:
+    with (path / f"{SUMMARY}.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["measure"] in MEASURES]
+    kept = ["measure", "value", "low", "high", "count", "units"]
+    return [
+        {"policy": row["policy"], "group": row["group"], "estimate": {key: row[key] for key in kept}}
+        for row in rows
+    ]
+
+
+def _show(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
+    populations = list(dict.fromkeys(row["population"] for row in rows))
+    for measure in MEASURES:
+        cells = {
+            (row["robot"], row["group"], row["population"]): row for row in rows if row["measure"] == measure
+        }
+        if not cells:
+            continue
+        table = Table(title=f"{measure} of robots among populations of actors", title_justify="left")
+        table.add_column("robot")
+        for name in populations:
+            table.add_column(name, justify="right")
+        for robot, group in dict.fromkeys((key[0], key[1]) for key in cells):
+            found = [cells.get((robot, group, name)) for name in populations]
+            table.add_row(robot, *("" if one is None else describe_cell(one) for one in found))
+        console.print(table)

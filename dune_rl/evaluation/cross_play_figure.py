@@ -1,0 +1,114 @@
+"""The heat maps of a cross-play: a matrix of robots and populations for each measure."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from dune_rl.files import write_atomically
+from dune_rl.metrics.catalogue import CATALOGUE
+
+Row = Mapping[str, Any]
+_LONGEST_NAME = 22
+_LIGHT = 0.45
+
+
+def describe_cell(row: Row, separator: str = " ") -> str:
+    """Value and interval of a row, shares in per cent; a dash where nothing was measured."""
+    value, low, high = (float(row[key]) for key in ("value", "low", "high"))
+    if np.isnan(value):
+        return "-"
+    if row["measure"] == "SR":
+        return f"{100 * value:.0f} %{separator}({100 * low:.0f} to {100 * high:.0f})"
+    return f"{value:.2f}{separator}({low:.2f} to {high:.2f})"
+
+
+def draw_matrices(rows: Sequence[Row], measures: Sequence[str], path: Path) -> None:
+    """Draw `rows` (robot, group, population, measure, value, low, high) as a PNG, better values darker."""
+    shown = [measure for measure in measures if any(row["measure"] == measure for row in rows)]
+    populations = list(dict.fromkeys(str(row["population"]) for row in rows))
+    robots = list(dict.fromkeys((str(row["robot"]), str(row["group"])) for row in rows))
+    width = 1.6 + len(shown) * max(1.9, 1.25 * len(populations))
+    height = 1.4 + 0.62 * len(robots)
+    with rc_context({"font.family": "DejaVu Sans", "font.size": 8}):
+        figure = Figure(figsize=(width, height), dpi=160, layout="constrained", facecolor="white")
+        FigureCanvasAgg(figure)
+        grid = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+        for axes, measure in zip(grid, shown, strict=True):
+            cells = {
+                (str(row["robot"]), str(row["group"]), str(row["population"])): row
+                for row in rows
+                if row["measure"] == measure
+            }
+            _draw(axes, measure, cells, robots, populations)
+        grid[0].set_ylabel("robot")
+        figure.supxlabel("in brackets: 95 % intervals; darker is better", fontsize=7, color="#6b6b70")
+        with write_atomically(path) as temporary:
+            figure.savefig(temporary, format="png")
+
+
+def _draw(
+    axes: Axes,
+    measure: str,
+    cells: Mapping[tuple[str, str, str], Row],
+    robots: Sequence[tuple[str, str]],
+    populations: Sequence[str],
+) -> None:
+    about = next(one for one in CATALOGUE if one.name == measure)
+    values = np.array(
+        [
+            [
+                float(cells[(*robot, name)]["value"]) if (*robot, name) in cells else np.nan
+                for name in populations
+            ]
+            for robot in robots
+        ]
+    )
+    lowest, highest = (0.0, 1.0) if about.is_share else _range(values)
+    shade = (values - lowest) / (highest - lowest)
+    if about.better == "lower":
+        shade = 1.0 - shade
+    colours = colormaps["Blues"](0.08 + 0.82 * np.nan_to_num(shade))
+    axes.imshow(colours, aspect="auto")
+    for row, robot in enumerate(robots):
+        for column, name in enumerate(populations):
+            cell = cells.get((*robot, name))
+            if cell is not None:
+                axes.text(
+                    column,
+                    row,
+                    describe_cell(cell, "\n"),
+                    ha="center",
+                    va="center",
+                    fontsize=7,
+                    color="white" if shade[row, column] > 1 - _LIGHT else "#1d1d1f",
+                )
+    several = len({group for _, group in robots}) > 1
+    names = [f"{robot}, {group}" if several else robot for robot, group in robots]
+    axes.set_yticks(range(len(robots)), [_short(name) for name in names])
+    axes.set_xticks(range(len(populations)), [_short(name) for name in populations], rotation=20, ha="right")
+    unit = "" if about.is_share or not about.unit else f" [{about.unit}]"
+    axes.set_title(f"{measure}: {about.meaning}{unit}", fontsize=8, loc="left")
+    axes.set_xlabel("among")
+    axes.tick_params(which="both", length=0)
+    axes.set_xticks(np.arange(len(populations) - 1) + 0.5, minor=True)
+    axes.set_yticks(np.arange(len(robots) - 1) + 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=2.0)
+    axes.spines[:].set_visible(False)
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    """Lowest and highest value, apart."""
+    if np.isnan(values).all():
+        return 0.0, 1.0
+    lowest, highest = float(np.nanmin(values)), float(np.nanmax(values))
+    return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"

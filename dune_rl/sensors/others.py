@@ -1,0 +1,48 @@
+"""The agents that an agent can look at: those of other groups, and of its own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dune_rl.sensors.sensor import Array, Flags
+from dune_rl.state import GroupState, State
+
+
+@dataclass(frozen=True)
+class Others:
+    """The A agents of the groups that are looked at, for each of N rows.
+
+    `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
+    itself. `radius_m` and `is_robot` are (A,).
+    """
+
+    position_w: Array
+    velocity_w: Array
+    present: Flags
+    radius_m: Array
+    is_robot: Flags
+
+
+def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
+    """The agents of the groups `names` in the scene of each agent of the group `now`."""
+    rows = len(now.motion.position_w)
+    positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
+    present, radii, robots = [np.zeros((rows, 0), bool)], [np.zeros(0)], [np.zeros(0, bool)]
+    for name in names:
+        other = state.groups[name]
+        if name == now.name and other.count == 1:
+            continue
+        for values, found in ((other.motion.position_w, positions), (other.motion.velocity_w, velocities)):
+            found.append(np.repeat(other.by_scene(values[:, :2]), now.count, axis=0))
+        itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
+        present.append(np.tile(~itself, (rows // len(itself), 1)))
+        radii.append(np.full(other.count, other.radius_m))
+        robots.append(np.full(other.count, other.kind == "robot"))
+    return Others(
+        np.concatenate(positions, axis=1),
+        np.concatenate(velocities, axis=1),
+        np.concatenate(present, axis=1),
+        np.concatenate(radii),
+        np.concatenate(robots),
+    )

@@ -1,0 +1,147 @@
+"""Cross-play: the robots' policies among all populations, what is written, and what is refused."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from rich.console import Console
+
+from dune_rl.config.build import make_learning_env
+from dune_rl.config.compose import compose, compose_evaluation
+from dune_rl.config.schema import EvaluateConf
+from dune_rl.errors import ConfigError
+from dune_rl.evaluation.cross_play import (
+    begin_cross_play,
+    find_populations,
+    is_cross_play,
+    run_cross_play,
+    settings_among,
+)
+from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices
+from dune_rl.evaluation.folder import read_provenance
+from dune_rl.learning.algorithm import LearnerContext
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.registry import build_learner
+from dune_rl.learning.run.folder import RunFolder
+
+TINY = ["+world=flat", "+experiment=multi_agent", "learning.hidden=[8]", "learning.precision=float32"]
+SHORT = "task.terminations.time_limit.max_steps=6"
+QUIET = Console(quiet=True)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run of a rover and adversaries, with policies that have learned nothing."""
+    conf = compose([*TINY, "actors.walker.task=adversarial", "actors.walker.count=2", SHORT])
+    env = make_learning_env(conf, 1, 0)
+    torch.manual_seed(0)
+    folder = RunFolder(tmp_path_factory.mktemp("runs") / "foes", conf.model_dump(mode="json"), fresh=True)
+    learners = {}
+    for group, agents in env.group_map.items():
+        spec = PolicySpec.of(env, group)
+        context = LearnerContext(group, len(agents), spec, 1, folder.path, torch.device("cpu"), "sac")
+        learners[group] = build_learner(conf.learning.of_group(group), context)
+    folder.save_policies(learners, 0)
+    folder.save_policies(learners, 0, {"measure": "SR", "score": 0.0, "episodes": 1, "seed": 1})
+    folder.release()
+    env.close()
+    return folder.path
+
+
+def settings(*words: str) -> EvaluateConf:
+    conf = compose_evaluation(
+        ["+world=flat", "policy=go_to_goal", "against=random", "cross_play=true", "seed=3", SHORT, *words]
+    )
+    return conf.model_copy(update={"episodes": 3})
+
+
+def test_every_policy_meets_every_population(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "matrix"
+    conf = settings(f"populations=[none,walkers,{run}]", "scenes=3")
+    populations = find_populations(conf)
+    assert [one.name for one in populations] == ["none", "walkers", "foes"]
+    begin_cross_play(conf, populations, out, overwrite=False)
+    assert is_cross_play(out) and not is_cross_play(run)
+    run_cross_play(out, QUIET)
+    with (out / "cross_play.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["robot"], row["population"], row["measure"]) for row in rows} == {
+        (robot, population, measure)
+        for robot in ("go_to_goal", "random")
+        for population in ("none", "walkers", "foes")
+        for measure in ("SR", "TC", "OC")
+    }
+    assert all(float(row["low"]) <= float(row["value"]) <= float(row["high"]) for row in rows)
+    picture = np.asarray(Image.open(out / "cross_play.png").convert("RGB"))
+    assert picture.shape[0] > 200 and len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+    # All populations have the same episodes: equal starts and goals.
+    starts = []
+    for name in ("none", "walkers", "foes"):
+        with (out / name / "episodes.csv").open() as file:
+            kept = [key for key in next(csv.reader(file)) if key.startswith(("start_", "goal_"))]
+            file.seek(0)
+            starts.append([[row[key] for key in kept] for row in csv.DictReader(file)])
+    assert starts[0] == starts[1] == starts[2] and len(starts[0]) == 6
+    # What is complete is not run again, and a population that is not is.
+    before = (out / "cross_play.csv").read_bytes()
+    provenance = read_provenance(out / "foes")
+    assert provenance["complete"]
+    (out / "foes" / "provenance.json").write_text(json.dumps({**provenance, "complete": False}))
+    (out / "cross_play.csv").unlink()
+    run_cross_play(out, QUIET)
+    assert (out / "cross_play.csv").read_bytes() == before
+    assert read_provenance(out / "foes")["complete"]
+    with pytest.raises(ConfigError, match="holds results already"):
+        begin_cross_play(conf, populations, out, overwrite=False)
+
+
+def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
+    (population,) = find_populations(settings(f"populations=[{run}]"))
+    conf = settings_among(settings("populations=[none]"), population, run / "out")
+    rover, walker = conf.groups
+    assert rover.is_external and not walker.is_external
+    assert walker.count == 2 and walker.sensors is not None and walker.task is not None
+    assert list(walker.sensors.enabled) == ["goal", "neighbours", "lidar", "velocity"]
+    assert not walker.task.rewards and walker.task.terminations["goal_reached"].renew
+    assert not conf.cross_play and conf.populations == ()
+
+
+def test_what_is_no_population_is_named(run: Path, tmp_path: Path) -> None:
+    published = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
+    words = f"populations=[walkrs,learning_walkers,{published}]"
+    with pytest.raises(ConfigError) as error:
+        find_populations(settings(words))
+    first, second, third = str(error.value).splitlines()
+    assert first.startswith("populations: walkrs is no option of actors (default, external_walkers")
+    assert second.startswith("populations: nobody drives walker of actors=learning_walkers; give a run")
+    assert third.startswith(f"populations: {published} trained no actors, but rover")
+    for words, said in (
+        ("populations=null", "cross_play tests robots among populations of actors; name some"),
+        ("cross_play=false", "populations are of a cross-play; give cross_play=true as well"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            settings("populations=[walkers]", words)
+
+
+def test_cells_have_intervals_and_better_ones_are_darker(tmp_path: Path) -> None:
+    row = {"measure": "SR", "value": 0.5, "low": 0.25, "high": 0.751}
+    assert describe_cell(row) == "50 % (25 to 75)"
+    assert describe_cell({**row, "measure": "TC"}, "\n") == "0.50\n(0.25 to 0.75)"
+    assert describe_cell({**row, "value": float("nan")}) == "-"
+    brightness = {}
+    for measure, values in (("SR", (0.1, 0.9)), ("TC", (0.1, 0.9))):
+        cells = [
+            {"robot": "a", "group": "rover", "population": str(i), "measure": measure, "value": value,
+             "low": 0.0, "high": 1.0}
+            for i, value in enumerate(values)
+        ]  # fmt: skip
+        draw_matrices(cells, (measure,), tmp_path / f"{measure}.png")
+        picture = np.asarray(Image.open(tmp_path / f"{measure}.png").convert("L"), float)
+        middle = picture[:, picture.shape[1] // 3 :]
+        left, right = np.array_split(middle[picture.shape[0] // 4 : picture.shape[0] // 2], 2, axis=1)
+        brightness[measure] = right.mean() - left.mean()
+    assert brightness["SR"] < 0 < brightness["TC"]

@@ -1,0 +1,71 @@
+"""The list of the nearest other agents, against places worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from states import begin, group_state, resting, state_of
+
+from dune_rl.sensors.neighbours import Neighbours, NeighboursConf
+from dune_rl.state import GroupState, Motion
+
+
+def placed(
+    name: str, rows, *, count: int = 1, yaw: float = 0.0, velocity=(0.0, 0.0), **changes
+) -> GroupState:
+    """Agents at `rows` (x, y), with one heading and velocity."""
+    position, n = np.array([[x, y, 0.0] for x, y in rows]), len(rows)
+    angles, velocities = np.tile([0.0, 0.0, yaw], (n, 1)), np.tile([*velocity, 0.0], (n, 1))
+    motion = Motion(position, angles, velocities, np.zeros((n, 3)), np.zeros(n, bool))
+    return replace(group_state(motion, count=count, name=name), **changes)
+
+
+def read(conf: NeighboursConf, now: GroupState, *others: GroupState, fastest: float = 5.0) -> np.ndarray:
+    """The list (N, k, 7), which is checked against its bounds."""
+    sensor = Neighbours(conf, len(now.done), fastest)
+    sensor.measure(now, state_of(now, *others))
+    reading = sensor.read()["neighbours"]
+    low, high = sensor.bounds()["neighbours"]
+    assert reading.shape == (len(now.done), *low.shape) and reading.dtype == low.dtype == np.float32
+    assert (low <= reading).all() and (reading <= high).all()
+    return reading.reshape(len(reading), conf.number, 7)
+
+
+def test_the_nearest_come_first_in_the_frame_of_the_own_heading() -> None:
+    # The agent faces north at 1 m/s: what is north is ahead, what is west is to the left.
+    here = placed("walker", [(0.0, 0.0)], yaw=np.pi / 2, velocity=(0.0, 1.0), kind="person", radius_m=0.25)
+    robot = placed("rover", [(-3.0, 0.0)], velocity=(0.5, 0.0), radius_m=0.2)
+    cow = placed("cow", [(0.0, 2.0)], kind="cow", radius_m=0.6)
+    (found,) = read(NeighboursConf(number=3), here, robot, cow)
+    expected = [[1, 2, 0, -1, 0, 0.6, 0], [1, 0, 3, -1, -0.5, 0.2, 1], [0] * 7]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_the_own_group_is_listed_without_oneself() -> None:
+    team = placed("team", [(0, 0), (1, 0), (5, 0), (0, 0), (7, 0), (8, 0)], count=3, kind="person")
+    found = read(NeighboursConf(number=4, range_m=6.0), team)
+    # Scenes are apart, and who is out of range is absent.
+    assert found[:, :, 0].sum(axis=1).tolist() == [2, 2, 2, 0, 1, 1]
+    np.testing.assert_allclose(found[0, :2, 1], [1, 5])
+    np.testing.assert_allclose(found[4, 0, :3], [1, 1, 0])
+    other = placed("rover", [(3.0, 0.0), (3.0, 0.0)])
+    only = read(NeighboursConf(number=1, groups=("rover",)), team, other)
+    np.testing.assert_allclose(only[:, 0, 1], [3, 2, -2, 3, -4, -5])
+
+
+def test_relative_velocities_are_limited() -> None:
+    here, there = placed("a", [(0.0, 0.0)]), placed("b", [(1.0, 0.0)], velocity=(-9.0, 2.0))
+    (found,) = read(NeighboursConf(number=1), here, there, fastest=5.0)
+    np.testing.assert_allclose(found[0, 3:5], [-5.0, 2.0])
+
+
+def test_alone_the_list_is_empty() -> None:
+    sensor = Neighbours(NeighboursConf(number=2), 3, 5.0, "near")
+    begin(sensor, np.ones(3, bool), group_state(resting(3), name="alone"))
+    assert sensor.read()["near"].tolist() == [[0.0] * 14] * 3
+
+
+@pytest.mark.parametrize("settings", [{"number": 0}, {"range_m": 0.0}])
+def test_its_settings_have_ranges(settings) -> None:
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        NeighboursConf(**settings)
