@@ -141,7 +141,7 @@ class BodySettings(Settings):
             return np.zeros(1), length / 2
         count = max(1, round(length / width))
         part = length / count
-        along: Array = part * (np.arange(count) - (count - 1) / 2)
+        along = (part * (np.arange(count) - (count - 1) / 2)).astype(np.float64)
         return along, float(np.hypot(part, width)) / 2
 
     def collision_shape(self, name: str) -> KinematicShape:
