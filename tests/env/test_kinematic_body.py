@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scenes import poses_of
 from scripted_physics import scripted_simulation
 from simulations import act, every_engine, goals_w, motion_of_group, put_walkers, started_simulation
 from yards import yard
@@ -251,7 +252,7 @@ def test_a_robot_holds_a_weak_walker_back(engine: str, controller: str) -> None:
     def put_rover(x: float, y: float) -> None:
         (robot,) = simulation.scenes.robots(0)
         robot.set_start_pose([x, y, 0.125], [0.0, 0.0, 0.0, 1.0])
-        simulation.scenes.reset(0, simulation.group("walker").body.poses[:1, :4])
+        simulation.scenes.reset(0, poses_of(simulation.group("walker").body.poses[:1, :4]))
 
     x, y, _, yaw = simulation.group("walker").body.poses[0, :4]
     toward = np.sign(np.cos(yaw))
