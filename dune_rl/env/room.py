@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings
+from dune_rl.compiled import compile_function
 from dune_rl.geometry.shared_per_scene import query_grouped
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage
@@ -52,15 +54,9 @@ class Room:
 
     def _within_edges(self, xy: Array, yaw: Array) -> Array:
         """Distance [m], (N,), inside the border that bodies keep to the world's edge."""
-        xmin, xmax, ymin, ymax = np.repeat(self._worlds.extents, self._count, axis=0).T[:, :, None]
-        x, y = np.moveaxis(self._discs(xy, yaw), -1, 0)
-        edge = self._edge_m
-        nearest = np.minimum(
-            np.minimum(x - (xmin + edge), (xmax - edge) - x), np.minimum(y - (ymin + edge), (ymax - edge) - y)
-        )
-        found: Array = nearest.min(axis=1)
-        # On the border is outside.
-        return np.where(found == 0.0, -np.finfo(float).tiny, found)
+        found = np.empty(len(xy))
+        _measure_edges(xy, yaw, self._along, self._worlds.extents, self._edge_m, self._count, found)
+        return found
 
     def _off_obstacles(self, xy: Array, yaw: Array) -> Array:
         """Distance [m], (N,), of the bodies' discs from obstacles, negative inside them."""
@@ -81,8 +77,35 @@ class Room:
         """Centres (N, D, 2) [m] of the discs that cover the bodies."""
         if len(self._along) == 1:
             return xy[:, None]
-        ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-        return xy[:, None] + self._along[:, None] * ahead[:, None]
+        found = np.empty((len(xy), len(self._along), 2))
+        _place_discs(xy, yaw, self._along, found)
+        return found
+
+
+@compile_function
+def _place_discs(xy: Any, yaw: Any, along: Any, found: Any) -> None:
+    """Points `found` (N, D, 2) that are `along` (D,) [m] ahead of `xy` (N, 2) at `yaw` (N,) [rad]."""
+    for row in range(len(xy)):
+        cos, sin = np.cos(yaw[row]), np.sin(yaw[row])
+        for disc in range(len(along)):
+            found[row, disc, 0] = xy[row, 0] + along[disc] * cos
+            found[row, disc, 1] = xy[row, 1] + along[disc] * sin
+
+
+@compile_function
+def _measure_edges(
+    xy: Any, yaw: Any, along: Any, extents: Any, edge_m: float, count: int, found: Any
+) -> None:
+    """Least distances `found` (N,) of discs inside a border of `edge_m` in `extents` (M, 4); on it is outside."""
+    for row in range(len(xy)):
+        xmin, xmax, ymin, ymax = extents[row // count]
+        cos, sin = np.cos(yaw[row]), np.sin(yaw[row])
+        nearest = np.inf
+        for disc in range(len(along)):
+            x, y = xy[row, 0] + along[disc] * cos, xy[row, 1] + along[disc] * sin
+            aside = min(x - (xmin + edge_m), (xmax - edge_m) - x)
+            nearest = min(nearest, aside, y - (ymin + edge_m), (ymax - edge_m) - y)
+        found[row] = nearest if nearest != 0.0 else -1e-300
 
 
 def ground_limits(conf: BodySettings) -> GroundLimits | None:
@@ -95,8 +118,6 @@ def ground_limits(conf: BodySettings) -> GroundLimits | None:
 
 def has_room(conf: BodySettings, world: World, xy: Array) -> Flags:
     """Whether a body can be at points (..., 2) of a world, as far as its ground and roofs are concerned."""
-    from dune_rl.worlds.passage import roof_height
-
     if conf.flight is not None:
         flight = conf.flight
         roof = roof_height(world, conf.keep_out_radius_m)(xy)
