@@ -141,7 +141,7 @@ class BodySettings(Settings):
             return np.zeros(1), length / 2
         count = max(1, round(length / width))
         part = length / count
-        along = (part * (np.arange(count) - (count - 1) / 2)).astype(np.float64)
+        along = part * (np.arange(count, dtype=np.float64) - (count - 1) / 2)
         return along, float(np.hypot(part, width)) / 2
 
     def collision_shape(self, name: str) -> KinematicShape:

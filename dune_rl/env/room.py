@@ -11,7 +11,7 @@ from dune_rl.bodies.settings import BodySettings
 from dune_rl.compiled import compile_function
 from dune_rl.geometry.shared_per_scene import query_grouped
 from dune_rl.worlds.batched_worlds import BatchedWorlds
-from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage
+from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage, roof_height
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -96,7 +96,10 @@ def _place_discs(xy: Any, yaw: Any, along: Any, found: Any) -> None:
 def _measure_edges(
     xy: Any, yaw: Any, along: Any, extents: Any, edge_m: float, count: int, found: Any
 ) -> None:
-    """Least distances `found` (N,) of discs inside a border of `edge_m` in `extents` (M, 4); on it is outside."""
+    """Least distances `found` (N,) of discs inside a border of `edge_m` in `extents` (M, 4).
+
+    On the border is outside.
+    """
     for row in range(len(xy)):
         xmin, xmax, ymin, ymax = extents[row // count]
         cos, sin = np.cos(yaw[row]), np.sin(yaw[row])
