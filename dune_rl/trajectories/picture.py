@@ -38,6 +38,8 @@ _LEGEND = PageRectangle(11.3, 1.0, 1.6, 6.0)
 _WAY, _EDGE = "#c2367f", colours.PAPER
 _LEAST_SIDE_M, _MARGIN = 6.0, 0.18
 _ARROWS = 12
+# Numbers at the ends of the profile are inside its frame: the share that is an end, and shifts in points.
+_END, _NUDGE = 0.005, {"left": 3, "center": 0, "right": -3}
 
 
 def draw_trajectory(
@@ -158,9 +160,11 @@ def _draw_profile(figure: Figure, world: World, actor: ActorTrajectory, waypoint
         near = np.linalg.norm(actor.poses[:, :2] - point, axis=1) <= tolerance
         # The first pose of each spell at the way-point.
         for k in np.flatnonzero(near & ~np.append(False, near[:-1])).tolist():
+            share = actor.times[k] / actor.duration_s
+            side = "left" if share < _END else "right" if share > 1 - _END else "center"
             axes.annotate(
-                f"{number}", (actor.times[k], height[k]), (0, 4), textcoords="offset points",
-                fontsize=7, fontweight="bold", ha="center", va="bottom", color=colours.INK,
+                f"{number}", (actor.times[k], height[k]), (_NUDGE[side], 4), textcoords="offset points",
+                fontsize=7, fontweight="bold", ha=side, va="bottom", color=colours.INK,
             )  # fmt: skip
     axes.set_ylim(low, high)
     axes.set_xlim(0.0, max(actor.duration_s, 1e-3))
