@@ -32,7 +32,7 @@ class GroupPolicy(TensorDictModuleBase):
         outputs: Iterable[str] = ("action",),
     ) -> None:
         super().__init__()
-        self.group, self.spec = group, spec
+        self.group, self.policy_spec = group, spec
         self.network = network
         self._outputs = tuple(outputs)
         self.in_keys = [(group, "observation", key) for key in spec.keys]

@@ -69,7 +69,7 @@ class PopulationPolicy(GroupPolicy):
         number: int,
         num_groups: int,
     ) -> None:
-        super().__init__(present.group, present.spec, present.network)
+        super().__init__(present.group, present.policy_spec, present.network)
         self.past = torch.nn.ModuleList(past)
         self.register_buffer("filled", torch.zeros((), dtype=torch.int64))
         self._probability, self._number, self._num_groups = conf.probability, number, num_groups
