@@ -11,6 +11,8 @@ from dune_rl.state import GroupState, State
 
 # A slower robot is standing: nothing crosses its way [m/s].
 _STANDS_MPS = 0.05
+# Who is this near to the place to cross the line at, and changes its side, has crossed it [m].
+_NEAR_M = 0.5
 
 
 class Crossing(SteeredBehaviour):
@@ -66,7 +68,9 @@ class Crossing(SteeredBehaviour):
         course = ahead * (robot_mps + lead / time_s)[:, None] - left * (aside / time_s)[:, None]
         self._goes_on_m = np.where(self._fresh, 0.0, self._goes_on_m)
         self._side = np.where(self._fresh, np.sign(aside), self._side)
-        crosses = drives & (arrives | (self._side * aside < 0.0)) & (self._goes_on_m <= 0.0)
+        # A robot that turns moves its line past those who are elsewhere, too.
+        passes = (self._side * aside < 0.0) & (np.abs(lead) < _NEAR_M)
+        crosses = drives & (arrives | passes) & (self._goes_on_m <= 0.0)
         self._goes_on_m = np.where(crosses, self._beyond_m, self._goes_on_m)
         goes_on = self._goes_on_m > 0.0
         across = -left * np.where(self._side > 0.0, own_mps, -own_mps)[:, None]
