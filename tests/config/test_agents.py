@@ -255,8 +255,8 @@ def test_a_job_of_hydra_knows_options_by_name() -> None:
          "metrics.terms.x.termination: there is no termination 'stuk'; did you mean stuck?"),
         ({"a": {"body": {"name": "urdf", "path": "car.urdf", "drive": {"kind": "ackermann"}},
                 "controller": "orca"}},
-         "agents.a: controller orca moves bodies that are holonomic or unicycle, and the body urdf is "
-         "bicycle: choose controller=go_to_goal, or another body"),
+         "agents.a: controller orca is for bodies that move as holonomic or unicycle, and urdf is bicycle: "
+         "choose another controller, or the body person, child, cow, sheep or dog"),
         ({"a": {"body": "rover_zero"},
           "b": {"body": "person", "controller": {"name": "follow", "target": "c"}}},
          "agents.b.controller.target: there is no group 'c'; choose robots, a or b"),
