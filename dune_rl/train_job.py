@@ -23,7 +23,6 @@ from rich.console import Console
 
 from dune_rl import command, paths
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
-from dune_rl.config.controllers import check_policies
 from dune_rl.config.schema import Conf, EnvConf, ViewConf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
@@ -49,6 +48,9 @@ def run(parsed: Namespace) -> None:
         conf = compose(parsed.overrides, folders)
         # Before Hydra writes its own files.
         _check_device(conf)
+        # Only now: it loads what simulates, which a misspelt setting need not wait for.
+        from dune_rl.config.controllers import check_policies
+
         check_policies(conf)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)

@@ -8,6 +8,7 @@ import yaml
 from dune_rl import paths
 from dune_rl.behaviours.path_follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
+from dune_rl.bodies.animals import SheepConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import AgentGroupConf, walker_sensors
 from dune_rl.config.compose import (
@@ -132,6 +133,29 @@ VORT_METRICS: dict[str, Any] = {
     "uneven_10": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 10.0},
     "uneven_15": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 15.0},
 }
+ACTOR_SENSORS = SensorsConf.model_validate(
+    {
+        "enabled": ["goal", "neighbours", "lidar", "velocity"],
+        "named": {
+            "neighbours": {"sensor": "neighbours", "number": 4, "range_m": 10.0},
+            "velocity": {"sensor": "planar_velocity"},
+        },
+        "lidar": {"n_beams": 36, "n_segments": 12, "range_m": 6.0},
+    }
+)
+ARRIVAL = {"term": "ended_by", "termination": "goal_reached", "weight": 2.0}
+TO_AND_FRO = {"goal_reached": {"distance_m": 0.5, "renew": True}}
+COOPERATIVE = TaskConf.model_validate(
+    {
+        "rewards": {
+            "progress": {},
+            "near_miss": {"weight": -0.5, "comfort_m": 1.2, "own_group": True},
+            "goal": ARRIVAL,
+            "contact": {"weight": -5.0},
+        },
+        "terminations": TO_AND_FRO,
+    }
+)
 PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "none"): {},
     ("actors", "default"): {"walker": WALKERS},
@@ -140,7 +164,16 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "crossing"): {"walker": people({"name": "crossing"}, 2)},
     ("actors", "flee"): {"walker": people({"name": "flee"}, 4, 1.5)},
     ("actors", "follow"): {"walker": people({"name": "follow"}, 1)},
-    ("actors", "herd"): {"herd": people({"name": "herd"}, 8, 1.5)},
+    ("actors", "herd"): {
+        "herd": AgentGroupConf(
+            body=SheepConf(), count=8, controller=BEHAVIOURS.parse_settings({"name": "herd"})
+        )
+    },
+    ("actors", "learning_walkers"): {
+        "walker": WALKERS.model_copy(
+            update={"controller": "external", "count": 4, "sensors": ACTOR_SENSORS, "task": COOPERATIVE}
+        )
+    },
     ("actors", "orca"): {"walker": people({"name": "orca"}, 8, 1.5)},
     ("actors", "patrol"): {"walker": people({"name": "patrol", "places": SQUARE}, 2)},
     ("actors", "random_waypoint"): {"walker": people({"name": "random_waypoint"}, 5)},
@@ -196,7 +229,23 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         },
     ),
     ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),
+    ("sensors", "actor"): ACTOR_SENSORS,
     ("task", "walking"): walking_task(),
+    ("task", "cooperative"): COOPERATIVE,
+    ("task", "indifferent"): TaskConf.model_validate(
+        {"rewards": {"progress": {}, "goal": ARRIVAL}, "terminations": TO_AND_FRO}
+    ),
+    ("task", "adversarial"): TaskConf.model_validate(
+        {
+            "rewards": {
+                "closing_in": {"weight": 0.5, "ahead_m": 2.0},
+                "blocking": {"weight": 0.2, "ahead_m": 4.0, "width_m": 1.0},
+                "robot_progress": {"weight": -1.0},
+                "ran_into_robot": {"weight": -10.0, "min_speed_mps": 0.05, "pushing": 0.1},
+            },
+            "terminations": TO_AND_FRO,
+        }
+    ),
     ("weather", "clear"): WeatherConf(),
     ("weather", "dusk"): WeatherConf(light=LightConf(sun_bearing_deg=195.0, sun_elevation_deg=6.0)),
     ("weather", "dust"): WeatherConf(dust_visibility_m=30.0),
@@ -243,13 +292,17 @@ def test_yaml_states_every_setting(group: str, option: str) -> None:
         settings = leaves({"actors": plain.model_dump()["actors"]})
         inherits = "defaults" in stated["actors"]
         stated["actors"].pop("defaults", None)
+        # A name stands for all settings of that option.
+        named = {f"actors.{each}.{part}" for each in plain.actors for part in ("sensors", "task", "metrics")}
     else:
         settings = leaves(plain.model_dump())
         inherits = "defaults" in stated
         stated.pop("defaults", None)
+        # A term of the other option is left out by null.
+        named = {f"rewards.{name}" for name, term in stated.get("rewards", {}).items() if term is None}
     if inherits:
         # It changes another option, which states the rest; a mark of default actors is no setting.
-        assert leaves(stated) - {f"actors.walker.{MARK}"} < settings
+        assert leaves(stated) - {f"actors.walker.{MARK}"} - named < settings
     else:
         assert leaves(stated) | ({"path"} & settings) | of_every_term(settings) == settings
 

@@ -4,6 +4,7 @@ import json
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -12,6 +13,7 @@ import yaml
 
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
+from dune_rl.config.schema import EnvConf
 from dune_rl.env.episode_plan import EpisodePlan, PlannedEpisode
 from dune_rl.episode_sets import __main__ as episode_sets
 from dune_rl.episode_sets import plan_of_set, read_episode_set, set_names, settings_on_set, write_episode_set
@@ -25,6 +27,17 @@ from dune_rl.paths import conf_folder
 RECIPES = all_recipes()
 # As one session of a machine differs from another: rows are rounded to a millimetre.
 ABOUT = 0.002
+
+
+def with_defaults(settings: dict[str, Any], conf: EnvConf) -> dict[str, Any]:
+    """The settings of a set's header with what they leave out, as validation fills it in."""
+    plain = conf.model_dump(mode="json")
+    merged = {**plain, **settings, "task": {**plain["task"], **settings["task"]}}
+    filled = EnvConf.model_validate(merged).model_dump(mode="json")
+    return {
+        section: {key: filled["task"][key] for key in values} if section == "task" else filled[section]
+        for section, values in settings.items()
+    }
 
 
 def test_every_family_has_every_variant() -> None:
@@ -45,6 +58,9 @@ def test_a_set_is_as_its_recipe_says(name: str) -> None:
         assert all(0 < seed < drawn["low"] for seed in seeds if seed is not None)
     header = json.loads(json.dumps(recipe.header(len(set(seeds)))))
     stated = episode_set.header.model_dump(mode="json")
+    # A set that was made before there was a setting has its default.
+    robot = [f"robot={episode_set.header.robot}"]
+    stated["settings"] = with_defaults(stated["settings"], compose_environment(recipe.world, robot))
     assert {key: stated[key] for key in header} == header
     starts, goals = (np.array([getattr(one, end)[:2] for one in rows]) for end in ("start", "goal"))
     apart = np.hypot(*(goals - starts).T)

@@ -311,7 +311,7 @@ def needed(robot: Placed, *statics: StaticBody, others: Sequence[Placed] = (), w
 
     `walkers` have the x, where y is 0, from which and to which each goes.
     """
-    old, new = ([[ends[index], 0.0, 0.0, 0.0] for ends in walkers] for index in (0, 1))
+    old, new = ([[ends[index], *[0.0] * 5] for ends in walkers] for index in (0, 1))
     bodies = [rover_body(), *(rover_without_tyres() for _ in others)]
     gate = ContactGate((plane(), *statics), [walker() for _ in walkers], bodies)
     gate.find_contacts([robot, *others], 0.05, {}, old, new)

@@ -301,7 +301,7 @@ def test_a_walker_earns_its_progress_at_any_control_rate(control_hz: int) -> Non
     conf = compose_environment("flat", [f"physics.control_hz={control_hz}"], {"actors": [path]})
     simulation = make_simulation(conf, 1, seed=0)
     simulation.reset()
-    simulation.group("walker").body.poses[0] = -6.0, 8.0, 0.0, 0.0
+    simulation.group("walker").body.poses[0] = -6.0, 8.0, 0.0, 0.0, 0.0, 0.0
     ahead = {"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])}
     # The first step's progress is from where the episode began.
     simulation.step(ahead)
