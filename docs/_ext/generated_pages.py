@@ -101,7 +101,7 @@ def group_settings() -> Section:
     """The settings of an agent group, of a person's body and of its path."""
     comments = {path.removeprefix("walker."): text for path, text in read_comments("actors/walkers").items()}
     comments["body"] = (
-        "a robot or a [body of actors](../how_to/actors.md): a name, or `{name: NAME}` with settings"
+        "a robot or a [body of actors](../../how_to/actors.md): a name, or `{name: NAME}` with settings"
     )
     group = read_section(AgentGroupConf, "agents.NAME", comments, only=frozenset(AgentGroupConf.model_fields))
     group.sections = []
