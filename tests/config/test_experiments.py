@@ -122,3 +122,11 @@ def test_the_table_of_speed_is_that_of_its_run() -> None:
     headline = README.read_text()
     assert f"takes {environment['overhead_ratio']:.2f} times its ten bare physics steps" in headline
     assert f"{environment['core_steps_per_s']:,.0f} of them a second" in headline
+
+
+def test_the_cost_of_actors_is_that_of_its_run() -> None:
+    found = json.loads((EXPERIMENTS / "speed" / "actors.jsonl").read_text())
+    path, force, orca = (found[f"actors_cost{kind}"] for kind in ("", "_social_force", "_orca"))
+    text = " ".join(SPEED_PAGE.read_text().split())
+    assert f"(`actors_cost`) {path:.0%}".replace("%", " %") in text
+    assert f"by social forces {force:.0%}, by ORCA {orca:.0%}".replace("%", " %") in text
