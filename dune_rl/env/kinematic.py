@@ -51,7 +51,8 @@ class KinematicBody:
         rows = len(worlds) * count
         self.poses = np.zeros((rows, POSE_SIZE))
         self.blocked = np.zeros(rows, bool)
-        self._unblocked = np.zeros(rows, bool)
+        self._nobody = np.zeros(rows, bool)
+        self._nobody.flags.writeable = False
         self.limits = conf.limits()
         self._room = Room(conf, worlds, count)
         self._stance = Stance(conf.supports_b, worlds, count)
@@ -177,7 +178,7 @@ class KinematicBody:
         limits, step_s = self.limits, self.step_s
         backing = self._backing_m > 0.0
         step = advance(limits, poses, self._velocity, actions, backing, step_s)
-        stopped = self._unblocked
+        stopped = self._nobody
         if limits.braking_mps2 is not None:
             way = self._way_ahead(step)
             clear = self._room.is_free(step.xy + way, step.yaw, poses)
@@ -275,7 +276,7 @@ class KinematicBody:
         if self._rotation is not None:
             attitude[:, :2] = self.poses[:, 4:]
             derived["rotation"] = self._rotation
-        return Motion(place, attitude, velocity_w, angular_w, self._unblocked, **derived)
+        return Motion(place, attitude, velocity_w, angular_w, self._nobody, **derived)
 
 
 def _outline(conf: BodySettings) -> Outline:

@@ -64,10 +64,16 @@ def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tup
     if faults:
         raise ConfigError("\n".join(faults))
     names = [one.name for one in found]
-    return tuple(
+    named = tuple(
         one if names.count(one.name) == 1 else replace(one, name=one.location.strip("/").replace("/", "_"))
         for one in found
     )
+    # Each has a folder of its name.
+    names = [one.name for one in named]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"populations: {twice} is there twice; leave one of them out")
+    return named
 
 
 def _population(location: str, config_dirs: Sequence[str]) -> Population:
@@ -200,7 +206,7 @@ def _read_record(path: Path) -> dict[str, Any]:
         names = [one["name"] for one in content["populations"]]
     except (OSError, ValueError, KeyError, TypeError):
         raise ConfigError(f"{path / RECORD} is missing or damaged; run the cross-play again") from None
-    if any(Path(name).name != name for name in names):
+    if any(Path(name).name != name or name == ".." for name in names):
         raise ConfigError(f"{path / RECORD} names a folder outside of {path}; run the cross-play again")
     found: dict[str, Any] = content
     return found

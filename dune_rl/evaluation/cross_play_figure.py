@@ -69,7 +69,7 @@ def _draw(
             for robot in robots
         ]
     )
-    lowest, highest = (0.0, 1.0) if about.is_share else _range(values)
+    lowest, highest = (0.0, 1.0) if about.is_share else _range(values, about.better)
     shade = (values - lowest) / (highest - lowest)
     if about.better == "lower":
         shade = 1.0 - shade
@@ -102,11 +102,13 @@ def _draw(
     axes.spines[:].set_visible(False)
 
 
-def _range(values: np.ndarray) -> tuple[float, float]:
-    """Lowest and highest value, apart."""
+def _range(values: np.ndarray, better: str) -> tuple[float, float]:
+    """Lowest and highest value, apart; from 0 on where less is better, so that none at all is the best."""
     if np.isnan(values).all():
         return 0.0, 1.0
     lowest, highest = float(np.nanmin(values)), float(np.nanmax(values))
+    if better == "lower" and lowest >= 0.0:
+        return 0.0, max(highest, 1.0)
     return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
 
 

@@ -110,6 +110,17 @@ def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
     assert not conf.cross_play and conf.populations == ()
 
 
+def test_a_population_that_is_there_twice_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"^populations: none is there twice; leave one of them out$"):
+        find_populations(settings("populations=[none,walkers,none]"))
+
+
+def test_a_record_that_leads_out_of_its_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "cross_play.json").write_text('{"populations": [{"name": ".."}], "robots": []}')
+    with pytest.raises(ConfigError, match="names a folder outside"):
+        run_cross_play(tmp_path, Console(quiet=True))
+
+
 def test_what_is_no_population_is_named(run: Path, tmp_path: Path) -> None:
     published = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
     words = f"populations=[walkrs,learning_walkers,{published}]"
