@@ -8,7 +8,7 @@ Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, z u
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,15 +212,18 @@ class EpisodeState:
 class GroupState:
     """One agent group after a control step; every array has the leading axis N = M * G.
 
-    `done` (N,) marks agents whose own episode ended in an earlier step, while their scene's goes on.
+    `done` (N,) marks agents whose own episode ended in an earlier step, or has not begun, while their scene's
+    goes on. `episode.steps` of an agent that comes later count from then on.
     `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
     half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
     any, and `reach_m` the radius of a disc that holds the outline. `kind` is the class of the bodies, such as
     person or vehicle; `is_robot` marks those that physics simulates. `turning_radius_m` is that of the
     tightest curve of bodies that cannot turn on the spot, 0 for all others; a rear axle runs on it,
     `rear_axle_m` behind the origin. `avoids` is False for groups that are moved along paths, and give way to
-    nobody. `energy` and `scanner` are None unless a term needs them. `endings` has the flags (N,) of each
-    termination term by name; rewards and metrics are evaluated after these.
+    nobody. `absent` (N,) marks agents that have not come yet, or are gone: they are far outside of the world,
+    at rest, and `done`; None where agents do not come and go. `energy` and `scanner` are None unless a term
+    needs them. `endings` has the flags (N,) of each termination term by name; rewards and metrics are
+    evaluated after these.
     """
 
     name: str
@@ -242,6 +245,7 @@ class GroupState:
     reach_m: float = 0.0
     is_robot: bool = False
     avoids: bool = True
+    absent: Flags | None = None
 
     @cached_property
     def nearest_return(self) -> Array:
@@ -278,7 +282,7 @@ class GroupState:
         flags = self.endings.get(termination)
         return np.zeros(len(self.done), bool) if flags is None else flags
 
-    def by_scene(self, values: Array) -> Array:
+    def by_scene(self, values: NDArray[Any]) -> NDArray[Any]:
         """`values` (N, ...) reshaped to (M, G, ...)."""
         return values.reshape(-1, self.count, *values.shape[1:])
 
@@ -304,6 +308,7 @@ class State:
                 group.reach_m,
                 group.is_robot,
                 group.avoids,
+                group.absent,
             )
             for group in self.groups.values()
         ]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ class GroupBodies:
     """The bodies of one group: `position_w`, `velocity_w` (N, 2) [m, m/s], `yaw` (N,) [rad], `reach_m`.
 
     `reach_m` is the radius of a disc about the origin that holds the outline. `avoids` says whether the group
-    may give way to others.
+    may give way to others, and `absent` (N,) marks bodies that are not there, but far outside; None: all are.
     """
 
     name: str
@@ -33,14 +34,15 @@ class GroupBodies:
     reach_m: float
     is_robot: bool
     avoids: bool
+    absent: Flags | None = None
 
 
 class Surroundings:
     """The K bodies of each of M scenes, group after group, and the nearest static obstacle of each.
 
     `position_w`, `velocity_w` (M, K, 2) [m, m/s]; `yaw` (M, K) [rad]; `reach_m` (K,) [m], `is_robot` and
-    `avoids` (K,) as in `GroupBodies`. `clearance` measures points (M, ..., 2); `extents` are the terrains'
-    rectangles (M, 4) [m].
+    `avoids` (K,) as in `GroupBodies`. `are_here` (M, K) is False for bodies that are far outside.
+    `clearance` measures points (M, ..., 2); `extents` are the terrains' rectangles (M, 4) [m].
     """
 
     def __init__(
@@ -53,6 +55,8 @@ class Surroundings:
         self.reach_m = np.repeat([each.reach_m for each in bodies], counts)
         self.is_robot = np.repeat([each.is_robot for each in bodies], counts)
         self.avoids = np.repeat([each.avoids for each in bodies], counts)
+        absent = [np.zeros(len(each.yaw), bool) if each.absent is None else each.absent for each in bodies]
+        self.are_here: Flags = ~_by_scene(absent, bodies)
         firsts = np.cumsum([0, *counts]).tolist()
         self._columns: Mapping[str, slice] = {
             each.name: slice(first, first + each.count)
@@ -111,7 +115,7 @@ class Surroundings:
 _TO_EDGES = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
 
 
-def _by_scene(values: Sequence[Array], bodies: Sequence[GroupBodies]) -> Array:
+def _by_scene(values: Sequence[NDArray[Any]], bodies: Sequence[GroupBodies]) -> NDArray[Any]:
     """Arrays (M * G, ...) of the groups as one (M, K, ...)."""
     parts = [
         value.reshape(-1, each.count, *value.shape[1:]) for value, each in zip(values, bodies, strict=True)

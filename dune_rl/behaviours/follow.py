@@ -22,7 +22,8 @@ class Follow(SteeredBehaviour):
 
     Leader following with arrival, after Reynolds, "Steering behaviors for autonomous characters" (1999): the
     speed is the distance beyond `distance_m` over 0.5 s. It walks on the leader's trail of the last 32 m, and
-    so round the obstacles that the leader went round. The leader is chosen at the start of an episode.
+    so round the obstacles that the leader went round. The leader is chosen at the start of an episode, and
+    again when it leaves the scene.
     """
 
     motion_models = ("holonomic", "unicycle", "bicycle")
@@ -47,6 +48,7 @@ class Follow(SteeredBehaviour):
         """Along the trail, at a speed that falls as the gap closes."""
         around, rows = state.surroundings, np.arange(self._num_rows)
         here, scenes = group.motion.position_w[:, :2], rows // group.count
+        self._fresh = self._fresh | ~around.are_here[scenes, self._leader]
         if self._fresh.any():
             self._choose_leaders(state, group)
         leader = around.position_w[scenes, self._leader]
@@ -72,7 +74,7 @@ class Follow(SteeredBehaviour):
         leader, _, _, distance = nearest_of(state, group, self._target)
         scenes = np.arange(self._num_rows) // group.count
         apart = np.linalg.norm(around.position_w[scenes] - leader[:, None], axis=-1)
-        apart[:, ~around.are_of(self._target)] = np.inf
+        apart[~(around.are_of(self._target) & around.are_here[scenes])] = np.inf
         alone = around.columns(group.name).start + np.arange(self._num_rows) % group.count
         chosen = np.where(np.isfinite(distance), apart.argmin(axis=1), alone)
         self._leader = np.where(self._fresh, chosen, self._leader)

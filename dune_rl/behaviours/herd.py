@@ -23,8 +23,8 @@ class Herd(DestinedBehaviour):
     After Reynolds, "Flocks, herds and schools" (1987). The wanted velocity is the weighted sum of: the way to
     the middle of the herd members in sight, over 2 s, as far as it is beyond `spacing_m`; their mean
     velocity; the sum of (spacing_m / d - 1) away from each member that is nearer than `spacing_m`; and the
-    speed of walking to the pasture, which is that of the first member. Robots nearer than `flight_m` are run
-    away from.
+    speed of walking to the pasture, which is that of the first member that is there. Robots nearer than
+    `flight_m` are run away from.
     """
 
     def __init__(
@@ -61,6 +61,8 @@ class Herd(DestinedBehaviour):
         cohesion, alignment, separation, migration = self._weights
         target, pauses = self.targets(state, group)
         first = np.arange(self._num_rows) // group.count * group.count
+        if group.absent is not None:
+            first += np.repeat(group.by_scene(~group.absent).argmax(axis=1), group.count)
         walk = np.where(pauses[first], 0.0, self._speed_mps)
         to_middle, mean_velocity, from_others = self._neighbours(group)
         wanted = (

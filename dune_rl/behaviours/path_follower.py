@@ -178,29 +178,37 @@ class PathFollower:
         They are `start_distance_m` away from the points `avoid_xy` (R, 2); if no sampled point of an agent's
         paths is that far away, the farthest one is used.
         """
+        return np.array([self._start(scene, agent, rng, avoid_xy)[0] for agent in range(self.count)])
+
+    def place_agent(self, scene: int, agent: int, rng: np.random.Generator, avoid_xy: Array) -> Array | None:
+        """As `reset`, of one agent; None where none of its paths begins far enough away."""
+        pose, apart = self._start(scene, agent, rng, avoid_xy)
+        return pose if apart >= self.conf.start_distance_m else None
+
+    def _start(
+        self, scene: int, agent: int, rng: np.random.Generator, avoid_xy: Array
+    ) -> tuple[Array, float]:
+        """Start an agent on one of its paths: its pose (4), and its distance [m] from `avoid_xy` (R, 2)."""
         bank, choices, stops = self._paths[self._worlds[scene]]
-        is_once = self.conf.mode == "once"
-        poses = np.zeros((self.count, 4))
-        for agent in range(self.count):
-            farthest = -1.0
-            for _ in range(_START_TRIES):
-                loop = rng.choice(choices[agent])
-                travelled = 0.0 if is_once else rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
-                pose = bank.pose(loop, np.asarray(travelled))
-                apart = float(np.hypot(*(pose[:2] - avoid_xy).T).min(initial=np.inf))
-                if apart > farthest:
-                    farthest = apart
-                    self._loop[scene, agent] = loop
-                    self._travelled[scene, agent] = travelled
-                    poses[agent] = pose
-                    self.goals_w[scene * self.count + agent] = bank.far_end(loop)[:2]
-                if apart >= self.conf.start_distance_m:
-                    break
-            drawn = self._loop[scene, agent], self._travelled[scene, agent]
-            self._stops.reset(scene, agent, float(drawn[1]), int(drawn[0]), stops)
-        self._outbound[scene * self.count : (scene + 1) * self.count] = True
-        self._offsets[scene] = 0.0
-        return poses
+        is_once, row = self.conf.mode == "once", scene * self.count + agent
+        farthest, found = -1.0, np.zeros(4)
+        for _ in range(_START_TRIES):
+            loop = rng.choice(choices[agent])
+            travelled = 0.0 if is_once else rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
+            pose = bank.pose(loop, np.asarray(travelled))
+            apart = float(np.hypot(*(pose[:2] - avoid_xy).T).min(initial=np.inf))
+            if apart > farthest:
+                farthest, found = apart, pose
+                self._loop[scene, agent] = loop
+                self._travelled[scene, agent] = travelled
+                self.goals_w[row] = bank.far_end(loop)[:2]
+            if apart >= self.conf.start_distance_m:
+                break
+        drawn = self._loop[scene, agent], self._travelled[scene, agent]
+        self._stops.reset(scene, agent, float(drawn[1]), int(drawn[0]), stops)
+        self._outbound[row] = True
+        self._offsets[scene, agent] = 0.0
+        return found, farthest
 
     def advance(self, distance_m: float) -> Array:
         """Move each agent by `distance_m` along its loop, after returning to it; returns the poses (N, 4)."""

@@ -148,7 +148,7 @@ def nearest_of(state: State, group: GroupState, who: str) -> tuple[Array, Array,
         zeros = np.zeros_like(position)
         return position.copy(), zeros, zeros[:, 0], np.full(len(rows), np.inf)
     apart = np.linalg.norm(around.position_w[scenes][:, chosen] - position[:, None], axis=-1)
-    apart[chosen[None] == own[:, None]] = np.inf
+    apart[(chosen[None] == own[:, None]) | ~around.are_here[scenes][:, chosen]] = np.inf
     nearest = apart.argmin(axis=1)
     column = chosen[nearest]
     return (

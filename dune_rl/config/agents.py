@@ -18,6 +18,7 @@ from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.suggestions import closest, one_of
+from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.task import TaskConf, walking_task
 
 EXTERNAL, PATH, TRAJECTORY = "external", "path", "trajectory"
@@ -105,7 +106,7 @@ class AgentGroupConf(Settings):
     `{trajectory: FILE}` (those of another file), a behaviour, or a checkpoint of
     a trained policy. `path` has the paths on which persons start, and between
     whose ends they go; other bodies have none unless it is given, and start and
-    go in the region of their task.
+    go in the region of their task. With `presence` the agents come and go.
 
     Where `sensors`, `task` or `metrics` are None, they follow from the rest:
     see `resolve_groups`.
@@ -117,6 +118,9 @@ class AgentGroupConf(Settings):
     path: PathConf | None = Field(
         None, description="where persons start, and between which ends they go; null: the defaults below"
     )
+    presence: PresenceConf | None = Field(
+        None, description="when the agents come and go; null: they are there all the time"
+    )
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
@@ -126,6 +130,12 @@ class AgentGroupConf(Settings):
         fault = why_not(self.body, self.controller, has_path=self.path is not None)
         if fault:
             raise ValueError(fault)
+        if self.presence is not None and not isinstance(self.body, BodySettings):
+            raise ValueError(
+                f"presence is for people, vehicles and animals, and a {self.body.name} stays: leave it out"
+            )
+        if self.presence is not None and follows_trajectories(self.controller):
+            raise ValueError("presence: trajectories have times of their own; leave presence out")
         return self
 
 
@@ -157,6 +167,7 @@ class ResolvedGroup:
     sensors: SensorsConf | None
     task: TaskConf | None
     metrics: MetricsConf | None
+    presence: PresenceConf | None = None
 
     @property
     def is_external(self) -> bool:
@@ -228,6 +239,7 @@ def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> Reso
         group.sensors or sensors,
         group.task or task,
         group.metrics or metrics,
+        group.presence,
     )
 
 

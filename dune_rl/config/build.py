@@ -99,6 +99,7 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
+            presence=group.presence,
         )
         for group in conf.groups
     ]

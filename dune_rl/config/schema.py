@@ -84,6 +84,19 @@ class EnvConf(Settings):
         return self
 
     @model_validator(mode="after")
+    def _somebody_is_there(self) -> Self:
+        groups = self.external_groups
+        if groups and all(
+            group.presence is not None and not group.presence.is_from_the_start for group in groups
+        ):
+            section = "actors" if self.agents is None else "agents"
+            raise ValueError(
+                f"{section}.{groups[0].name}.presence.arrive_s: no external agent is there when an episode "
+                "starts; let those of one group come at [0, 0]"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _can_be_drawn(self) -> Self:
         self.randomisation.check(self.world, self.weather)
         return self

@@ -17,12 +17,14 @@ from dune_rl.env.controllers import Controller
 from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
 from dune_rl.env.group_metrics import GroupMetrics
 from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.visits import Visits
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
 from dune_rl.state import EnergyState, GoalState, GroupState, ScanQueries, State
+from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.task import Task, TaskConf
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
@@ -44,7 +46,7 @@ class GroupSetup:
     `controller` that follows nothing is external: its actions come from a user or a learner. `paths` are the
     paths of kinematic agents; with `follows_paths` the agents walk along them. With `follows_trajectories`
     they walk on `trajectories`, or where these are None on those of their world. A group without `task` has
-    rewards of 0 and never ends an episode.
+    rewards of 0 and never ends an episode. With `presence` its agents come and go.
     """
 
     name: str
@@ -58,6 +60,7 @@ class GroupSetup:
     sensors: SensorsConf | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
+    presence: PresenceConf | None = None
 
     @property
     def is_external(self) -> bool:
@@ -95,7 +98,8 @@ class AgentGroup:
     """The agents of one group in M scenes, rows scene after scene: N = M * G.
 
     An agent that is done before its scene's episode ends stays in the scene: it stands still, its rewards
-    are 0, and its metrics do not change.
+    are 0, and its metrics do not change. Where agents come and go, `visits` says when; those that are not in
+    their scenes count as done, and as truncated if they have not ended otherwise.
     """
 
     def __init__(
@@ -106,9 +110,10 @@ class AgentGroup:
         spawners: Spawners,
         num_rows: int,
         collision_gap_steps: int,
+        visits: Visits | None = None,
     ) -> None:
         self.setup, self.name, self.count = setup, setup.name, setup.count
-        self.body, self.goals, self.spawners = body, goals, spawners
+        self.body, self.goals, self.spawners, self.visits = body, goals, spawners, visits
         self.suite: SensorSuite | None = None
         self.names = tuple(f"{setup.name}_{agent}" for agent in range(setup.count))
         self.collisions = CollisionCounter(num_rows, collision_gap_steps)
@@ -120,7 +125,7 @@ class AgentGroup:
         low, high = body.action_bounds()
         self.action_bounds = low.astype(np.float32), high.astype(np.float32)
         self.action_size = len(low)
-        self._rest = body.rest_action()
+        self.rest_action = body.rest_action()
         self.outline, self.radius_m = body.outline, body.radius_m
         self.reach_m = body.outline.radius_m or float(np.hypot(*body.outline.half_size))
         self.wheel_radius_m = body.wheel_radius_m
@@ -183,6 +188,8 @@ class AgentGroup:
         """Read the start states in `mask` (N,) from physics; a scene has at most `bodies` bodies."""
         self.collisions.make_room(bodies)
         self.body.read_start(mask, engines)
+        if self.visits is not None:
+            self.truncate(mask & self.visits.absent)
 
     def begin(self, mask: Flags, state: State) -> None:
         """Start task, metrics, sensors and controller of the agents in `mask` (N,) at `state`."""
@@ -190,6 +197,8 @@ class AgentGroup:
         if self.task is not None:
             self.task.reset(mask, now)
         self.measured.reset(mask, now)
+        if self.visits is not None:
+            self.measured.clear(mask & self.visits.absent)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
         if self._controller is not None:
@@ -212,7 +221,7 @@ class AgentGroup:
             actions = self._controller.act(state, now, self.observe)
         assert actions is not None
         if self.done.any():
-            actions = np.where(self.done[:, None], self._rest, actions)
+            actions = np.where(self.done[:, None], self.rest_action, actions)
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
@@ -256,9 +265,33 @@ class AgentGroup:
         return Evaluation(reward.astype(np.float32), now)
 
     def truncate(self, mask: Flags) -> None:
-        """Truncate the agents in `mask` (N,) that are not done, because their scene's episode ends."""
+        """Truncate the agents in `mask` (N,) that have not terminated: their scene's episode, or visit, is
+        over.
+        """
         self.truncated |= mask & ~self.terminated
         self.done |= mask
+
+    def admit(self, mask: Flags) -> None:
+        """Let the agents in `mask` (N,), who have just come, take part from the next step on."""
+        for flags in (self.done, self.terminated, self.truncated):
+            flags[mask] = False
+
+    def own_steps(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Control steps (N,) of each agent, of those of the scenes, (M,)."""
+        rows = steps if self.count == 1 else np.repeat(steps, self.count)
+        return rows if self.visits is None else self.visits.own_steps(rows)
+
+    def agents_of(self, scene: int) -> list[int]:
+        """Numbers of the agents of a scene that are there."""
+        if self.visits is None:
+            return list(range(self.count))
+        rows = slice(scene * self.count, (scene + 1) * self.count)
+        return np.flatnonzero(~self.visits.absent[rows]).tolist()
+
+    @property
+    def absent(self) -> Flags | None:
+        """Flags (N,) of agents that are not in their scenes; None where agents do not come and go."""
+        return None if self.visits is None else self.visits.absent.copy()
 
     def sense(self, state: State) -> None:
         """Read the sensors at the end of a control step."""
@@ -284,4 +317,7 @@ class AgentGroup:
         """
         if self.measured.own is None or self.task is None:
             return []
-        return [self.measured.own.values, self.task.reward_sums]
+        sums = self.task.reward_sums
+        if self.visits is not None:
+            sums = np.where(self.visits.came[:, None], sums, np.nan)
+        return [self.measured.own.values, sums]

@@ -14,6 +14,7 @@ from dune_rl.env.room import has_room
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
 from dune_rl.env.sensing import sensor_context
 from dune_rl.env.state_builder import StateBuilder
+from dune_rl.env.visits import Visits
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.context import SensorContext
@@ -32,15 +33,16 @@ def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager) -> tuple[Ag
     robots: list[RegionGoals] = []
     roaming: list[RegionGoals] = []
     spawners = _SharedSpawners(scenes.worlds.worlds)
+    lane = 0
     for setup in setups:
-        rows = len(scenes.worlds) * setup.count
         if not isinstance(setup.body, BodySettings):
-            group = _robot_group(setup, scenes, rows, spawners, robots)
+            group = _robot_group(setup, scenes, spawners, robots)
         elif setup.paths is not None or setup.follows_trajectories:
-            group = _group_on_paths(setup, setup.body, scenes, rows, spawners)
+            group = _group_on_paths(setup, setup.body, scenes, lane, spawners)
         else:
-            group = _roaming_group(setup, setup.body, scenes, rows, roaming)
+            group = _roaming_group(setup, setup.body, scenes, lane, roaming)
         groups.append(group)
+        lane += setup.count
     # Other agents keep off robots, and robots take no notice of them.
     roaming[:0] = robots
     return tuple(groups)
@@ -67,11 +69,11 @@ def _gap_steps(scenes: SceneManager) -> int:
 def _robot_group(
     setup: GroupSetup,
     scenes: SceneManager,
-    rows: int,
     shared_spawners: _SharedSpawners,
     robots: list[RegionGoals],
 ) -> AgentGroup:
     assert not isinstance(setup.body, BodySettings)
+    rows = len(scenes.worlds) * setup.count
     robot = setup.body(rows)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
     body = ArticulatedBody(
@@ -96,9 +98,9 @@ def _robot_group(
 
 
 def _group_on_paths(
-    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, rows: int, shared_spawners: _SharedSpawners
+    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, lane: int, shared_spawners: _SharedSpawners
 ) -> AgentGroup:
-    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
+    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, lane)
     worlds = scenes.worlds.worlds
     follower: PathFollower | TrajectoryFollower
     if setup.follows_trajectories:
@@ -107,14 +109,22 @@ def _group_on_paths(
         radius, paths = conf.keep_out_radius_m, setup.paths or PathConf()
         follower = PathFollower(paths, setup.count, radius, worlds, setup.name, conf.speed_mps)
     spawners = shared_spawners.of(SpawnConf(), conf.keep_out_radius_m)
+    rows = len(scenes.worlds) * setup.count
     goals = GoalTracker(PathGoals(follower), rows)
-    return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes))
+    return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes), _visits(setup, scenes))
+
+
+def _visits(setup: GroupSetup, scenes: SceneManager) -> Visits | None:
+    """The visits of agents that come and go; None for all others."""
+    if setup.presence is None:
+        return None
+    return Visits(setup.presence, setup.name, len(scenes.worlds), setup.count, scenes.conf.control_step_s)
 
 
 def _roaming_group(
-    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, rows: int, roaming: list[RegionGoals]
+    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, lane: int, roaming: list[RegionGoals]
 ) -> AgentGroup:
-    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s)
+    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, lane)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
     radius, worlds = conf.keep_out_radius_m, scenes.worlds.worlds
     spawners = Spawners(spawn, radius, worlds, partial(has_room, conf), f"{setup.name} ({conf.name}): ")
@@ -128,7 +138,9 @@ def _roaming_group(
         roaming,
         setup.name,
     )
-    return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
+    rows = len(scenes.worlds) * setup.count
+    tracker = GoalTracker(goals, rows)
+    return AgentGroup(setup, body, tracker, spawners, rows, _gap_steps(scenes), _visits(setup, scenes))
 
 
 def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:

@@ -16,6 +16,7 @@ from dune_rl.env.goals import PathGoals, RegionGoals
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.scene_spec import standing_pose
+from dune_rl.env.turnover import park_absent
 from dune_rl.errors import WorldError
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.seeding import stream
@@ -76,6 +77,9 @@ class EpisodeStart:
             used = scenes.used_worlds()
             for group in self._groups:
                 group.spawners.keep(used)
+        for group in self._kinematic:
+            if group.visits is not None:
+                group.visits.begin(scene, seed, episode)
         starts, taken = self._place_robots(scene, world, seed, episode, request)
         avoid = np.array([position[:2] for poses in starts for position, _ in poses]).reshape(-1, 2)
         avoid = np.concatenate([avoid, self._place_roaming(scene, seed, episode, taken)])
@@ -86,6 +90,7 @@ class EpisodeStart:
             if index:
                 draws = stream(seed, f"actors {group.name}", episode)
             group.body.place(scene, group.goals.source.follower.reset(scene, draws, avoid))
+            park_absent(group, scene)
         scenes.reset(scene, self.kinematic_poses()[scene])
         self._reset_contacts(scene, world, starts)
         scenes.settle(scene)
@@ -144,14 +149,17 @@ class EpisodeStart:
             source, body = group.goals.source, group.body
             assert isinstance(source, RegionGoals)
             assert isinstance(body, KinematicBody)
+            here = group.agents_of(scene)
             try:
-                placed = source.place(scene, seed, episode, taken)
+                placed = source.place(scene, seed, episode, taken, here)
             except WorldError as error:
                 raise WorldError(f"{group.name} (count {group.count}): {error}") from None
             taken = [*taken, *((one, source.footprint_radius_m) for one in placed)]
-            poses = np.array([(one.x, one.y, 0.0, one.yaw) for one in placed])
+            poses = np.zeros((group.count, 4))
+            poses[here] = np.array([(one.x, one.y, 0.0, one.yaw) for one in placed]).reshape(-1, 4)
             poses[:, 2] = self._scenes.worlds.worlds[scene].terrain.height(poses[:, :2])
             body.place(scene, poses)
+            park_absent(group, scene)
             points.append(body.outline_points(scene))
         return np.concatenate(points)
 

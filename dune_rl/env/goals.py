@@ -1,6 +1,6 @@
 """Where the agents of a group start and where they are to go."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -100,15 +100,22 @@ class RegionGoals:
         self._streams: list[np.random.Generator | None] = [None] * (num_scenes * count)
 
     def place(
-        self, scene: int, seed: int, episode: int, taken: Sequence[tuple[Placement, float]]
+        self,
+        scene: int,
+        seed: int,
+        episode: int,
+        taken: Sequence[tuple[Placement, float]],
+        agents: Iterable[int] | None = None,
     ) -> list[Placement]:
         """Sample starts and goals of a scene's agents for an episode, at a distance from those `taken`.
+
+        `agents` are the numbers of those that are placed; None: all.
 
         `taken` has the placements of other robots and their footprint radii [m]. Raises WorldError if there
         is no room.
         """
         found = list(taken)
-        for agent in range(self._count):
+        for agent in range(self._count) if agents is None else agents:
             found.append((self.place_agent(scene, seed, episode, agent, found), self.footprint_radius_m))
         return [placement for placement, _ in found[len(taken) :]]
 

@@ -57,6 +57,12 @@ class GroupMetrics:
         for each in self._sets():
             each.reset(mask, now)
 
+    def clear(self, mask: Flags) -> None:
+        """Leave the agents in `mask` (N,) without values, as they have no episode."""
+        if mask.any():
+            for each in self._sets():
+                each.clear(mask)
+
     def update(self, state: State, now: GroupState, reward: Array) -> None:
         """Add one control step with its `reward` (N,)."""
         for each in self._sets():

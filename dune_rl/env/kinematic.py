@@ -24,7 +24,8 @@ from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Scenes = NDArray[np.int64]
+Counts = NDArray[np.int64]
+Scenes = Counts
 
 # x, y, z [m], yaw, roll, pitch [rad].
 POSE_SIZE = 6
@@ -35,6 +36,8 @@ _BACKING_SHARE = 0.8
 _OUTLINE_SPACING_M = 0.25
 # Members of a group begin their strides apart by this share of one.
 _STRIDES_APART = 0.37
+# Bodies that are not in their scenes are this far outside of the world, this deep and this far apart [m].
+_PARKED_AWAY_M, _PARKED_DEEP_M, _PARKED_APART_M = 1e5, 1e3, 20.0
 
 
 class KinematicBody:
@@ -42,10 +45,15 @@ class KinematicBody:
 
     `poses` (N, 6) are x, y, z [m], yaw, roll and pitch [rad], from a command on those of the end of its
     control step; `motion` is derived from them by `read`. `blocked` (N,) marks bodies that stopped in the
-    last step in front of an obstacle, ground that they cannot cross, or the world's edge.
+    last step in front of an obstacle, ground that they cannot cross, or the world's edge. `parked` (N,) marks
+    bodies that are not in their scenes: they stand still, far outside of the world.
     """
 
-    def __init__(self, conf: BodySettings, worlds: BatchedWorlds, count: int, step_s: float) -> None:
+    def __init__(
+        self, conf: BodySettings, worlds: BatchedWorlds, count: int, step_s: float, lane: int = 0
+    ) -> None:
+        """Parked bodies stand in the places from number `lane` on, which no other group may use."""
+        self._lane = lane
         self.conf, self.count = conf, count
         self._worlds, self.step_s = worlds, step_s
         rows = len(worlds) * count
@@ -53,6 +61,7 @@ class KinematicBody:
         self.blocked = np.zeros(rows, bool)
         self._nobody = np.zeros(rows, bool)
         self._nobody.flags.writeable = False
+        self.parked = np.zeros(rows, bool)
         self.limits = conf.limits()
         self._room = Room(conf, worlds, count)
         self._stance = Stance(conf.supports_b, worlds, count)
@@ -114,12 +123,36 @@ class KinematicBody:
         """Put the bodies of a scene at `poses` (G, 4 or more), at rest; `read_start` must follow."""
         rows = slice(scene * self.count, (scene + 1) * self.count)
         self.poses = self.poses.copy()
-        self.poses[rows] = self._standing(poses, np.array([scene]))
+        self._put(rows, scene, self._standing(poses, np.array([scene])))
+        self._travelled_m[rows] = self.conf.stride_m * (_STRIDES_APART * np.arange(self.count) % 1.0)
+
+    def come(self, row: int, pose: Array) -> None:
+        """Put a parked body at a `pose` (4), at rest; `read_start` must follow."""
+        scene, agent = divmod(row, self.count)
+        poses = self.poses[scene * self.count : (scene + 1) * self.count, :4].copy()
+        poses[agent] = pose
+        standing = self._standing(poses, np.array([scene]))
+        self.poses = self.poses.copy()
+        self._put(slice(row, row + 1), scene, standing[agent : agent + 1])
+
+    def _put(self, rows: slice, scene: int, poses: Array) -> None:
+        """Put the bodies in `rows`, all of one scene, at `poses` (K, 6), at rest."""
+        self.poses[rows] = poses
         if self._flight is not None:
             self._flight.take_off(self.poses, rows, scene)
-        self.blocked[rows] = False
+        self.parked[rows], self.blocked[rows] = False, False
         self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
-        self._travelled_m[rows] = self.conf.stride_m * (_STRIDES_APART * np.arange(self.count) % 1.0)
+
+    def park(self, rows: Counts) -> None:
+        """Take the bodies in `rows` (K,) out of their scenes, until the next `place` or `come`."""
+        extents, agents = self._worlds.extents[rows // self.count], rows % self.count
+        self.poses = self.poses.copy()
+        self.poses[rows] = 0.0
+        self.poses[rows, 0] = extents[:, 1] + _PARKED_AWAY_M
+        self.poses[rows, 1] = extents[:, 3] + _PARKED_AWAY_M + _PARKED_APART_M * (self._lane + agents)
+        self.poses[rows, 2] = -_PARKED_DEEP_M
+        self.parked[rows], self.blocked[rows] = True, False
+        self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
 
     def read_start(self, mask: Flags, engines: Engines = ()) -> None:
         """Set the motion in the rows in `mask` (N,) to rest."""
@@ -145,7 +178,8 @@ class KinematicBody:
     def move_to(self, poses: Array) -> None:
         """Move to `poses` (N, 4 or 6) by the end of the control step; those of 4 lean with the ground."""
         self._start_poses = self.poses
-        self.poses = self._standing(poses) if poses.shape[1] < POSE_SIZE else poses
+        reached = self._standing(poses) if poses.shape[1] < POSE_SIZE else poses
+        self.poses = np.where(self.parked[:, None], self.poses, reached) if self.parked.any() else reached
 
     def command(self, actions: Array, known: BodyMotion, engines: Engines = ()) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
@@ -167,6 +201,9 @@ class KinematicBody:
             self._stance.put(poses)
         self.move_to(poses)
         self.blocked = ~free | stopped
+        if self.parked.any():
+            self.blocked &= ~self.parked
+            self._velocity = np.where(self.parked[:, None], 0.0, self._velocity)
         if self.limits.model == "bicycle":
             self._back_off(actions, step)
 

@@ -1,5 +1,6 @@
 """The PettingZoo parallel environment of one scene's external agents."""
 
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
@@ -37,6 +38,11 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     the episode's last step: those that were done as they were then, the others are truncated. Observations
     are dicts of boxes or, with `flatten`, vectors. `infos` hold each agent's metrics so far, under the same
     keys at every step; a value that is not defined yet is -1.
+
+    Where agents of a group come and go, they are in `agents` only while they are there. One that comes has
+    its first observation in the step in which it comes; one that is done, or leaves, is terminated or
+    truncated in that step, and does not return. Those that have not come when all others are done do not
+    come.
 
     Raises ValueError if the simulation has several scenes, and ConfigError if no group is external.
     """
@@ -100,9 +106,9 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         if seed is not None or episode is not None:
             self.simulation.reseed(self.simulation.seed if seed is None else seed, episode or 0)
         self.simulation.reset(requests={0: request} if request else {})
-        self.agents = self.possible_agents[:]
+        self.agents = self._present()
         self._show()
-        return self._observations(), self._infos()
+        return self._observations(self.agents), self._infos(self.agents)
 
     def step(
         self, actions: dict[str, NDArray[np.floating]]
@@ -124,19 +130,35 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         result = self.simulation.step(
             {group.name: self._actions(group, actions) for group in self.simulation.external}
         )
-        rewards, terminations, truncations = self._outcomes(result)
-        observations, infos = self._observations(), self._infos()
-        if result.done[0]:
-            self.agents = []
+        before, after = self.agents, [] if result.done[0] else self._present()
+        told = [name for name in self.possible_agents if name in before or name in after]
+        rewards, terminations, truncations = self._outcomes(result, told)
+        observations, infos = self._observations(told), self._infos(told)
+        self.agents = after
         self._show()
         return observations, rewards, terminations, truncations, infos
 
+    def _present(self) -> list[str]:
+        """The agents that act in the next step."""
+        found: list[str] = []
+        for group in self.simulation.external:
+            ended = group.done.tolist() if group.visits is not None else [False] * group.count
+            found += [name for name, has_ended in zip(group.names, ended, strict=True) if not has_ended]
+        return found
+
     def _actions(self, group: AgentGroup, actions: dict[str, NDArray[np.floating]]) -> NDArray[np.float32]:
         """The actions of a group's agents, (1, G, A)."""
-        each = [agent_action(actions, name, group.action_size) for name in group.names]
+        rest = group.rest_action.astype(np.float32)
+        each = [
+            agent_action(actions, name, group.action_size) if name in self.agents else rest
+            for name in group.names
+        ]
         return (each[0] if len(each) == 1 else np.stack(each)).reshape(1, group.count, -1)
 
-    def _outcomes(self, result: SimulationStep) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
+    def _outcomes(
+        self, result: SimulationStep, agents: Sequence[str]
+    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
+        """Rewards, terminations and truncations of these `agents`."""
         rewards: dict[str, float] = {}
         terminations: dict[str, bool] = {}
         truncations: dict[str, bool] = {}
@@ -144,23 +166,26 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         for group in self.simulation.external:
             step = result.groups[group.name]
             for row, name in enumerate(group.names):
+                if name not in agents:
+                    continue
                 rewards[name] = float(step.reward[row])
-                # The ends of all agents are reported in the same step.
-                terminations[name] = over and bool(step.terminated[row])
-                truncations[name] = over and not terminations[name]
+                # The ends of agents that stay are reported in the same step.
+                is_told = over or group.visits is not None
+                terminations[name] = is_told and bool(step.terminated[row])
+                truncations[name] = is_told and not terminations[name] and bool(over or step.truncated[row])
         return rewards, terminations, truncations
 
-    def _observations(self) -> dict[str, Observation]:
+    def _observations(self, agents: Sequence[str]) -> dict[str, Observation]:
         found: dict[str, Observation] = {}
         for group, layout in self._layouts:
             found |= zip(group.names, layout.each(), strict=True)
-        return found
+        return found if len(agents) == len(found) else {name: found[name] for name in agents}
 
-    def _infos(self) -> dict[str, dict[str, float]]:
+    def _infos(self, agents: Sequence[str]) -> dict[str, dict[str, float]]:
         infos: dict[str, dict[str, float]] = {}
         for group, of_group in self._infos_of:
             infos |= zip(group.names, of_group.each(), strict=True)
-        return infos
+        return infos if len(agents) == len(infos) else {name: infos[name] for name in agents}
 
     def render(self) -> NDArray[np.uint8] | None:
         """RGB image (480, 640, 3) from behind the first agent, where `render_mode` is "rgb_array".
@@ -180,23 +205,17 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         """The true state of all groups, scripted ones as well, in `state_space`: what no agent observes.
 
         For each agent x, y, z [m], roll, pitch, yaw [rad], the velocity (3) [m/s], the angular velocity (3)
-        [rad/s], both in the world frame, and the goal's x and y [m].
+        [rad/s], both in the world frame, and the goal's x and y [m]. Of an agent that is not there all are 0.
         """
         self.simulation.check_begun()
         groups = self.simulation.state.groups.values()
-        rows = [
-            np.concatenate(
-                [
-                    group.motion.position_w,
-                    group.motion.roll_pitch_yaw,
-                    group.motion.velocity_w,
-                    group.motion.angular_w,
-                    group.goal.position_w,
-                ],
-                axis=1,
-            )
-            for group in groups
-        ]
+        rows = []
+        for group in groups:
+            motion, goal = group.motion, group.goal.position_w
+            values = motion.position_w, motion.roll_pitch_yaw, motion.velocity_w, motion.angular_w, goal
+            rows.append(np.concatenate(values, axis=1))
+            if group.absent is not None:
+                rows[-1][group.absent] = 0.0
         return np.concatenate(rows).ravel().astype(np.float32)
 
     @property

@@ -165,6 +165,10 @@ class SceneManager:
         count = round(_SETTLE_S * self.conf.physics_hz)
         step_scene(self._scene(scene), count, self._kinematic_poses[scene])
 
+    def move_kinematic(self, scene: int, index: int, pose: NDArray[np.float64]) -> None:
+        """Put a kinematic body of a scene at a pose (6), between control steps."""
+        self._scene(scene).move_kinematic(index, pose)
+
     # -- a step -----------------------------------------------------------------------------------
 
     def step(self, kinematic_poses: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:

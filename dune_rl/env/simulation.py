@@ -20,6 +20,7 @@ from dune_rl.env.group_metrics import add_metrics
 from dune_rl.env.restore import RestoreError, check_arrival, state_digest
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
 from dune_rl.env.state_builder import StateBuilder
+from dune_rl.env.turnover import Turnover
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.weather import WeatherConf
@@ -84,6 +85,7 @@ class VectorSimulation:
         self.groups = build_groups(groups, self.scenes)
         self.external = tuple(group for group in self.groups if group.is_external)
         self._starter = EpisodeStart(self.groups, self.scenes)
+        self._turnover = Turnover(self.groups, self.scenes)
         self._builder = StateBuilder(self.groups, self.scenes.worlds, physics.control_step_s)
         add_sensors(self.groups, self._builder, self.scenes)
         self.scenes.build(scene_bodies(self.groups))
@@ -199,18 +201,23 @@ class VectorSimulation:
         commands = {group.name: self._rows(group, actions) for group in self.external}
         self._log.add(self.steps, [commands[group.name] for group in self.external])
         before = self.state
+        self._turnover.remove()
         for group in self.groups:
             group.act(commands.get(group.name), before, self._engines[group.name])
         self._starter.hold_back(self.scenes.step(self._starter.kinematic_poses()))
         self.steps = self.steps + 1
         contacts = {group.name: group.read(self._engines[group.name]) for group in self.groups}
+        arrived = self._turnover.admit(self.seed, self.episodes, self.steps)
         state = self._builder.build(self.seed, self.steps, contacts, self.scenes.count_statics)
         evaluated = {group.name: group.evaluate(state) for group in self.groups}
-        terminated, truncated = self._scene_ends(state)
         renewed = {name: evaluation.state for name, evaluation in evaluated.items()}
+        if self._turnover:
+            renewed |= self._turnover.exchange(arrived, self.steps, renewed)
+        terminated, truncated = self._scene_ends(state)
         self.state = state = replace(state, groups=renewed)
         for group in self.groups:
             group.sense(state)
+        self._turnover.begin(arrived, state)
         steps = {
             group.name: GroupStep(
                 evaluated[group.name].reward, group.terminated.copy(), group.truncated.copy()
@@ -230,8 +237,12 @@ class VectorSimulation:
         """Flags (M,) of scenes whose episodes terminate, and of those whose episodes are truncated."""
         over, terminated = self._nobody, self._nobody
         for index, group in enumerate(self._ending):
-            done, own = self._all(group, group.done), self._all(group, group.terminated)
+            absent = False if group.visits is None else group.visits.absent
+            done, own = self._all(group, group.done), self._all(group, group.terminated | absent)
             over, terminated = (over & done, terminated & own) if index else (done, own)
+        if self._turnover.ends_episodes:
+            left = [self._all(group, group.done) for group in self.external]
+            over = over | np.logical_and.reduce(left)
         for group in self.groups:
             diverged = state.groups[group.name].motion.diverged
             if diverged.any():

@@ -86,7 +86,7 @@ class StateBuilder:
         number of static bodies.
         """
         goals = [group.measure_goals() for group in self._groups]
-        rows = [self._rows(steps, group) for group in self._groups]
+        rows = [group.own_steps(steps) for group in self._groups]
         has_contacts = any(contacts.values())
         found = []
         for group, row_steps in zip(self._groups, rows, strict=True):
@@ -117,9 +117,6 @@ class StateBuilder:
         mover = body - count_statics(row // group.count)
         return self._kinds[mover] if mover >= 0 else "static"
 
-    def _rows(self, values: Counts, group: AgentGroup) -> Counts:
-        return values if group.count == 1 else np.repeat(values, group.count)
-
     def _build(
         self, seed: int, steps: Counts, goals: Sequence[GoalState], contacts: Sequence[ContactState]
     ) -> State:
@@ -131,7 +128,7 @@ class StateBuilder:
             states[group.name] = GroupState(
                 name=group.name,
                 count=group.count,
-                episode=EpisodeState(seed, ids, self._rows(steps, group), streams, self._step_s),
+                episode=EpisodeState(seed, ids, group.own_steps(steps), streams, self._step_s),
                 motion=motions[index],
                 contacts=contacts[index],
                 goal=goals[index],
@@ -147,5 +144,6 @@ class StateBuilder:
                 reach_m=group.reach_m,
                 is_robot=isinstance(group.body, ArticulatedBody),
                 avoids=not group.setup.is_scripted,
+                absent=group.absent,
             )
         return State(states, self._worlds, len(steps))

@@ -102,7 +102,7 @@ def _draw(
     axes.spines[:].set_visible(False)
 
 
-def _range(values: np.ndarray, better: str) -> tuple[float, float]:
+def _range(values: np.ndarray, better: str | None) -> tuple[float, float]:
     """Lowest and highest value, apart; from 0 on where less is better, so that none at all is the best."""
     if np.isnan(values).all():
         return 0.0, 1.0

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
+from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.learning.measures import MetricsRow
@@ -55,17 +56,23 @@ class EpisodeRecorder:
         """Note starts and goals of scenes that have made no step."""
         fresh = self._simulation.steps == 0
         for group in self._groups:
-            state = self._simulation.state.groups[group.name]
-            found = np.column_stack(
-                [state.motion.position_w[:, :2], state.motion.yaw, state.goal.position_w]
-            ).reshape(len(fresh), group.count, -1)
-            before = self._starts.get(group.name, found)
-            self._starts[group.name] = np.where(fresh[:, None, None], found, before)
+            self._note_starts(group, np.repeat(fresh, group.count))
         for scene in np.flatnonzero(fresh).tolist():
             self._steps[scene] = []
 
+    def _note_starts(self, group: AgentGroup, chosen: NDArray[np.bool_]) -> None:
+        """Note where the agents in `chosen` (N,) are and are to go."""
+        state = self._simulation.state.groups[group.name]
+        found = np.column_stack([state.motion.position_w[:, :2], state.motion.yaw, state.goal.position_w])
+        before = self._starts.get(group.name, found)
+        self._starts[group.name] = np.where(chosen[:, None], found, before)
+
     def step(self, after: TensorDictBase) -> None:
         """Note the step, before scenes that are done are reset."""
+        for group in self._groups:
+            state = self._simulation.state.groups[group.name]
+            if state.absent is not None:
+                self._note_starts(group, ~state.absent & (state.episode.steps == 0))
         if not self._every:
             return
         over = after["next", "done"].reshape(-1).numpy()
@@ -74,10 +81,12 @@ class EpisodeRecorder:
             state = self._simulation.state.groups[group.name]
             # An agent's own last step is kept as well, while its scene goes on.
             chosen = np.repeat(due, group.count) | group.done
-            self._record(group.names, chosen & ~state.done, _columns(state) | _task_columns(state, after))
+            # It makes no step in the one in which it comes.
+            chosen &= ~state.done & (state.episode.steps > 0)
+            self._record(group.names, chosen, self._columns(state) | _task_columns(state, after))
         for group in self._actors:
             state = self._simulation.state.groups[group.name]
-            self._record(group.names, np.repeat(due, group.count) & ~state.done, _columns(state))
+            self._record(group.names, np.repeat(due, group.count) & ~state.done, self._columns(state))
 
     def _record(
         self, agents: tuple[str, ...], chosen: NDArray[np.bool_], columns: Mapping[str, NDArray[Any]]
@@ -91,18 +100,35 @@ class EpisodeRecorder:
             values = {key: each[index] for key, each in lists.items()}
             self._steps[scene].append({"agent": agents[agent], **values})
 
+    def _columns(self, state: GroupState) -> dict[str, NDArray[Any]]:
+        """What is known of every agent, (N,) each; steps and times are those of its scene's episode."""
+        motion, steps = state.motion, np.repeat(self._simulation.steps, state.count)
+        return {
+            "episode": state.episode.ids,
+            "step": steps,
+            "time_s": steps * state.episode.step_s,
+            "x_m": motion.position_w[:, 0],
+            "y_m": motion.position_w[:, 1],
+            "z_m": motion.position_w[:, 2],
+            "roll_rad": motion.roll_pitch_yaw[:, 0],
+            "pitch_rad": motion.roll_pitch_yaw[:, 1],
+            "yaw_rad": motion.yaw,
+            "speed_mps": motion.velocity_b[:, 0],
+            "yaw_rate_radps": motion.angular_b[:, 2],
+        }
+
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
         """Add start, goal and what is between them to the rows of an episode that has ended."""
         episode = int(next(iter(rows.values()))[0]["episode"])
         (scene,) = np.flatnonzero(self._simulation.episodes == episode).tolist()
         terrain = self._simulation.worlds.worlds[scene].terrain
         for group, agents in rows.items():
-            starts = self._starts[group][scene]
+            starts = self._starts[group].reshape(len(self._steps), -1, 5)[scene]
             ways = starts[:, 3:] - starts[:, :2]
             slopes = steepest_slope_deg(terrain, starts[:, :2], starts[:, 3:])
             found = np.column_stack([starts, np.linalg.norm(ways, axis=1), slopes])
-            for row, values in zip(agents, found.tolist(), strict=True):
-                row.update(dict(zip(START_COLUMNS, values, strict=True)))
+            for row in agents:
+                row.update(dict(zip(START_COLUMNS, found[int(row["agent"])].tolist(), strict=True)))
         self._finished += self._steps[scene]
         self._steps[scene] = []
 
@@ -110,24 +136,6 @@ class EpisodeRecorder:
         """The steps of the episodes that have ended since the last call."""
         found, self._finished = self._finished, []
         return found
-
-
-def _columns(state: GroupState) -> dict[str, NDArray[Any]]:
-    """What is known of every agent, (N,) each."""
-    motion = state.motion
-    return {
-        "episode": state.episode.ids,
-        "step": state.episode.steps,
-        "time_s": state.episode.steps * state.episode.step_s,
-        "x_m": motion.position_w[:, 0],
-        "y_m": motion.position_w[:, 1],
-        "z_m": motion.position_w[:, 2],
-        "roll_rad": motion.roll_pitch_yaw[:, 0],
-        "pitch_rad": motion.roll_pitch_yaw[:, 1],
-        "yaw_rad": motion.yaw,
-        "speed_mps": motion.velocity_b[:, 0],
-        "yaw_rate_radps": motion.angular_b[:, 2],
-    }
 
 
 def _task_columns(state: GroupState, after: TensorDictBase) -> dict[str, NDArray[Any]]:

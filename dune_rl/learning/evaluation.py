@@ -1,5 +1,6 @@
 """Evaluation on numbered episodes, the same for every policy."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
@@ -83,7 +84,8 @@ def evaluate(
                 observer.begin()
             if not found:
                 continue
-            count = len(next(iter(finished.values())))
+            # Of a group that comes and goes nobody may have come.
+            count = max(map(len, finished.values()))
             progress(count)
     return {
         group: [row for episode in sorted(found) for row in found[episode]]
@@ -101,7 +103,11 @@ def _finished_rows(
             rows = [
                 {"agent": float(number), **dict(zip(names, values, strict=True))}
                 for number, values in enumerate(agents)
+                # Agents that never came have no values at all.
+                if not math.isnan(values[0])
             ]
+            if not rows:
+                continue
             # A scene goes on with later ids while others are still at theirs.
             episode = int(rows[0]["episode"])
             if first <= episode < first + episodes:

@@ -102,6 +102,10 @@ class MetricSet:
         for term in self._stateful:
             term.reset(mask, group)
 
+    def clear(self, mask: Flags) -> None:
+        """Leave the agents in `mask` (N,) without values until their next `reset`."""
+        self._values[:, mask] = np.nan
+
     def update(self, state: State, group: GroupState, reward: Array) -> None:
         """Add one control step with its `reward` (N,); agents that are done keep their values."""
         self._ids[:] = group.episode.ids

@@ -372,6 +372,13 @@ class PhysicsScene(Protocol):
         """
         ...
 
+    def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
+        """Put a kinematic body at a pose (6), as for `reset`, between control steps.
+
+        The next step moves it from there. No robot may touch it before or after.
+        """
+        ...
+
     def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         """Prepare the `count` physics steps of a control step, under the robots' present commands and forces.
 

@@ -70,6 +70,7 @@ class NearestAgent:
         reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - yaw)
         closing = heading_frame(velocity[rows, nearest] - now.motion.velocity_w[:, :2], yaw)
         reading[:, 2:] = clip(closing, -self._max_closing_mps, self._max_closing_mps)
+        reading[~present.any(axis=1)] = self._farthest_m, 0.0, 0.0, 0.0
         self._reading = reading
 
     def read(self) -> dict[str, Reading]:

@@ -14,7 +14,7 @@ class Others:
     """The A agents of the groups that are looked at, for each of N rows.
 
     `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
-    itself. `radius_m` and `is_robot` are (A,).
+    itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
     """
 
     position_w: Array
@@ -36,7 +36,10 @@ def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
         for values, found in ((other.motion.position_w, positions), (other.motion.velocity_w, velocities)):
             found.append(np.repeat(other.by_scene(values[:, :2]), now.count, axis=0))
         itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
-        present.append(np.tile(~itself, (rows // len(itself), 1)))
+        there = np.tile(~itself, (rows // len(itself), 1))
+        if other.absent is not None:
+            there &= ~np.repeat(other.by_scene(other.absent), now.count, axis=0)
+        present.append(there)
         radii.append(np.full(other.count, other.radius_m))
         robots.append(np.full(other.count, other.kind == "robot"))
     return Others(

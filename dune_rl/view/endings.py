@@ -51,7 +51,8 @@ class EndingRecorder:
         """Record the agents that are done for the first time after this step."""
         for group in self._simulation.groups:
             endings = self._endings[group.name]
-            for row in np.flatnonzero(group.done).tolist():
+            done = group.done if group.absent is None else group.done & ~group.absent
+            for row in np.flatnonzero(done).tolist():
                 if endings[row] is None:
                     endings[row] = describe_ending(self._simulation.state.groups[group.name], row)
 

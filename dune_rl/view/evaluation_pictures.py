@@ -93,11 +93,11 @@ class EvaluationTracks:
         self._seen[episode] = _Episode(world, self._placements[scene], self._recorder.tracks(scene))
 
     def _placed(self, scene: int) -> list[Placement]:
-        """Starts and goals of the scene's agents that have a task."""
+        """Starts and goals of the scene's agents that have a task, and are there."""
         found = []
         for group in self._measured:
             state = self._simulation.state.groups[group.name]
-            for row in range(scene * group.count, (scene + 1) * group.count):
+            for row in scene * group.count + np.array(group.agents_of(scene), int):
                 x, y = state.motion.position_w[row, :2].tolist()
                 goal_x, goal_y = state.goal.position_w[row, :2].tolist()
                 found.append(Placement(x, y, float(state.motion.yaw[row]), goal_x, goal_y))

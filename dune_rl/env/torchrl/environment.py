@@ -32,15 +32,20 @@ class DuneEnv(CopiedByReplay, EnvBase):
     Each group of G external agents has (`group`, `observation`, NAME) of shape (M, G, ...), (`group`,
     `action`) (M, G, A), (`group`, `reward`) (M, G, 1), and `done`, `terminated` and `truncated` (M, G, 1);
     `group_map` lists the agents. The end flags of a group are those of each agent: they are set from the step
-    in which it is done until its scene's episode ends. The end flags at the root, (M, 1), are those of the
-    scenes, which are reset one by one. With `flatten`, (`group`, `observation`) is one vector, (M, G, D).
-    Raises ConfigError if no group is external.
+    in which it is done until its scene's episode ends; agents that come later are truncated until then. The
+    end flags at the root, (M, 1), are those of the scenes, which are reset one by one. With `flatten`,
+    (`group`, `observation`) is one vector, (M, G, D). Raises ConfigError if no group is external.
     """
 
     batch_locked = True
 
     def __init__(self, simulation: VectorSimulation, *, flatten: bool = False) -> None:
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([simulation.num_scenes]))
+        super().__init__(
+            device=torch.device("cpu"),
+            batch_size=torch.Size([simulation.num_scenes]),
+            # Agents that have not come yet are done.
+            allow_done_after_reset=any(group.visits is not None for group in simulation.external),
+        )
         if not simulation.external:
             raise ConfigError("there is no external agent: give a group controller=external")
         self._simulation = simulation

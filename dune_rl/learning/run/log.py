@@ -58,6 +58,10 @@ class RunLog:
             if not own.any():
                 continue
             rows: Tensor = batch["next", group, "metrics"][own].flatten(0, 1)
+            # Agents that never came have no values at all.
+            rows = rows[~rows.isnan().all(dim=1)]
+            if not len(rows):
+                continue
             complete = recent.extend(rows.tolist())
             for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
                 if name.startswith(_SAMPLED):

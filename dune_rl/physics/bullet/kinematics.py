@@ -89,6 +89,13 @@ class BulletKinematics:
             self._put(index, pose)
             self._parked[index] = False
 
+    def place(self, index: int, pose: list[float]) -> None:
+        """Have a body begin its next motion at a `pose` (6)."""
+        self.poses = [*self.poses[:index], pose, *self.poses[index + 1 :]]
+        if not self._parked[index]:
+            self._put(index, _PARKING_POSE)
+            self._parked[index] = True
+
     def begin_step(self, poses: list[list[float]], near: Sequence[int]) -> None:
         """Start the motion to `poses` (K, 6) of the bodies whose indices are in `near`; remove all others."""
         self._old, self.poses = self.poses, poses

@@ -141,6 +141,9 @@ class BulletScene:
             self._body_numbers[handle] = self._spec.robot_number(index)
         self._kinematics.reset(kinematic_poses)
 
+    def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
+        self._kinematics.place(index, pose.tolist())
+
     def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         robots = self.robots
         forces: dict[int, Sequence[float]] = {}

@@ -137,6 +137,15 @@ class DartKinematics:
             self._held_back[:] = False
             self._stop(poses)
 
+    def place_one(self, index: int, pose: Array) -> None:
+        """Put a body at a `pose` (6), at rest; the others keep their poses and speeds."""
+        left = self.skeleton.getVelocities()[self._places]
+        left[index] = 0.0
+        self.poses[index] = pose.tolist()
+        self._held_back[index] = False
+        self._stop(np.array(self.poses))
+        self.skeleton.setVelocities(self._of_joints(left, np.zeros((len(self._boxes), 3))))
+
     def begin_step(self, poses: Array, near: Sequence[int], duration_s: float) -> None:
         """Start the motion of the bodies `near` to `poses` (K, 6); put the others there at once."""
         self._near = near

@@ -75,6 +75,9 @@ class DartScene:
         for skeleton in self._skeletons:
             world.addSkeleton(skeleton)
 
+    def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
+        self._kinematics.place_one(index, pose)
+
     def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         self._add_corners()
         # A robot that falls on its back penetrates deeply within the physics steps of one control step.

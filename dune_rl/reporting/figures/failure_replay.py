@@ -182,6 +182,8 @@ class _Watcher:
         group = next(each for each in self._simulation.groups if agent in each.names)
         row = scene * group.count + group.names.index(agent)
         state = self._simulation.state.groups[group.name]
+        if state.absent is not None and state.absent[row]:
+            return
         failed = (
             bool(state.contacts.total[row]) if watched.wanted.kind == "collision" else bool(group.done[row])
         )
@@ -205,7 +207,8 @@ class _Watcher:
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
         """Keep the rows of watched episodes."""
         for group, agents in rows.items():
-            for name, row in zip(self._agents[group], agents, strict=True):
+            for row in agents:
+                name = self._agents[group][int(row["agent"])]
                 for each in self._watched:
                     if each.wanted.key == (int(row["episode"]), name):
                         each.row = dict(row)

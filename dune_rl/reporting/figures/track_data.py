@@ -26,7 +26,8 @@ class EpisodeTrack:
     """The way of an agent in an episode: `points` (T, 2) [m] from its start on, at `times_s` (T,) [s].
 
     `speeds` (T - 1,) [m/s] are those at the ends of the pieces of the way. `collisions` (K, 2) [m] are where
-    new ones are first seen, at `collision_s` (K,) [s]; `walkers` (T, 2) [m] each are the ways of others.
+    new ones are first seen, at `collision_s` (K,) [s]. `walkers` (T, 3) [m, m, s] are the ways of others, and
+    when they were there.
     """
 
     episode: int
@@ -103,8 +104,6 @@ def until_failure(track: EpisodeTrack, kind: str, seconds: float) -> EpisodeTrac
     kept = (track.times_s <= last) & (track.times_s >= last - seconds)
     numbers = np.flatnonzero(kept)
     first, end = int(numbers[0]), int(numbers[-1]) + 1
-    # Others have a row for each of the agent's, apart from its start.
-    behind = len(track.times_s) - end
     seen = (track.collision_s <= last) & (track.collision_s >= last - seconds)
     return replace(
         track,
@@ -113,8 +112,8 @@ def until_failure(track: EpisodeTrack, kind: str, seconds: float) -> EpisodeTrac
         speeds=track.speeds[first : end - 1],
         collisions=track.collisions[seen],
         collision_s=track.collision_s[seen],
-        ending=track.ending if not behind else None,
-        walkers=[way[: len(way) - behind][-(end - first) :] for way in track.walkers],
+        ending=track.ending if end == len(track.times_s) else None,
+        walkers=[way[(way[:, 2] <= last) & (way[:, 2] >= last - seconds)] for way in track.walkers],
     )
 
 
@@ -182,7 +181,10 @@ def _track(row: Row, steps: Sequence[Row], others: Sequence[Sequence[Row]]) -> E
         where[:, 2],
         ending_of(row),
         _number(row, "success") > 0,
-        [_finite(np.column_stack([column(each, "x_m"), column(each, "y_m")])) for each in others],
+        [
+            _finite(np.column_stack([column(each, name) for name in ("x_m", "y_m", "time_s")]))
+            for each in others
+        ],
     )
 
 

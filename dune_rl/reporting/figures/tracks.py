@@ -143,7 +143,7 @@ def _square(points: Array) -> Rectangle:
 
 def _draw_track(axes: Axes, track: EpisodeTrack, norm: Normalize, shown: dict[str, Ending]) -> None:
     for way in track.walkers:
-        axes.plot(*way.T, color=FAINT, linewidth=0.6, linestyle=(0, (3, 2)), alpha=0.55, zorder=2)
+        axes.plot(*way[:, :2].T, color=FAINT, linewidth=0.6, linestyle=(0, (3, 2)), alpha=0.55, zorder=2)
     if len(track.points) > 1:
         axes.plot(*track.points.T, color=INK, linewidth=2.0, zorder=3, solid_capstyle="round")
         pieces = np.stack([track.points[:-1], track.points[1:]], axis=1)
