@@ -10,13 +10,16 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dune_rl.physics.gate_loops import (
     FOUND_COLUMNS,
     KINEMATIC_COLUMNS,
+    POSE_COLUMNS,
     ROBOT_COLUMNS,
     TYRE_COLUMNS,
     find_near,
+    measure_moves,
 )
 from dune_rl.physics.interface import KinematicShape, RobotBody, StaticBody, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
@@ -26,8 +29,6 @@ from dune_rl.physics.obstacle_map import load_shared_map
 _MAX_ACCELERATION_MPS2 = 40.0
 # Upper bound of the distance below which engines treat two shapes as in contact.
 _CONTACT_MARGIN_M = 0.05
-
-_NO_KINEMATICS = np.zeros((0, KINEMATIC_COLUMNS))
 
 
 class GatedRobot(Protocol):
@@ -68,7 +69,9 @@ class ContactGate:
         robots: Sequence[RobotBody],
     ) -> None:
         self.obstacles = load_shared_map(statics)
-        self._kinematics = kinematics
+        upright, leaning = ([shape.reach_m(lean) for shape in kinematics] for lean in (0.0, 1.0))
+        self._reaches = np.column_stack([upright, np.subtract(leaning, upright)])
+        self._moves = np.zeros((len(kinematics), KINEMATIC_COLUMNS))
         most = max((len(body.tyres) for body in robots), default=0)
         self._tyres = np.full((len(robots), most, TYRE_COLUMNS), np.nan)
         for own, body in zip(self._tyres, robots, strict=True):
@@ -85,13 +88,13 @@ class ContactGate:
         robots: Sequence[GatedRobot],
         duration_s: float,
         forces: Mapping[int, Sequence[float]],
-        old_poses: Sequence[Sequence[float]],
-        new_poses: Sequence[Sequence[float]],
+        old_poses: ArrayLike,
+        new_poses: ArrayLike,
     ) -> tuple[list[int], list[bool]]:
         """Indices of the kinematic bodies that robots can touch, and whether each robot can touch anything.
 
         The step takes `duration_s` [s]. `forces` [N] are the external ones, by index of the robot. The K
-        kinematic bodies move from `old_poses` (x, y, z [m], yaw, roll, pitch [rad]) to `new_poses`.
+        kinematic bodies move from `old_poses` (K, 6: x, y, z [m], yaw, roll, pitch [rad]) to `new_poses`.
         """
         if not robots:
             return [], []
@@ -103,17 +106,14 @@ class ContactGate:
             x, y, _, qx, qy, qz, qw, *_, wx, wy, wz = robot.body_state()
             motion = robot.planar_motion()
             rows.append((*motion, robot.reach_m, acceleration, x, y, qx, qy, qz, qw, wx, wy, wz))
-        ways = zip(old_poses, new_poses, self._kinematics, strict=True)
-        moves = [
-            (old[0], old[1], new[0], new[1], shape.reach_m(max(_lean(old), _lean(new))))
-            for old, new, shape in ways
-        ]
+        old, new = (np.asarray(each, float).reshape(-1, POSE_COLUMNS) for each in (old_poses, new_poses))
+        measure_moves(old, new, self._reaches, self._moves)
         found, near = self._found, self._found_kinematics
         find_near(
             *self.obstacles.arrays,
             np.array(rows).reshape(-1, ROBOT_COLUMNS),
             self._tyres,
-            np.array(moves) if moves else _NO_KINEMATICS,
+            self._moves,
             duration_s,
             _CONTACT_MARGIN_M,
             found,
@@ -128,11 +128,6 @@ class ContactGate:
     def statics_near(self, robot: int) -> list[int]:
         """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
         return self.obstacles.bodies_near(*self._found[robot, :3].tolist())
-
-
-def _lean(pose: Sequence[float]) -> float:
-    """Upper bound of the angle [rad] between the z axes of a pose and of the world."""
-    return abs(pose[4]) + abs(pose[5])
 
 
 def _dimensions(tyre: Tyre) -> tuple[float, ...]:

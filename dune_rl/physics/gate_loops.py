@@ -15,6 +15,8 @@ TYRE_COLUMNS = 5
 # Columns of a kinematic body: x and y before and after the step, and the radius of a disc about them that
 # contains it [m].
 KINEMATIC_COLUMNS = 5
+# Columns of a pose: x, y, z [m], yaw, roll and pitch [rad].
+POSE_COLUMNS = 6
 # Columns of what is found of a robot: x, y and radius [m] of its disc, whether it can touch anything, and the
 # bits of its tyres, of which there may be 53: numbers are exact up to there.
 FOUND_COLUMNS = 5
@@ -53,6 +55,21 @@ def find_boxes(boxes: Any, x: float, y: float, distance_m: float, found: Any) ->
             found[count] = index
             count += 1
     return count
+
+
+@compile_function
+def measure_moves(old: Any, new: Any, reaches: Any, moves: Any) -> None:
+    """Fill in `moves` (K, KINEMATIC_COLUMNS) of bodies that go from `old` to `new` (K, POSE_COLUMNS).
+
+    `reaches` (K, 2) are the radii of the discs that hold them upright, and by how much these grow for each
+    radian that they lean, up to one [m].
+    """
+    for body in range(len(moves)):
+        moves[body, 0], moves[body, 1] = old[body, 0], old[body, 1]
+        moves[body, 2], moves[body, 3] = new[body, 0], new[body, 1]
+        # The sums bound the angles between their z axes and the world's.
+        lean = max(abs(old[body, 4]) + abs(old[body, 5]), abs(new[body, 4]) + abs(new[body, 5]))
+        moves[body, 4] = reaches[body, 0] + reaches[body, 1] * min(lean, 1.0)
 
 
 @compile_function

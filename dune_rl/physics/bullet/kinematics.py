@@ -45,11 +45,12 @@ class BulletKinematics:
         self.handles = [self._add(shape, group, mask) for shape in shapes]
         self._centre_heights = [shape.centre_height_m for shape in shapes]
         self._leans = [isinstance(shape, KinematicBox) for shape in shapes]
-        self._parked = [False] * len(shapes)
+        self._unparked = set(range(len(shapes)))
         self._indices = {handle: index for index, handle in enumerate(self.handles)}
-        self.poses: list[list[float]] = [[0.0] * 6 for _ in shapes]
+        self.poses: NDArray[np.float64] = np.zeros((len(shapes), 6))
         self.any_held_back = False
-        self._old = self.poses
+        # Of bodies near robots: their poses before and after this control step.
+        self._ways: dict[int, tuple[list[float], list[float]]] = {}
         self._attitudes: dict[int, Quaternion] = {}
         # Of bodies that move in this control step: x and y of the origin, and the centre.
         self._positions: dict[int, tuple[float, float]] = {}
@@ -84,33 +85,35 @@ class BulletKinematics:
 
     def reset(self, poses: NDArray[np.float64]) -> None:
         """Put the bodies at `poses` (K, 6)."""
-        self.poses, self.any_held_back = poses.tolist(), False
-        for index, pose in enumerate(self.poses):
+        self.poses, self.any_held_back = poses.copy(), False
+        for index, pose in enumerate(poses.tolist()):
             self._put(index, pose)
-            self._parked[index] = False
+        self._unparked = set(range(len(poses)))
 
-    def place(self, index: int, pose: list[float]) -> None:
+    def place(self, index: int, pose: NDArray[np.float64]) -> None:
         """Have a body begin its next motion at a `pose` (6)."""
-        self.poses = [*self.poses[:index], pose, *self.poses[index + 1 :]]
-        if not self._parked[index]:
-            self._put(index, _PARKING_POSE)
-            self._parked[index] = True
+        self.poses = self.poses.copy()
+        self.poses[index] = pose
+        self._park({index} & self._unparked)
 
-    def begin_step(self, poses: list[list[float]], near: Sequence[int]) -> None:
+    def begin_step(self, poses: NDArray[np.float64], near: Sequence[int]) -> None:
         """Start the motion to `poses` (K, 6) of the bodies whose indices are in `near`; remove all others."""
-        self._old, self.poses = self.poses, poses
+        old, self.poses = self.poses, poses.copy()
         self._offsets.clear()
-        for index, is_parked in enumerate(self._parked):
-            if index in near:
-                self._parked[index] = False
-                self._attitudes[index] = _turn(poses[index][3])
-            elif not is_parked:
-                self._put(index, _PARKING_POSE)
-                self._parked[index] = True
+        self._park(self._unparked.difference(near))
+        self._unparked.update(near)
+        self._ways = {index: (old[index].tolist(), poses[index].tolist()) for index in near}
+        for index, (_, pose) in self._ways.items():
+            self._attitudes[index] = _turn(pose[3])
+
+    def _park(self, indices: set[int]) -> None:
+        for index in sorted(indices):
+            self._put(index, _PARKING_POSE)
+        self._unparked -= indices
 
     def move(self, index: int, share: float) -> None:
         """Put a body at `share` of the way that it moves, turns and leans in this control step."""
-        (old_x, old_y, old_z, *old), (x, y, z, *new) = self._old[index], self.poses[index]
+        (old_x, old_y, old_z, *old), (x, y, z, *new) = self._ways[index]
         x, y, z = old_x + (x - old_x) * share, old_y + (y - old_y) * share, old_z + (z - old_z) * share
         if index in self._offsets:
             back_x, back_y = self._offsets[index]
@@ -157,7 +160,7 @@ class BulletKinematics:
         They are about to move by `share` of their way in this control step.
         """
         for index, push in self._pushes.items():
-            old, new = self._old[index], self.poses[index]
+            old, new = self._ways[index]
             advance = [share * (new[axis] - old[axis]) for axis in (0, 1)]
             turn = share * _turned(old[3], new[3]) if self._leans[index] else 0.0
             back_x, back_y = push.retreat_m(advance, turn, self._shapes[index].max_push_n, timestep_s)
@@ -168,9 +171,8 @@ class BulletKinematics:
 
     def end_step(self) -> None:
         """Update the poses of bodies that were held back."""
-        for index, (back_x, back_y) in self._offsets.items():
-            x, y, *others = self.poses[index]
-            self.poses[index] = [x + back_x, y + back_y, *others]
+        for index, offset in self._offsets.items():
+            self.poses[index, :2] += offset
         self.any_held_back = bool(self._offsets)
 
     def _put(self, index: int, pose: Sequence[float]) -> tuple[float, float, float]:

@@ -142,7 +142,7 @@ class BulletScene:
         self._kinematics.reset(kinematic_poses)
 
     def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
-        self._kinematics.place(index, pose.tolist())
+        self._kinematics.place(index, pose)
 
     def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
         robots = self.robots
@@ -151,15 +151,16 @@ class BulletScene:
             force = robot.base.take_force()
             if force is not None:
                 forces[index] = force
-        poses = kinematic_poses.tolist()
         duration_s = count * self._spec.timestep_s
         gate = self._gate
-        near, exposed = gate.find_contacts(robots, duration_s, forces, self._kinematics.poses, poses)
+        near, exposed = gate.find_contacts(
+            robots, duration_s, forces, self._kinematics.poses, kinematic_poses
+        )
         for index in self._tyres.update(gate.needed_tyres):
             self._reload(index)
         for robot in robots:
             robot.begin_step(count)
-        self._kinematics.begin_step(poses, near)
+        self._kinematics.begin_step(kinematic_poses, near)
         watched = [
             (robot, self._touchable(index, near))
             for index, (robot, is_exposed) in enumerate(zip(robots, exposed, strict=True))
@@ -210,7 +211,7 @@ class BulletScene:
 
     def held_back_poses(self) -> NDArray[np.float64] | None:
         kinematics = self._kinematics
-        return np.array(kinematics.poses) if kinematics.any_held_back else None
+        return kinematics.poses.copy() if kinematics.any_held_back else None
 
     def _reload(self, index: int) -> None:
         """Give a robot the tyres that are active."""

@@ -91,9 +91,7 @@ class DartScene:
                 forces[index] = force
         duration_s, kinematics = count * self._spec.timestep_s, self._kinematics
         gate = self._gate
-        near, exposed = gate.find_contacts(
-            self.robots, duration_s, forces, kinematics.poses, kinematic_poses.tolist()
-        )
+        near, exposed = gate.find_contacts(self.robots, duration_s, forces, kinematics.poses, kinematic_poses)
         changed = self._tyres.update(gate.needed_tyres)
         if changed or any(self._tyres.active):
             self._update_tyres(changed, near)
