@@ -49,9 +49,9 @@ def run(parsed: Namespace) -> None:
         # Before Hydra writes its own files.
         _check_device(conf)
         # Only now: it loads what simulates, which a misspelt setting need not wait for.
-        from dune_rl.config.controllers import check_policies
+        from dune_rl.config.group_files import check_group_files
 
-        check_policies(conf)
+        check_group_files(conf)
         _refuse_used_folder(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]

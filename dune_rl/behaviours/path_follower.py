@@ -21,9 +21,9 @@ from dune_rl.behaviours.paths import (
     there_and_back,
     way_point_stations,
 )
-from dune_rl.errors import WorldError
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.settings import Settings
+from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_stretches, check_way_points
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -83,7 +83,8 @@ class PathFollower:
 
     Each agent has a closed loop: a path to its far end and back, or one round. `goals_w` (N, 2) [m] are the
     ends of the paths that external agents go to; `renew` sets the other end. `advance` moves scripted agents
-    along their loops at the constant speed `speed_mps`, but for their pauses.
+    along their loops at the constant speed `speed_mps`, but for their pauses. `settings` is the path of the
+    group's settings; errors about way-points name it.
     """
 
     def __init__(
@@ -92,11 +93,13 @@ class PathFollower:
         count: int,
         radius_m: float,
         worlds: SharedPerScene[World],
-        kind: str = "walker",
+        settings: str = "actors.walker",
         speed_mps: float = 1.0,
+        max_water_m: float = 100.0,
     ) -> None:
         self.conf, self.count = conf, count
-        self._radius_m, self._kind, self._worlds = radius_m, kind, worlds
+        self._limits = TerrainLimits(radius_m=radius_m, max_slope_deg=90.0, max_water_m=max_water_m)
+        self._radius_m, self._settings, self._worlds = radius_m, settings, worlds
         rows = len(worlds) * count
         # Entries live as long as their worlds.
         self._paths: WeakKeyDictionary[World, _WorldPaths] = WeakKeyDictionary()
@@ -132,23 +135,30 @@ class PathFollower:
         conf = self.conf
         loops: list[Array] = []
         choices: list[NDArray[np.int64]] = []
+        given = [self._path_through_way_points(world)] if conf.waypoints else []
         for agent in range(self.count):
-            if conf.waypoints:
-                spline = spline_loop if conf.mode == "loop" else spline_path
-                paths = [spline(np.asarray(conf.waypoints), world.terrain)]
-                if (world.clearance(paths[0][:, :2]) < self._radius_m).any():
-                    raise WorldError(
-                        f"the waypoints of a {self._kind} lead through an obstacle of {world.name}: "
-                        "move its waypoints"
-                    )
-            else:
+            paths = given
+            if not given:
                 room = self._radius_m + 0.1
                 # By the agent's own number, so that agents behind it leave its paths as they are.
                 number = min(_MAX_PATHS, max(_MIN_PATHS, _BANK_SIZE // (agent + 1)))
-                paths = random_paths(world, sample_points, rng, number, room, conf.length_range_m)
+                paths = random_paths(
+                    world, sample_points, rng, number, room, conf.length_range_m, self._settings
+                )
             choices.append(np.arange(len(loops), len(loops) + len(paths)))
             loops += paths if conf.mode == "loop" else [there_and_back(path) for path in paths]
         return _WorldPaths(PathBank.of(loops), tuple(choices), self._find_stops(loops))
+
+    def _path_through_way_points(self, world: World) -> Array:
+        """The path (P, 4); raises `WorldError`, which names the way-points where it cannot be walked."""
+        points, closed = np.asarray(self.conf.waypoints), self.conf.mode == "loop"
+        words = PointWords("way-point", f"{self._settings}.path.waypoints", f"{self._settings}.body")
+        check_way_points(world, points, self._limits, words, closed=closed)
+        path = (spline_loop if closed else spline_path)(points, world.terrain)
+        stops = way_point_stations(points, closed=closed)
+        ends = (np.concatenate([path, path[:1]]), np.append(stops, len(path))) if closed else (path, stops)
+        check_stretches(world, ends[0][:, :3], ends[1], self._limits, words)
+        return path
 
     def _find_stops(self, loops: list[Array]) -> LoopStops:
         """Where agents pause and end on `loops`."""

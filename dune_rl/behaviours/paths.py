@@ -141,11 +141,13 @@ def random_paths(
     count: int,
     radius_m: float,
     length_range_m: tuple[float, float],
+    settings: str = "actors.walker",
 ) -> list[Array]:
     """`count` random paths, each (P, 4), that keep `radius_m` from every obstacle.
 
     Each runs through three free points drawn by `sample_points(rng, n,
-    radius_m)`. Raises WorldError where obstacles leave no room for any.
+    radius_m)`. Raises WorldError, which names the path of the group's `settings`,
+    where obstacles leave no room for any.
     """
     shortest, longest = length_range_m
     found: list[Array] = []
@@ -166,5 +168,5 @@ def random_paths(
         return found
     raise WorldError(
         f"no path of {shortest:g} to {longest:g} m for an actor of radius {radius_m:g} m fits {world.name}: "
-        "take actors=none, shorten actors.walker.path.length_range_m, or enlarge task.spawn.region"
+        f"take actors=none, shorten {settings}.path.length_range_m, or enlarge task.spawn.region"
     )

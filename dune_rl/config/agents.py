@@ -65,8 +65,14 @@ def _parse_body(value: Any) -> Any:
     return ROBOTS.parse_settings(value)
 
 
+def plain_controller(value: Any) -> Any:
+    """A controller as it is written, a name without settings as text."""
+    return value["name"] if isinstance(value, Mapping) and value.keys() == {"name"} else value
+
+
 def _parse_controller(value: Any) -> Any:
-    if value in (EXTERNAL, PATH, TRAJECTORY) or isinstance(value, Settings):
+    value = plain_controller(value)
+    if isinstance(value, Settings) or (isinstance(value, str) and value in (EXTERNAL, PATH, TRAJECTORY)):
         return value
     if isinstance(value, Mapping) and "checkpoint" in value:
         return FrozenPolicyConf.model_validate(value)

@@ -15,11 +15,10 @@ from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.agents import (
     PATH,
     TRAJECTORY,
-    ResolvedGroup,
-    TrajectoryFilesConf,
     follows_trajectories,
 )
-from dune_rl.config.controllers import controller_factory
+from dune_rl.config.controllers import controller_factory, places_of
+from dune_rl.config.group_files import read_group_files
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.arguments import check_whole
@@ -34,7 +33,6 @@ from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.region_candidates import describe_choice
 from dune_rl.worlds.settings import WorldSettings
@@ -71,9 +69,11 @@ def make_simulation(
         if prepare is None
         else prepare
     )
+    # Before the world is built, which may take minutes: files of theirs may be missing.
+    groups = group_setups(conf)
     return VectorSimulation(
         world=make_world(conf.world),
-        groups=group_setups(conf),
+        groups=groups,
         make_scene=scene_class(conf.physics.backend),
         physics=conf.physics,
         weather=conf.weather,
@@ -85,7 +85,8 @@ def make_simulation(
 
 
 def group_setups(conf: EnvConf) -> list[GroupSetup]:
-    """The agent groups of a scene."""
+    """The agent groups of a scene; raises as `read_group_files`."""
+    trajectories = read_group_files(conf)
     return [
         GroupSetup(
             group.name,
@@ -95,24 +96,16 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             paths=group.path,
             follows_paths=group.controller == PATH,
             follows_trajectories=follows_trajectories(group.controller),
-            trajectories=_trajectories(group),
+            trajectories=trajectories.get(group.name),
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
             presence=group.presence,
+            settings=conf.path_of(group.name),
+            places=places_of(group.controller),
         )
         for group in conf.groups
     ]
-
-
-def _trajectories(group: ResolvedGroup) -> tuple[ActorTrajectory, ...] | None:
-    """The trajectories of the files that a group's controller names; None if it names none."""
-    if not isinstance(group.controller, TrajectoryFilesConf):
-        return None
-    # Only now: reading SDF needs libraries that most environments do without.
-    from dune_rl.worlds.importing.actor_files import read_actor_file
-
-    return tuple(actor for file in group.controller.trajectory for actor in read_actor_file(file))
 
 
 def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:

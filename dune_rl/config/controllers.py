@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.behaviours.destinations import DestinedBehaviour
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.config.agents import Controller as ControllerConf
 from dune_rl.config.agents import FrozenPolicyConf
-from dune_rl.config.schema import Conf, EnvConf
+from dune_rl.config.group_files import describe_owner
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.driver_context import bind_to_group
@@ -26,34 +27,11 @@ def controller_factory(conf: ControllerConf) -> MakeController | None:
     return None
 
 
-def check_policies(conf: EnvConf) -> None:
-    """Raise CheckpointError, which names every setting at fault, unless all groups that play a trained policy
-    have one to play.
-
-    Whether it fits what the group observes and does is known once an environment is made.
-    """
-    played = {
-        f"controller.checkpoint of the group {group.name}": (group.name, group.controller.checkpoint)
-        for group in conf.groups
-        if isinstance(group.controller, FrozenPolicyConf)
-    }
-    if isinstance(conf, Conf):
-        for group in conf.external_groups:
-            frozen = conf.learning.frozen(group.name)
-            if frozen is not None:
-                played[f"learning.groups.{group.name}.frozen"] = (group.name, frozen)
-    if not played:
-        return
-    from dune_rl.learning.saved_policies import check_has_policy
-
-    faults = []
-    for setting, (name, location) in played.items():
-        try:
-            check_has_policy(Path(location), name)
-        except CheckpointError as error:
-            faults.append(f"{setting}: {error}")
-    if faults:
-        raise CheckpointError("\n".join(faults))
+def places_of(conf: ControllerConf) -> tuple[tuple[float, float], ...]:
+    """The places [m] to which a controller is told to go; none for most."""
+    part = BEHAVIOURS.find(conf.name) if isinstance(conf, BehaviourSettings) else None
+    goes = part is not None and isinstance(part.target, type) and issubclass(part.target, DestinedBehaviour)
+    return getattr(conf, "places", ()) if goes else ()
 
 
 def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
@@ -78,11 +56,11 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
     try:
         found, _ = load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)
     except CheckpointError as error:
-        raise CheckpointError(
-            f"the controller of the group {group.name} (controller.checkpoint): {error}\n"
-            f"A policy of another group does not fit: give {group.name} the body and sensors of the one "
-            "that was trained, or take another checkpoint."
-        ) from None
+        setting = f"{group.setup.settings}.controller.checkpoint"
+        what_to_do = describe_owner(conf.checkpoint, group.name, group.setup.settings)
+        # In place of what to do where the robot itself is to be driven by it.
+        lines = [str(error).splitlines()[0], what_to_do] if what_to_do else [str(error)]
+        raise CheckpointError("\n".join([f"{setting}: {lines[0]}", *lines[1:]])) from None
     policy = Deterministic(found)
 
     def act(readings: dict[str, Reading]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.config.actors import groups_of_list
-from dune_rl.config.agents import EXTERNAL, PATH, TRAJECTORY, roaming_settings
+from dune_rl.config.agents import EXTERNAL, PATH, TRAJECTORY, plain_controller, roaming_settings
 from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import option_names
 from dune_rl.config.renaming import rename_in_section
@@ -137,11 +137,13 @@ def _expanded_group(
     if not isinstance(group, Mapping):
         return group
     out = dict(group)
+    if "controller" in group:
+        out["controller"] = plain_controller(group["controller"])
     body = {"name": group["body"]} if isinstance(group.get("body"), str) else group.get("body")
     # Persons, and robots of users' packages, are known to the schema alone.
     if isinstance(body, Mapping) and body.get("name") in options.names("robot"):
         out["body"] = options.changed("robot", str(body["name"]), body)
-    own_options = _options_of(body, group)
+    own_options = _options_of(body, out)
     for section, settings in _SECTIONS.items():
         value = group.get(section)
         if section == "sensors" and isinstance(value, Sequence) and not isinstance(value, str):
@@ -160,6 +162,6 @@ def _expanded_group(
             if section in own_options:
                 out[section] = options.changed(section, own_options[section], changes)
             elif isinstance(base := data.get(section), Mapping):
-                is_roaming = section == "task" and group.get("controller", EXTERNAL) != EXTERNAL
+                is_roaming = section == "task" and out.get("controller", EXTERNAL) != EXTERNAL
                 out[section] = merged(roaming_settings(base) if is_roaming else base, changes)
     return out

@@ -69,6 +69,12 @@ class EnvConf(Settings):
             groups = {**robot_groups(robots, self.actors), **self.actors}
         return resolve_groups(groups, GroupDefaults(self.sensors, self.task, self.metrics))
 
+    def path_of(self, group: str) -> str:
+        """The path of a group's settings, such as `actors.walker`; empty for `robot` and `robots`."""
+        if self.agents is not None:
+            return f"agents.{group}"
+        return f"actors.{group}" if group in self.actors else ""
+
     @property
     def external_groups(self) -> tuple[ResolvedGroup, ...]:
         """The groups whose actions come from outside: from a user or a learner."""
@@ -89,10 +95,9 @@ class EnvConf(Settings):
         if groups and all(
             group.presence is not None and not group.presence.is_from_the_start for group in groups
         ):
-            section = "actors" if self.agents is None else "agents"
             raise ValueError(
-                f"{section}.{groups[0].name}.presence.arrive_s: no external agent is there when an episode "
-                "starts; let those of one group come at [0, 0]"
+                f"{self.path_of(groups[0].name)}.presence.arrive_s: no external agent is there when an "
+                "episode starts; let those of one group come at [0, 0]"
             )
         return self
 
@@ -126,12 +131,11 @@ class EnvConf(Settings):
     @model_validator(mode="after")
     def _targets_of_behaviours_exist(self) -> Self:
         known = ["robots", *(group.name for group in self.groups)]
-        section = "actors" if self.agents is None else "agents"
         for group in self.groups:
             target = getattr(group.controller, "target", None)
             if isinstance(target, str) and target not in known:
                 raise ValueError(
-                    f"{section}.{group.name}.controller.target: there is no group {target!r}; "
+                    f"{self.path_of(group.name)}.controller.target: there is no group {target!r}; "
                     f"choose {one_of(known)}"
                 )
         return self
@@ -159,8 +163,7 @@ class EnvConf(Settings):
             if group.sensors is self.sensors:
                 found["sensors"] = group.sensors
             elif group.sensors is not None:
-                section = "actors" if self.agents is None else "agents"
-                found[f"{section}.{group.name}.sensors"] = group.sensors
+                found[f"{self.path_of(group.name)}.sensors"] = group.sensors
         return list(found.items())
 
 

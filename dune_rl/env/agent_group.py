@@ -46,7 +46,9 @@ class GroupSetup:
     `controller` that follows nothing is external: its actions come from a user or a learner. `paths` are the
     paths of kinematic agents; with `follows_paths` the agents walk along them. With `follows_trajectories`
     they walk on `trajectories`, or where these are None on those of their world. A group without `task` has
-    rewards of 0 and never ends an episode. With `presence` its agents come and go.
+    rewards of 0 and never ends an episode. With `presence` its agents come and go. `settings` is the path of
+    its settings, for errors; empty for robots of `robot` or `robots`. `places` (P, 2) [m] are those to which
+    the controller is told to go.
     """
 
     name: str
@@ -61,6 +63,8 @@ class GroupSetup:
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
     presence: PresenceConf | None = None
+    settings: str = ""
+    places: tuple[tuple[float, float], ...] = ()
 
     @property
     def is_external(self) -> bool:

@@ -10,7 +10,7 @@ from dune_rl.env.agent_group import AgentGroup, GroupSetup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.goals import GoalTracker, PathGoals, RegionGoals, Spawners
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.room import has_room
+from dune_rl.env.room import has_room, needs_in_words
 from dune_rl.env.scene_manager import SceneBodies, SceneManager
 from dune_rl.env.sensing import sensor_context
 from dune_rl.env.state_builder import StateBuilder
@@ -21,10 +21,12 @@ from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.measuring_scan import MeasuringScan
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.tasks.spawn import SpawnConf
+from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.world import World
 
 # A new touch of the same body counts as a new collision after this long without one.
 _COLLISION_GAP_S = 1.0
+_ANY_DEPTH_M = 100.0
 
 
 def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager) -> tuple[AgentGroup, ...]:
@@ -107,7 +109,9 @@ def _group_on_paths(
         follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name, setup.trajectories)
     else:
         radius, paths = conf.keep_out_radius_m, setup.paths or PathConf()
-        follower = PathFollower(paths, setup.count, radius, worlds, setup.name, conf.speed_mps)
+        deepest = conf.max_water_m if conf.flight is None else _ANY_DEPTH_M
+        where = setup.settings or f"actors.{setup.name}"
+        follower = PathFollower(paths, setup.count, radius, worlds, where, conf.speed_mps, deepest)
     spawners = shared_spawners.of(SpawnConf(), conf.keep_out_radius_m)
     rows = len(scenes.worlds) * setup.count
     goals = GoalTracker(PathGoals(follower), rows)
@@ -127,7 +131,10 @@ def _roaming_group(
     body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, lane)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
     radius, worlds = conf.keep_out_radius_m, scenes.worlds.worlds
-    spawners = Spawners(spawn, radius, worlds, partial(has_room, conf), f"{setup.name} ({conf.name}): ")
+    body_in_words = SpawnedBody(conf.name, needs_in_words(conf), setup.settings)
+    spawners = Spawners(
+        spawn, radius, worlds, partial(has_room, conf), body_in_words, f"{setup.name} ({conf.name}): "
+    )
     goals = RegionGoals(
         spawn,
         radius,

@@ -1,7 +1,7 @@
 """Starts an episode in a scene: world, start poses, goals, and settling of the robots."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 
@@ -12,7 +12,8 @@ from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.episode_request import EpisodeRequest
-from dune_rl.env.goals import PathGoals, RegionGoals
+from dune_rl.env.given_points import check_places
+from dune_rl.env.goals import PLACING_ATTEMPTS, PathGoals, RegionGoals, place_groups
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.scene_spec import standing_pose
@@ -39,17 +40,46 @@ class EpisodeStart:
 
     def check_room(self, seed: int, world: World) -> None:
         """Raise `WorldError` if `world` has no room for a robot or a path. This also finds the paths."""
-        for group in (*self._robots, *self._roaming):
-            group.spawners.of(world)
-        self.find_paths(seed, world)
+        with_starts = [partial(group.spawners.of, world) for group in (*self._robots, *self._roaming)]
+        _check_all([*with_starts, *self._path_searches(seed, world)])
+
+    def check_places(self, world: World, *, only_edge: bool) -> None:
+        """Raise `WorldError` if bodies are sent to places where they cannot be; see `given_points`."""
+        _check_all([partial(check_places, group, world, only_edge=only_edge) for group in self._kinematic])
+
+    def check_counts(self, seed: int, world: World) -> None:
+        """Raise `WorldError` if `world` has no room for all agents beside each other.
+
+        It is that of the last of a few episodes, in none of which all could be placed. Agents that come and
+        go are not counted: they wait until there is room.
+        """
+        groups = [group for group in (*self._robots, *self._roaming) if group.visits is None]
+        for episode in range(PLACING_ATTEMPTS):
+            taken = self.starts_on_trajectories(world)
+            try:
+                for group in groups:
+                    assert isinstance(group.goals.source, RegionGoals)
+                    taken = group.goals.source.try_placing(world, seed, episode, taken)
+                return
+            except WorldError:
+                if episode == PLACING_ATTEMPTS - 1:
+                    raise
 
     def find_paths(self, seed: int, world: World) -> None:
         """Find the paths of `world` for all groups on paths."""
-        for index, group in enumerate(self._on_paths()):
-            sample_points = (self._robots[0] if self._robots else group).spawners.of(world).sample_points
-            draws = stream(seed, f"paths {group.name}" if index else "paths")
-            assert isinstance(group.goals.source, PathGoals)
-            group.goals.source.follower.find_paths(world, sample_points, draws)
+        _check_all(self._path_searches(seed, world))
+
+    def _path_searches(self, seed: int, world: World) -> list[Callable[[], object]]:
+        return [
+            partial(self._find_paths_of, index, group, seed, world)
+            for index, group in enumerate(self._on_paths())
+        ]
+
+    def _find_paths_of(self, index: int, group: AgentGroup, seed: int, world: World) -> None:
+        sample_points = (self._robots[0] if self._robots else group).spawners.of(world).sample_points
+        draws = stream(seed, f"paths {group.name}" if index else "paths")
+        assert isinstance(group.goals.source, PathGoals)
+        group.goals.source.follower.find_paths(world, sample_points, draws)
 
     def replan_paths(self, seed: int, world: World) -> None:
         """Drop all paths and find those of `world` with another `seed`."""
@@ -145,22 +175,17 @@ class EpisodeStart:
     ) -> Array:
         """Place kinematic bodies without paths, away from those `taken`; returns their outlines (P, 2)."""
         points = [np.zeros((0, 2))]
-        for group in self._roaming:
-            source, body = group.goals.source, group.body
-            assert isinstance(source, RegionGoals)
-            assert isinstance(body, KinematicBody)
-            here = group.agents_of(scene)
-            try:
-                placed = source.place(scene, seed, episode, taken, here)
-            except WorldError as error:
-                raise WorldError(f"{group.name} (count {group.count}): {error}") from None
-            taken = [*taken, *((one, source.footprint_radius_m) for one in placed)]
+        here = [group.agents_of(scene) for group in self._roaming]
+        sources = [group.goals.source for group in self._roaming]
+        found = place_groups(list(zip(sources, here, strict=True)), scene, seed, episode, taken)
+        for group, agents, placed in zip(self._roaming, here, found, strict=True):
+            assert isinstance(group.body, KinematicBody)
             poses = np.zeros((group.count, 4))
-            poses[here] = np.array([(one.x, one.y, 0.0, one.yaw) for one in placed]).reshape(-1, 4)
+            poses[agents] = np.array([(one.x, one.y, 0.0, one.yaw) for one in placed]).reshape(-1, 4)
             poses[:, 2] = self._scenes.worlds.worlds[scene].terrain.height(poses[:, :2])
-            body.place(scene, poses)
+            group.body.place(scene, poses)
             park_absent(group, scene)
-            points.append(body.outline_points(scene))
+            points.append(group.body.outline_points(scene))
         return np.concatenate(points)
 
     def starts_on_trajectories(self, world: World) -> list[tuple[Placement, float]]:
@@ -220,6 +245,18 @@ class EpisodeStart:
             poses[:, first : first + group.count, : own.shape[1]] = own.reshape(scenes, group.count, -1)
             first += group.count
         return poses
+
+
+def _check_all(checks: Sequence[Callable[[], object]]) -> None:
+    """Make all `checks`, and raise one `WorldError` with the faults of those that did."""
+    faults = []
+    for check in checks:
+        try:
+            check()
+        except WorldError as error:
+            faults.append(str(error))
+    if faults:
+        raise WorldError("\n".join(dict.fromkeys(faults)))
 
 
 def _check_apart(placed: Sequence[tuple[str, Placement, float]]) -> None:

@@ -15,10 +15,14 @@ from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.seeding import stream
 from dune_rl.state import GoalState, Motion
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
+from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+# How often agents are placed anew where there is no room for the last of them.
+PLACING_ATTEMPTS = 8
 
 
 class GoalSource(Protocol):
@@ -37,7 +41,7 @@ class GoalSource(Protocol):
 class Spawners:
     """Cache of one `Spawner` per world, for a footprint of `radius_m`.
 
-    `is_passable` is as for `Spawner`. Errors start with `whose`, if it is given.
+    `is_passable` and `body` are as for `Spawner`. Errors start with `whose`, if it is given.
     """
 
     def __init__(
@@ -46,10 +50,11 @@ class Spawners:
         radius_m: float,
         worlds: SharedPerScene[World],
         is_passable: Callable[[World, Array], Flags] | None = None,
+        body: SpawnedBody | None = None,
         whose: str = "",
     ) -> None:
         self._conf, self._radius_m, self._worlds = conf, radius_m, worlds
-        self._is_passable, self._whose = is_passable, whose
+        self._is_passable, self._body, self._whose = is_passable, body or SpawnedBody(), whose
         # Weak references would not work, because a spawner refers to its world.
         self._by_world: dict[World, Spawner] = {}
 
@@ -57,7 +62,9 @@ class Spawners:
         """The spawner of a world; raises `WorldError` if the world has no room."""
         if world not in self._by_world:
             try:
-                self._by_world[world] = Spawner(world, self._conf, self._radius_m, self._is_passable)
+                self._by_world[world] = Spawner(
+                    world, self._conf, self._radius_m, self._is_passable, self._body
+                )
             except WorldError as error:
                 raise WorldError(f"{self._whose}{error}") from None
         return self._by_world[world]
@@ -106,34 +113,63 @@ class RegionGoals:
         episode: int,
         taken: Sequence[tuple[Placement, float]],
         agents: Iterable[int] | None = None,
+        attempt: int = 0,
     ) -> list[Placement]:
         """Sample starts and goals of a scene's agents for an episode, at a distance from those `taken`.
 
         `agents` are the numbers of those that are placed; None: all.
-
         `taken` has the placements of other robots and their footprint radii [m]. Raises WorldError if there
-        is no room.
+        is no room; with another `attempt` they are drawn anew.
         """
         found = list(taken)
         for agent in range(self._count) if agents is None else agents:
-            found.append((self.place_agent(scene, seed, episode, agent, found), self.footprint_radius_m))
+            placed = self.place_agent(scene, seed, episode, agent, found, attempt)
+            found.append((placed, self.footprint_radius_m))
         return [placement for placement, _ in found[len(taken) :]]
 
     def place_agent(
-        self, scene: int, seed: int, episode: int, agent: int, taken: Sequence[tuple[Placement, float]]
+        self,
+        scene: int,
+        seed: int,
+        episode: int,
+        agent: int,
+        taken: Sequence[tuple[Placement, float]],
+        attempt: int = 0,
     ) -> Placement:
         """As `place`, of one of a scene's agents."""
-        number, row = self._first + agent, scene * self._count + agent
-        if self._stream_name is not None:
-            draws = stream(seed, f"spawn {self._stream_name}_{agent}", episode)
-        else:
-            draws = stream(seed, f"spawn rover_{number}" if number else "spawn", episode)
-        reach = self.footprint_radius_m + self.conf.robots_apart_m
-        placements, apart = [one for one, _ in taken], [reach + radius for _, radius in taken]
-        placement = self._spawners.of_scene(scene).sample(draws, placements, apart)
+        row = scene * self._count + agent
+        draws = self._draws(seed, agent, episode, attempt)
+        placement = self._sample(self._spawners.of_scene(scene), draws, taken)
         self._streams[row] = draws
         self.goals_w[row] = placement.goal_x, placement.goal_y
         return placement
+
+    def try_placing(
+        self, world: World, seed: int, episode: int, taken: Sequence[tuple[Placement, float]]
+    ) -> list[tuple[Placement, float]]:
+        """`taken`, and what `place` would add to it in `world`; nothing is kept."""
+        found = list(taken)
+        for agent in range(self._count):
+            placed = self._sample(self._spawners.of(world), self._draws(seed, agent, episode), found)
+            found.append((placed, self.footprint_radius_m))
+        return found
+
+    def _draws(self, seed: int, agent: int, episode: int, attempt: int = 0) -> np.random.Generator:
+        number, again = self._first + agent, (attempt,) if attempt else ()
+        if self._stream_name is not None:
+            return stream(seed, f"spawn {self._stream_name}_{agent}", episode, *again)
+        return stream(seed, f"spawn rover_{number}" if number else "spawn", episode, *again)
+
+    def _sample(
+        self, spawner: Spawner, draws: np.random.Generator, taken: Sequence[tuple[Placement, float]]
+    ) -> Placement:
+        reach = self.footprint_radius_m + self.conf.robots_apart_m
+        placements, apart = [one for one, _ in taken], [reach + radius for _, radius in taken]
+        try:
+            return spawner.sample(draws, placements, apart)
+        except WorldError as error:
+            name = self._stream_name
+            raise WorldError(f"{name} (count {self._count}): {error}" if name else str(error)) from None
 
     def move(self, scene: int, agent: int, name: str, placement: Placement, *, has_goal: bool) -> Placement:
         """Place an agent, called `name`, somewhere else; raises ValueError where it has no room.
@@ -182,6 +218,33 @@ class RegionGoals:
             reach = self.footprint_radius_m + self.conf.robots_apart_m + robots.footprint_radius_m
             apart.append(np.full(2 * len(rows), reach))
         return np.concatenate(points), np.concatenate(apart)
+
+
+def place_groups(
+    groups: Sequence[tuple[GoalSource, Iterable[int] | None]],
+    scene: int,
+    seed: int,
+    episode: int,
+    taken: Sequence[tuple[Placement, float]],
+) -> list[list[Placement]]:
+    """Starts and goals of a scene's agents, by group, away from those `taken` and from each other.
+
+    Where those placed first leave no room for others, all are drawn anew. `groups` are `RegionGoals` and the
+    numbers of the agents that are placed, None for all. Raises WorldError if there is no room.
+    """
+    for attempt in range(PLACING_ATTEMPTS):
+        found: list[list[Placement]] = []
+        others = list(taken)
+        try:
+            for source, agents in groups:
+                assert isinstance(source, RegionGoals)
+                found.append(source.place(scene, seed, episode, others, agents, attempt))
+                others += [(one, source.footprint_radius_m) for one in found[-1]]
+            break
+        except WorldError:
+            if attempt == PLACING_ATTEMPTS - 1:
+                raise
+    return found
 
 
 class PathGoals:

@@ -119,6 +119,16 @@ def ground_limits(conf: BodySettings) -> GroundLimits | None:
     return GroundLimits(conf.max_slope_deg, conf.max_water_m, (length + width) / 4, conf.max_bump_m)
 
 
+def needs_in_words(conf: BodySettings) -> str:
+    """What ground a body needs, in words that follow others; empty where it needs none, or any will do."""
+    limits = ground_limits(conf)
+    if limits is None:
+        return ""
+    words = "" if conf.max_slope_deg >= _LEVEL else f", for its wheels or feet up to {conf.max_slope_deg:g}"
+    words += "" if conf.max_water_m >= _ANY_DEPTH else f", water up to {conf.max_water_m:g} m"
+    return words
+
+
 def has_room(conf: BodySettings, world: World, xy: Array) -> Flags:
     """Whether a body can be at points (..., 2) of a world, as far as its ground and roofs are concerned."""
     if conf.flight is not None:

@@ -90,6 +90,10 @@ class VectorSimulation:
         add_sensors(self.groups, self._builder, self.scenes)
         self.scenes.build(scene_bodies(self.groups))
         self._starter.check_room(seed, world)
+        worlds_differ = self.randomizer.randomizes_worlds
+        self._starter.check_places(world, only_edge=worlds_differ)
+        if plan is None and not worlds_differ:
+            self._starter.check_counts(seed, world)
         self._first_world = world
         self._engines: dict[str, list[PhysicsRobot]] = {}
         self._ending = [group for group in self.groups if group.ends_episodes]

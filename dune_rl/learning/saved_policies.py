@@ -94,10 +94,13 @@ class SavedPolicy:
         return network
 
 
-def check_has_policy(path: Path, group: str) -> None:
-    """Raise CheckpointError unless a file or run folder can be read and has a policy for `group`."""
-    file = find_checkpoint_file(path, *POLICY_SOURCES)
-    _entry(read_checkpoint_file(file, "policy", "checkpoint")["groups"], file, group)
+def read_policy_groups(path: Path) -> tuple[list[str], dict[str, Any]]:
+    """The groups whose policies a file or run folder has, sorted, and its settings.
+
+    Raises CheckpointError if it cannot be read.
+    """
+    content = read_checkpoint_file(find_checkpoint_file(path, *POLICY_SOURCES), "policy", "checkpoint")
+    return sorted(content["groups"]), content["config"]
 
 
 def read_saved_policy(path: Path, group: str, here: PolicySpec) -> SavedPolicy:

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.errors import WorldError
 from dune_rl.settings import Settings
+from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.world import Rectangle, World
 
@@ -51,12 +52,15 @@ class Placement:
     goal_y: float
 
 
+_ROBOT = SpawnedBody()
+
+
 class Spawner:
     """Samples start poses and goals that a disc of `footprint_radius_m` can move between.
 
     All are in one connected part of the free space: the part that covers most of
     the region. `is_passable`, of points (..., 2), tells where else they cannot be.
-    Raises WorldError, which names the setting to change, where the world has none.
+    Raises WorldError, which names the setting of `body` to change, where the world has none.
     """
 
     def __init__(
@@ -65,8 +69,9 @@ class Spawner:
         conf: SpawnConf,
         footprint_radius_m: float,
         is_passable: Callable[[World, Array], NDArray[np.bool_]] | None = None,
+        body: SpawnedBody = _ROBOT,
     ) -> None:
-        self._is_passable = is_passable
+        self._is_passable, self._body = is_passable, body
         self._world = world
         self._conf = conf
         self._footprint_radius_m = footprint_radius_m
@@ -91,10 +96,15 @@ class Spawner:
         extent = self._world.extent
         if region[0] < extent[0] or region[1] > extent[1] or region[2] < extent[2] or region[3] > extent[3]:
             raise WorldError(
-                f"task.spawn.region {_rectangle(region)} reaches outside the world {self._world.name!r}, "
-                f"which covers {_rectangle(extent)}: choose a rectangle within that."
+                f"{self._body.spawn}.region {_rectangle(region)} reaches outside the world "
+                f"{self._world.name!r}, which covers {_rectangle(extent)}: choose a rectangle within that."
             )
         return region
+
+    @property
+    def _where(self) -> str:
+        """The region and the world, as errors begin with them."""
+        return f"{self._body.spawn}.region {_rectangle(self.region)} of the world {self._world.name!r}"
 
     def _in_region(self, free: FreeSpace) -> NDArray[np.bool_]:
         # Whole cells, so that a point moved about within its cell stays in the region.
@@ -114,30 +124,29 @@ class Spawner:
             usable[rows, columns] = self._is_passable(self._world, free.centres(usable))
             if not usable.any():
                 raise WorldError(
-                    f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r} has no "
-                    "ground that this body can be on: all is too steep, too rough, below water or below "
-                    "roofs. Choose another task.spawn.region, or another body."
+                    f"{self._where} has no ground that this body can be on: all is too steep, too rough, "
+                    f"below water or below roofs. Choose another {self._body.spawn}.region, or another body."
                 )
         part = int(np.bincount(free.components[usable]).argmax())
         return part, free.centres(usable & (free.components == part))
 
     def _why_none(self, free: FreeSpace, in_region: NDArray[np.bool_], clearance_m: float) -> str:
-        where = f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r}"
+        where, spawn = self._where, self._body.spawn
         if not in_region.any():
-            return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen task.spawn.region."
+            return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen {spawn}.region."
         if not (in_region & free.inside).any():
-            return f"{where} lies within 1 m of the world's edge: move or widen task.spawn.region."
+            return f"{where} lies within 1 m of the world's edge: move or widen {spawn}.region."
         if free.steep[in_region].all():
             return (
-                f"{where} is steeper than task.spawn.max_slope_deg={self._conf.max_slope_deg:g} everywhere: "
-                "raise it, or choose another task.spawn.region."
+                f"{where} is steeper than {spawn}.max_slope_deg={self._conf.max_slope_deg:g} everywhere: "
+                f"raise it, or choose another {spawn}.region."
             )
         return (
             f"{where} has no ground under {self._conf.max_slope_deg:g} degrees with {clearance_m:.2f} m of "
             f"clearance (footprint {self._footprint_radius_m:.2f} m, "
-            f"task.spawn.margin_m={self._conf.margin_m:g}; "
+            f"{spawn}.margin_m={self._conf.margin_m:g}; "
             f"there is {free.clearance[in_region].max():.2f} m at most).\n"
-            "Lower task.spawn.margin_m, raise task.spawn.max_slope_deg, or choose another task.spawn.region."
+            f"Lower {spawn}.margin_m, raise {spawn}.max_slope_deg, or choose another {spawn}.region."
         )
 
     def _with_goal_in_reach(self) -> Array:
@@ -151,8 +160,8 @@ class Spawner:
         reach = self._conf.min_goal_distance_m
         if not (farthest >= reach).any():
             raise WorldError(
-                f"task.spawn.min_goal_distance_m={reach:g} is more than the {farthest.max():.2f} m "
-                f"across the free part of task.spawn.region {_rectangle(self.region)}: "
+                f"{self._body.spawn}.min_goal_distance_m={reach:g} is more than the {farthest.max():.2f} m "
+                f"across the free part of {self._body.spawn}.region {_rectangle(self.region)}: "
                 "lower it, or widen the region."
             )
         return self._cells[farthest >= reach]
@@ -245,13 +254,20 @@ class Spawner:
             )
         slope = float(np.rad2deg(self._world.terrain.slope(xy)))
         if slope > self._conf.max_slope_deg:
-            return f"is on a slope of {slope:.0f} degrees, above task.spawn.max_slope_deg"
+            return f"is on a slope of {slope:.0f} degrees, above {self._body.spawn}.max_slope_deg"
         return ""
 
-    def _too_full(self, robots: int) -> str:
+    def _too_full(self, others: int) -> str:
+        body, xmin, xmax, ymin, ymax = self._body, *self.region
+        suitable_m2 = len(self._cells) * self.free_space.cell_m**2
+        least = self._footprint_radius_m + self._conf.margin_m
+        is_all = self.region == self._world.extent
         return (
-            f"task.spawn.region {_rectangle(self.region)} of the world {self._world.name!r} has no room for "
-            f"another agent beside {robots}: widen it, lower task.spawn.robots_apart_m, or have fewer agents."
+            f"{self._where} has no room for another {body.name} beside {others} other agents: "
+            f"{suitable_m2:.0f} of its {(xmax - xmin) * (ymax - ymin):.0f} m² suit it ({least:.2f} m of "
+            f"clearance, slopes up to {self._conf.max_slope_deg:g} degrees{body.needs}).\n"
+            f"{body.fewer}, {'take a larger world' if is_all else f'widen {body.spawn}.region'}, lower "
+            f"{body.spawn}.robots_apart_m, or choose a smaller body."
         )
 
     def _far(self, goals: Array, start: Array) -> NDArray[np.bool_]:
@@ -280,9 +296,8 @@ class Spawner:
         usable = self._in_region(free) & free.traversable & (self.free_space.components == self._part)
         if not usable.any():
             raise WorldError(
-                f"task.spawn.region {_rectangle(self.region)} has no free point with {radius_m:.2f} m of "
-                "clearance for actors: take actors=none, make them smaller, or choose another "
-                "task.spawn.region."
+                f"{self._where} has no free point with {radius_m:.2f} m of clearance for actors: take "
+                f"actors=none, make them smaller, or choose another {self._body.spawn}.region."
             )
         part = np.bincount(free.components[usable]).argmax()
         return free.centres(usable & (free.components == part))

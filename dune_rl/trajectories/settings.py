@@ -12,12 +12,12 @@ from yaml import YAMLError
 
 from dune_rl.config.checks import validate
 from dune_rl.errors import ConfigError
-from dune_rl.trajectories.checks import TerrainLimits
 from dune_rl.trajectories.files import WALKING_ACTOR, WALKING_ACTOR_HIP_M, Appearance
 from dune_rl.trajectories.plan import SPACING_M, Mode, plan_on_ground
 from dune_rl.trajectories.world_choice import choose_world
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.actor_files import FORMATS
+from dune_rl.worlds.walkable_points import TerrainLimits
 from dune_rl.worlds.world import World
 
 _TEXTS = ("out", "picture", "name", "skin", "animation")

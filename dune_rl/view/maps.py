@@ -12,10 +12,11 @@ from dune_rl.config.agents import reads_sensors
 from dune_rl.config.build import build_world, group_setups, make_torchrl_env, scene_class
 from dune_rl.config.schema import ViewConf
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import build_groups
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.episode_start import EpisodeStart
-from dune_rl.env.goals import PathGoals, RegionGoals
+from dune_rl.env.goals import PathGoals, RegionGoals, place_groups
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.files import write_atomically
 from dune_rl.tasks.spawn import Placement, SpawnConf
@@ -43,6 +44,7 @@ def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
 
 def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
     """Content of the map: the episodes of `tracks`, or else examples with distant starts and goals."""
+    setups = group_setups(conf)
     world = build_world(conf.world)
     scenes = SceneManager(
         world,
@@ -52,21 +54,22 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
         conf.physics,
         num_scenes=1,
     )
-    groups = build_groups(group_setups(conf), scenes)
+    groups = build_groups(setups, scenes)
     starter = EpisodeStart(groups, scenes)
-    starter.find_paths(conf.seed, world)
+    starter.check_room(conf.seed, world)
+    starter.check_places(world, only_edge=False)
     actors = starter.starts_on_trajectories(world)
     viewed = _viewed_group(groups, conf.agent)
     spawner = viewed.spawners.of(world)
     if tracks:
         episodes = {
-            episode: _place_robots(groups, conf.seed, episode, actors)
+            episode: _place_agents(groups, conf.seed, episode, actors)
             for episode in sorted({track.episode for track in tracks})
         }
     else:
         xmin, xmax, ymin, ymax = spawner.region
         episodes = choose_spread_episodes(
-            lambda episode: _place_robots(groups, conf.seed, episode, actors),
+            lambda episode: _place_agents(groups, conf.seed, episode, actors),
             conf.episodes,
             _APART * max(xmax - xmin, ymax - ymin),
         )
@@ -88,17 +91,25 @@ def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGro
     return own or next((group for group in groups if group.is_external), groups[0])
 
 
-def _place_robots(
+def _place_agents(
     groups: tuple[AgentGroup, ...], seed: int, episode: int, actors: list[tuple[Placement, float]]
 ) -> list[Placement]:
-    """Starts and goals of the robots of all groups in an episode, away from the starts of `actors`."""
+    """Starts and goals of robots and of others that have no path, as an episode has them.
+
+    They are away from the starts of `actors`.
+    """
     placed = list(actors)
-    for group in groups:
-        source = group.goals.source
-        if isinstance(source, RegionGoals):
-            placements = source.place(0, seed, episode, placed)
-            placed += [(placement, source.footprint_radius_m) for placement in placements]
-    return [placement for placement, _ in placed[len(actors) :]]
+    with_goals = [group for group in groups if isinstance(group.goals.source, RegionGoals)]
+    robots = [group.goals.source for group in with_goals if isinstance(group.body, ArticulatedBody)]
+    others = [
+        (group.goals.source, None) for group in with_goals if not isinstance(group.body, ArticulatedBody)
+    ]
+    for source in robots:
+        assert isinstance(source, RegionGoals)
+        placements = source.place(0, seed, episode, placed)
+        placed += [(placement, source.footprint_radius_m) for placement in placements]
+    found = [placement for placement, _ in placed[len(actors) :]]
+    return found + [one for group in place_groups(others, 0, seed, episode, placed) for one in group]
 
 
 def _spawn_conf(group: AgentGroup) -> SpawnConf:

@@ -4,12 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose, compose_environment
-from dune_rl.config.controllers import check_policies
+from dune_rl.config.group_files import check_group_files
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import CheckpointError
+from dune_rl.errors import CheckpointError, WorldError
+from dune_rl.learning.checkpoint import VERSION, read_checkpoint_file
+from dune_rl.worlds.world import World
 
 POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
 
@@ -72,19 +75,71 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
         f"+actors.foe={{body: person, controller: {{checkpoint: {tmp_path / 'b.pt'}}}}}",
     ]
     with pytest.raises(CheckpointError) as error:
-        check_policies(compose(words))
+        check_group_files(compose(words))
     said = [line for line in str(error.value).splitlines() if "There is no" in line]
     assert said == [
-        f"controller.checkpoint of the group foe: There is no {tmp_path / 'b.pt'}.",
+        f"actors.foe.controller.checkpoint: There is no {tmp_path / 'b.pt'}.",
         f"learning.groups.walker.frozen: There is no {tmp_path / 'a.pt'}.",
     ]
-    check_policies(compose(["+world=flat", "+experiment=multi_agent"]))
-    check_policies(compose(["+world=flat", f"actors.walker.controller={{checkpoint: {POLICY}}}"]))
+    check_group_files(compose(["+world=flat", "+experiment=multi_agent"]))
+    check_group_files(compose(["+world=flat", f"actors.walker.controller={{checkpoint: {POLICY}}}"]))
 
 
 def test_a_policy_of_another_body_is_refused() -> None:
     with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values") as error:
         simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
-    first, *_, last = str(error.value).splitlines()
-    assert first.startswith(f"the controller of the group other (controller.checkpoint): {POLICY} was made")
-    assert last.startswith("A policy of another group does not fit: give other the body and sensors")
+    first, last = str(error.value).splitlines()
+    assert first.startswith(f"agents.other.controller.checkpoint: {POLICY} was made for another environment")
+    assert last == (
+        "The policy is that of rover: write agents.other.body=rover_zero and agents.other.sensors=default, "
+        "or take another checkpoint."
+    )
+
+
+def test_a_file_without_the_groups_policy_names_those_that_it_has(tmp_path: Path) -> None:
+    content = read_checkpoint_file(POLICY, "policy")
+    groups = content["groups"]
+    both = tmp_path / "both.pt"
+    torch.save(
+        {**content, "version": VERSION, "groups": {"rover": groups["rover"], "walker": groups["rover"]}}, both
+    )
+    foe = {"body": "person", "controller": {"checkpoint": str(both)}}
+    with pytest.raises(CheckpointError) as error:
+        check_group_files(compose_environment("flat", (), {"actors": {"foe": foe}}))
+    assert str(error.value).splitlines() == [
+        f"actors.foe.controller.checkpoint: {both} has no policy for the group foe, but for rover, walker.",
+        "Call the group rover or walker, after the one whose policy it is to play, or take another "
+        "checkpoint.",
+    ]
+
+
+def test_missing_files_are_named_at_once_before_the_world_is_built(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text("time_s,x_m\n0,1\n")
+    files = [str(tmp_path / "one.sdf"), str(tmp_path / "two.csv")]
+    actors = {
+        "patrol": {"body": "person", "controller": {"trajectory": files}},
+        "foe": {"body": "person", "controller": {"checkpoint": str(tmp_path / "three.pt")}},
+    }
+
+    def refuse(conf: object) -> World:
+        raise AssertionError("the world is built")
+
+    with pytest.raises(WorldError) as error:
+        make_simulation(compose_environment("flat", (), {"actors": actors}), 1, 0, make_world=refuse)
+    said = [line for line in str(error.value).splitlines() if line.startswith("actors.")]
+    assert said == [
+        f"actors.foe.controller.checkpoint: There is no {tmp_path / 'three.pt'}.",
+        f"actors.patrol.controller.trajectory: there is no file {files[0]}: name one with trajectories "
+        "(.sdf, .csv, .json).",
+        "actors.patrol.controller.trajectory: two.csv has no column y_m, z_m, yaw_rad: its first line names "
+        "the columns.",
+    ]
+
+
+@pytest.mark.parametrize("name", ["path", "external", "trajectory"])
+def test_a_controller_without_settings_may_be_written_as_a_mapping(name: str) -> None:
+    plain, mapped = (
+        compose_environment("flat", (), {"actors": {"one": {"body": "cow", "controller": controller}}})
+        for controller in (name, {"name": name})
+    )
+    assert plain == mapped and mapped.actors["one"].controller == name

@@ -1,5 +1,6 @@
 """Groups of vehicles, animals and drones in a simulation: where they start and go, and what is counted."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -91,16 +92,43 @@ def test_goal_follows_goal(body: str) -> None:
     core.close()
 
 
-def test_more_actors_than_fit_is_said() -> None:
-    core = new_simulation("flat", 1, actors={"fleet": driving("truck", 30)}, sensors=["goal"])
-    with pytest.raises(WorldError, match=r"fleet \(count 30\): task.spawn.region .* have fewer agents"):
+def test_more_actors_than_fit_is_said_before_anything_is_built() -> None:
+    with pytest.raises(WorldError) as error:
+        new_simulation("flat", 1, actors={"fleet": driving("truck", 30)}, sensors=["goal"])
+    first, last = str(error.value).splitlines()
+    assert re.fullmatch(
+        r"fleet \(count 30\): actors\.fleet\.task\.spawn\.region \(-4, 4, -4, 4\) of the world 'flat' has "
+        r"no room for another truck beside \d+ other agents: \d+ of its 64 m² suit it \(3\.\d\d m of "
+        r"clearance, slopes up to 25 degrees, for its wheels or feet up to 18, water up to 0\.5 m\)\.",
+        first,
+    )
+    assert last == (
+        "Lower actors.fleet.count, widen actors.fleet.task.spawn.region, lower "
+        "actors.fleet.task.spawn.robots_apart_m, or choose a smaller body."
+    )
+
+
+def test_a_full_world_cannot_be_widened() -> None:
+    everywhere = {"task": {"spawn": {"region": "anywhere", "robots_apart_m": 80.0}}}
+    with pytest.raises(WorldError, match=r"Lower actors\.fleet\.count, take a larger world, lower"):
+        new_simulation("flat", 1, actors={"fleet": driving("car", 9, **everywhere)}, sensors=["goal"])
+
+
+def test_who_leaves_no_room_is_placed_anew() -> None:
+    # Where the first of the three stands in the middle there is no room for the others: half of all episodes.
+    close = {"task": {"spawn": {"region": [-7.0, 7.0, -7.0, 7.0], "robots_apart_m": 3.5}}}
+    core = started_simulation("flat", 8, actors={"fleet": driving("car", 3, **close)}, sensors=["goal"])
+    for _ in range(4):
         core.reset()
+        places = core.state.groups["fleet"].motion.position_w[:, :2].reshape(8, 3, 2)
+        apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)[:, *np.triu_indices(3, 1)]
+        assert apart.min() >= 3.5
     core.close()
 
 
 def test_a_region_without_room_is_said() -> None:
     small = {"task": {"spawn": {"region": [-1.0, 1.0, -1.0, 1.0], "min_goal_distance_m": 3.0}}}
-    with pytest.raises(WorldError, match=r"fleet \(truck\): task.spawn"):
+    with pytest.raises(WorldError, match=r"fleet \(truck\): actors\.fleet\.task\.spawn\.min_goal"):
         new_simulation("flat", 1, actors={"fleet": driving("truck", **small)}, sensors=["goal"])
 
 

@@ -18,6 +18,7 @@ from simulations import (
     metric,
     metrics,
     motion_of_group,
+    new_simulation,
     observation,
     started_simulation,
     state_of_group,
@@ -264,9 +265,9 @@ def test_robots_start_apart_with_goals_apart(apart_m: float) -> None:
 def test_no_room_for_another_robot() -> None:
     task = {"spawn": {"region": [-1.5, 1.5, -1.5, 1.5], "min_goal_distance_m": 1.0, "robots_apart_m": 9.0}}
     with pytest.raises(
-        WorldError, match=r"no room for another agent beside 1: .*task\.spawn\.robots_apart_m"
+        WorldError, match=r"no room for another robot beside 1 (.|\n)*, lower task\.spawn\.robots_apart_m"
     ):
-        simulation_of(KINDS, task=task)
+        new_simulation("flat", robots=KINDS, task=task)
 
 
 # -- together --------------------------------------------------------------------------------------

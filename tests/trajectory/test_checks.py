@@ -7,9 +7,10 @@ import pytest
 from plain_worlds import box, plain, wavy_world
 
 from dune_rl.errors import WorldError
-from dune_rl.trajectories.checks import TerrainLimits, water_depth
 from dune_rl.trajectories.plan import plan_on_ground
+from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.props import upright_box
+from dune_rl.worlds.walkable_points import TerrainLimits
 from dune_rl.worlds.world import Prop
 
 LIMITS = TerrainLimits()

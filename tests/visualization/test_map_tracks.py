@@ -8,6 +8,7 @@ from map_pages import WORLDS, box, conf_of, site, texts, world_with
 from rich.console import Console
 from states import episode_state
 
+from dune_rl.errors import WorldError
 from dune_rl.seeding import stream
 from dune_rl.state import ContactState
 from dune_rl.tasks.spawn import Placement, Spawner
@@ -176,3 +177,14 @@ def test_endings_are_described(ended: list[str], collisions: int, text: str) -> 
     state = replace(state, contacts=ContactState(counts > 0, counts, counts))
     assert describe_ending(state, 1) == text
     assert describe_ending(state, 0) == "cut short"
+
+
+def test_a_map_names_the_actors_that_have_no_room() -> None:
+    cars = "+actors.traffic={body: car, controller: go_to_goal, count: 20}"
+    with pytest.raises(WorldError, match=r"^traffic \(count 20\): actors\.traffic\.task\.spawn\.region"):
+        maps.map_content(conf_of("+world=flat", cars), [])
+    far = "+actors.traffic.task.spawn.min_goal_distance_m=15"
+    with pytest.raises(
+        WorldError, match=r"^traffic \(car\): actors\.traffic\.task\.spawn\.min_goal_distance_m=15"
+    ):
+        maps.map_content(conf_of("+world=flat", cars, far), [])

@@ -1,0 +1,126 @@
+"""Files that agent groups read: trained policies and trajectories; and what to do where they are faulty."""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+
+from dune_rl.config.agents import FrozenPolicyConf, ResolvedGroup, TrajectoryFilesConf
+from dune_rl.config.schema import Conf, EnvConf
+from dune_rl.errors import CheckpointError, DuneError, WorldError
+from dune_rl.paths import conf_folder
+from dune_rl.suggestions import one_of
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
+
+
+def read_group_files(conf: EnvConf) -> dict[str, tuple[ActorTrajectory, ...]]:
+    """The trajectories of the groups whose controllers name files of them, by group.
+
+    Raises CheckpointError or WorldError, which names every setting at fault, unless these files are there and
+    all groups that play a trained policy have one to play. Whether it fits what the group observes and does
+    is known once an environment is made.
+    """
+    trajectories, faults = _read_trajectories(conf)
+    without_policy = list(_policy_faults(conf))
+    if faults:
+        raise WorldError("\n".join([*without_policy, *faults]))
+    if without_policy:
+        raise CheckpointError("\n".join(without_policy))
+    return trajectories
+
+
+def check_group_files(conf: EnvConf) -> None:
+    """Raise as `read_group_files`, and leave warnings to who reads the files for use."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read_group_files(conf)
+
+
+def describe_owner(checkpoint: str, group: str, settings: str) -> str:
+    """What `group`, whose settings are at `settings`, must have to act by the policy in a file: that of the
+    group which was trained.
+    """
+    # Only now: settings of runs need what composes settings.
+    from dune_rl.config.checks import validate
+    from dune_rl.config.migration import migrated
+    from dune_rl.learning.saved_policies import read_policy_groups
+
+    try:
+        trained, config = read_policy_groups(Path(checkpoint))
+        saved = migrated(config)
+        owners = validate(
+            EnvConf, {name: saved[name] for name in EnvConf.model_fields if name in saved}
+        ).groups
+    except DuneError:
+        return ""
+    name = group if group in trained else trained[0]
+    owner = next((each for each in owners if each.name == name), None)
+    if owner is None or owner.sensors is None:
+        return ""
+    return (
+        f"The policy is that of {name}: write {settings}.body={owner.body.name} and "
+        f"{settings}.sensors={_sensors_in_words(owner)}, or take another checkpoint."
+    )
+
+
+def _sensors_in_words(group: ResolvedGroup) -> str:
+    """The option of `sensors` that a group has; without one, what it has enabled."""
+    assert group.sensors is not None
+    for file in sorted((conf_folder() / "sensors").glob("*.yaml")):
+        option = yaml.safe_load(file.read_text(encoding="utf-8"))
+        if tuple(option.get("enabled", ())) == tuple(group.sensors.enabled):
+            return file.stem
+    return f"[{','.join(group.sensors.enabled)}]"
+
+
+def _read_trajectories(conf: EnvConf) -> tuple[dict[str, tuple[ActorTrajectory, ...]], list[str]]:
+    found: dict[str, tuple[ActorTrajectory, ...]] = {}
+    faults: list[str] = []
+    for group in conf.groups:
+        if not isinstance(group.controller, TrajectoryFilesConf):
+            continue
+        # Only now: reading SDF needs libraries that most environments do without.
+        from dune_rl.worlds.importing.actor_files import read_actor_file
+
+        actors: list[ActorTrajectory] = []
+        for file in group.controller.trajectory:
+            try:
+                actors += read_actor_file(file)
+            except WorldError as error:
+                faults.append(f"{conf.path_of(group.name)}.controller.trajectory: {error}")
+        found[group.name] = tuple(actors)
+    return found, faults
+
+
+def _policy_faults(conf: EnvConf) -> Iterator[str]:
+    """A line or two for each group that is to play a trained policy, and has none to play."""
+    for group in conf.groups:
+        if isinstance(group.controller, FrozenPolicyConf):
+            fault = _why_not_played(group.controller.checkpoint, group.name)
+            if fault:
+                yield f"{conf.path_of(group.name)}.controller.checkpoint: {fault}"
+    if not isinstance(conf, Conf):
+        return
+    for group in conf.external_groups:
+        location = conf.learning.frozen(group.name)
+        fault = "" if location is None else _why_not_played(location, group.name)
+        if fault:
+            yield f"learning.groups.{group.name}.frozen: {fault}"
+
+
+def _why_not_played(location: str, group: str) -> str:
+    from dune_rl.learning.saved_policies import read_policy_groups
+
+    try:
+        trained, _ = read_policy_groups(Path(location))
+    except CheckpointError as error:
+        return str(error)
+    # A policy that is alone serves a group of any name.
+    if group in trained or len(trained) == 1:
+        return ""
+    return (
+        f"{location} has no policy for the group {group}, but for {', '.join(trained)}.\n"
+        f"Call the group {one_of(trained)}, after the one whose policy it is to play, or take another "
+        "checkpoint."
+    )
