@@ -1,9 +1,11 @@
 """What all command lines share: arguments, help, errors and exit codes."""
 
+import _thread
 import errno
 import logging
 import signal
 import sys
+import threading
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -47,6 +49,10 @@ _FILE_ERRORS = {
 }
 
 
+# A lost signal is repeated after this time, when what lost it is over or loses it again.
+_AGAIN_S = 0.05
+
+
 class ReportedError(DuneError):
     """An error whose message has been printed already."""
 
@@ -63,6 +69,8 @@ def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bo
     """
     signal.signal(signal.SIGTERM, _terminate)
     warnings.showwarning = _warn
+    if sys.unraisablehook is sys.__unraisablehook__:
+        sys.unraisablehook = _stop_later
     # TorchRL logs each buffer that it allocates.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
@@ -81,10 +89,25 @@ def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bo
             raise
         exit_with_error(message)
     except KeyboardInterrupt:
+        print_error("Interrupted")
         sys.exit(128 + signal.SIGINT)
     except Terminated:
         sys.exit(128 + signal.SIGTERM)
     sys.exit(0)
+
+
+def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Repeat a signal whose exception was lost, as in the callbacks from C with which numba loads its code.
+
+    Python would print the exception, and go on.
+    """
+    for stop, number in ((KeyboardInterrupt, signal.SIGINT), (Terminated, signal.SIGTERM)):
+        if issubclass(unraisable.exc_type, stop):
+            again = threading.Timer(_AGAIN_S, _thread.interrupt_main, [number])
+            again.daemon = True
+            again.start()
+            return
+    sys.__unraisablehook__(unraisable)
 
 
 def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

@@ -19,14 +19,16 @@ Flags = NDArray[np.bool_]
 _STANDS_MPS = 0.03
 # Bodies that need speed to turn keep this share of it.
 _TURNING_SHARE = 0.4
-# How far agents look, and ahead in time, to each other and to obstacles.
-_SIGHT_M = 6.0
+# Bodies and obstacles that are farther away are not avoided [m].
+_AVOIDED_WITHIN_M = 6.0
+# Agents avoid collisions that are less far ahead in time: with other bodies, and with obstacles [s].
 _HORIZONS_S = (2.5, 0.5)
-# Room that agents leave to each other beside their outlines, half of it each [m]. Turning takes time.
-_ROOM_M = 0.1
+# Gap that two agents keep between their outlines, for turning takes time; half of it is each one's [m].
+_GAP_M = 0.1
 # Wanted velocities are turned to the right by this, so that symmetry does not block agents [rad].
 _TO_THE_RIGHT_RAD = 0.03
-_HALF = 0.5
+# Of two agents that avoid each other each makes this share of the change of velocity (reciprocity).
+_SHARE_OF_BOTH = 0.5
 
 
 class SteeredBehaviour(ABC):
@@ -39,7 +41,7 @@ class SteeredBehaviour(ABC):
 
     motion_models: tuple[str, ...] = ("holonomic", "unicycle")
     # The part of avoiding robots that is the agents'.
-    robots_share = _HALF
+    robots_share = _SHARE_OF_BOTH
 
     def __init__(self, num_rows: int, speed_mps: float) -> None:
         self._num_rows, self._speed_mps = num_rows, speed_mps
@@ -82,7 +84,7 @@ class SteeredBehaviour(ABC):
         """The velocities (N, 2) nearest to those `wanted` that lead to no collision."""
         around = state.surroundings
         columns = around.columns(group.name)
-        share = np.where(around.avoids, _HALF, 1.0)
+        share = np.where(around.avoids, _SHARE_OF_BOTH, 1.0)
         share[around.is_robot] = self.robots_share
         share[self.ignored(state)] = 0.0
         distance, direction = around.obstacles(group.name)
@@ -91,9 +93,9 @@ class SteeredBehaviour(ABC):
         found = np.empty((state.num_scenes, group.count, 2))
         limit = np.full((state.num_scenes, group.count), self._limit_mps)
         avoid_collisions(
-            around.position_w, around.velocity_w, around.reach_m + _ROOM_M / 2, share, columns.start,
+            around.position_w, around.velocity_w, around.reach_m + _GAP_M / 2, share, columns.start,
             np.ascontiguousarray(distance), np.ascontiguousarray(direction),
-            turned.reshape(found.shape), limit, _SIGHT_M, _HORIZONS_S, group.episode.step_s, found,
+            turned.reshape(found.shape), limit, _AVOIDED_WITHIN_M, _HORIZONS_S, group.episode.step_s, found,
         )  # fmt: skip
         return found.reshape(-1, 2)
 

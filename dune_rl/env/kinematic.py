@@ -184,11 +184,11 @@ class KinematicBody:
     def command(self, actions: Array, known: BodyMotion, engines: Engines = ()) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
 
-        Both are clipped to the limits of the body. Flying bodies may have a third number, their rate of climb
-        [m/s]; without it they keep their height above the ground. A body in front of what it cannot pass
-        stops or, if it can, turns in place; one that a robot has pushed into an obstacle may move where it is
-        less deep in it. Vehicles drive back a little when they are stuck. It needs no measured motion
-        (`known`) and no `engines`.
+        The speed is clipped to the body's, and it turns as far as it can in a step. Flying bodies may have
+        a third number, their rate of climb [m/s]; without it they keep their height above the ground. A
+        body in front of what it cannot pass stops or, if it can, turns in place; one that a robot has
+        pushed into an obstacle may move where it is less deep in it. Vehicles drive back a little when they
+        are stuck. It needs no measured motion (`known`) and no `engines`.
         """
         poses = self.poses.copy()
         step, free, stopped = self._next(poses, actions)

@@ -1,7 +1,8 @@
 """Motion models of kinematic bodies: where N of them get in a control step, if nothing is in their way.
 
 Actions are a speed [m/s] and a heading relative to the present one [rad]; flying bodies may have a rate of
-climb [m/s] as well.
+climb [m/s] as well. Speeds are clipped to those of the body. Of the heading a body turns as much as it can in
+a step: all of it where nothing limits its turning, whatever the heading is.
 """
 
 from typing import NamedTuple
@@ -19,7 +20,8 @@ Flags = NDArray[np.bool_]
 class Step(NamedTuple):
     """A control step of N bodies: `xy` (N, 2) [m], `yaw` (N,) [rad] and `velocity` (N, 2) [m/s] at its end.
 
-    `velocity` is forward and to the left, of unicycles and bicycles, and in the world frame of others.
+    The frame of `velocity` is that of the motion model: unicycles and bicycles have (forward speed, 0) in the
+    body frame, holonomic and flying bodies (x, y) in the world frame.
     """
 
     xy: Array
@@ -94,6 +96,7 @@ def _holonomic(limits: MotionLimits, poses: Array, velocity: Array, actions: Arr
 
 
 def _turn(limits: MotionLimits, actions: Array, step_s: float) -> Array:
+    """Angles (N,) [rad] by which bodies turn: the relative headings, as far as `max_turn_radps` lets them."""
     if limits.max_turn_radps is None:
         return actions[:, 1]
     most = limits.max_turn_radps * step_s

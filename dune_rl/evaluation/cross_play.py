@@ -22,7 +22,7 @@ from dune_rl.config.migration import migrated
 from dune_rl.config.schema import EnvConf, EvaluateConf
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError, DuneError
-from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices
+from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices
 from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
 from dune_rl.evaluation.policies import policy_sources
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
@@ -40,7 +40,7 @@ _OPTION, _CHECKPOINT = "option", "checkpoint"
 
 
 @dataclass(frozen=True)
-class Population:
+class ActorPopulation:
     """Actors that robots are tested among: an option of `actors`, or those of a run, by its checkpoint.
 
     `groups` are the agent groups as plain data; `sha256` is that of the checkpoint.
@@ -53,7 +53,7 @@ class Population:
     groups: Mapping[str, Any]
 
 
-def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tuple[Population, ...]:
+def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tuple[ActorPopulation, ...]:
     """The populations that `conf` names; `ConfigError` names every one that is none."""
     found, faults = [], []
     for location in conf.populations:
@@ -76,7 +76,7 @@ def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tup
     return named
 
 
-def _population(location: str, config_dirs: Sequence[str]) -> Population:
+def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
     options = [
         file.stem
         for folder in (conf_folder(), *map(Path, config_dirs))
@@ -90,7 +90,7 @@ def _population(location: str, config_dirs: Sequence[str]) -> Population:
                 f"nobody drives {external[0]} of actors={location}; give a run that trained it in its place"
             )
         groups = {name: group.model_dump(mode="json") for name, group in option.items()}
-        return Population(location, _OPTION, location, None, groups)
+        return ActorPopulation(location, _OPTION, location, None, groups)
     path = Path(location)
     if not path.exists():
         raise ConfigError(
@@ -104,12 +104,15 @@ def _population(location: str, config_dirs: Sequence[str]) -> Population:
     if not any(one.is_external for one in actors):
         trained = ", ".join(sorted(content["groups"]))
         raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
-    with file.open("rb") as opened:
-        sha256 = hashlib.file_digest(opened, "sha256").hexdigest()
     name = path.resolve().name if path.is_dir() else path.parent.name or path.stem
-    return Population(
-        name, _CHECKPOINT, location, sha256, {one.name: _plain(one, location) for one in actors}
+    return ActorPopulation(
+        name, _CHECKPOINT, location, _sha256(file), {one.name: _plain(one, location) for one in actors}
     )
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 def _plain(group: ResolvedGroup, location: str) -> dict[str, Any]:
@@ -130,8 +133,11 @@ def _controller(group: ResolvedGroup) -> Any:
     return conf if isinstance(conf, str) else conf.model_dump(mode="json")
 
 
-def settings_among(conf: EvaluateConf, population: Population, out: Path) -> EvaluateConf:
-    """The settings of the evaluation of the robots of `conf` among `population`, with results in `out`."""
+def settings_among(conf: EvaluateConf, population: ActorPopulation, out: Path) -> EvaluateConf:
+    """The settings of the evaluation of the robots of `conf` among `population`, with results in `out`.
+
+    The population takes the place of all actors; raises ConfigError where it has a group of the robots' name.
+    """
     data = {**conf.model_dump(mode="json"), "cross_play": False, "populations": [], "out": str(out)}
     if conf.agents is None:
         data["actors"] = dict(population.groups)
@@ -141,12 +147,18 @@ def settings_among(conf: EvaluateConf, population: Population, out: Path) -> Eva
             for name, group in data["agents"].items()
             if isinstance(conf.agents[name].body, RobotSettings)
         }
+        taken = sorted(robots.keys() & population.groups.keys())
+        if taken:
+            raise ConfigError(
+                f"populations: {population.location} has a group {taken[0]}, as the robots are called: give "
+                "the robots' group in agents another name"
+            )
         data["agents"] = {**robots, **population.groups}
     return validate(EvaluateConf, data)
 
 
 def begin_cross_play(
-    conf: EvaluateConf, populations: Sequence[Population], out: Path, *, overwrite: bool
+    conf: EvaluateConf, populations: Sequence[ActorPopulation], out: Path, *, overwrite: bool
 ) -> None:
     """Make the folder of a cross-play and those of its populations, with nothing evaluated yet."""
     settings = [settings_among(conf, one, out / one.name) for one in populations]
@@ -176,14 +188,17 @@ def begin_cross_play(
 def run_cross_play(out: Path, console: Console, processes: int | None = None) -> None:
     """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it."""
     populations = _read_record(out)["populations"]
-    try:
-        for one in populations:
+    for one in populations:
+        try:
             _run_population(out / one["name"], one, console, processes)
-    except BaseException:
-        console.print(
-            f"Cut off; go on with python -m dune_rl.evaluate resume={out}", highlight=False, soft_wrap=True
-        )
-        raise
+        except BaseException:
+            console.print(
+                f"Cut off among {one['name']}; go on with python -m dune_rl.evaluate resume={out}",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
+            )
+            raise
     rows = [
         {"robot": row["policy"], "group": row["group"], "population": one["name"], **row["estimate"]}
         for one in populations
@@ -224,16 +239,15 @@ def _run_population(
     console.print(f"Among {population['name']}", highlight=False, markup=False)
     prepared = prepare_run(plan)
     with ResultsFolder.reopen(path) as folder:
-        run_plan(plan, folder, prepared, console, processes or plan.conf.processes)
+        processes = processes or plan.conf.processes
+        run_plan(plan, folder, prepared, console, processes, says_how_to_go_on=False)
 
 
 def _check_unchanged(population: Mapping[str, Any]) -> None:
     if population["kind"] != _CHECKPOINT:
         return
     file = find_checkpoint_file(Path(population["location"]), *POLICY_SOURCES)
-    with file.open("rb") as opened:
-        now = hashlib.file_digest(opened, "sha256").hexdigest()
-    if now != population["sha256"]:
+    if _sha256(file) != population["sha256"]:
         raise ConfigError(
             f"{population['location']} has other weights than when the cross-play began; run it again"
         )
@@ -257,9 +271,7 @@ def _summary(path: Path) -> list[dict[str, Any]]:
 def _show(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
     populations = list(dict.fromkeys(row["population"] for row in rows))
     for measure in MEASURES:
-        cells = {
-            (row["robot"], row["group"], row["population"]): row for row in rows if row["measure"] == measure
-        }
+        cells = cells_of(rows, measure)
         if not cells:
             continue
         table = Table(title=f"{measure} of robots among populations of actors", title_justify="left")

@@ -28,6 +28,15 @@ def describe_cell(row: Row, separator: str = " ") -> str:
     return f"{value:.2f}{separator}({low:.2f} to {high:.2f})"
 
 
+def cells_of(rows: Sequence[Row], measure: str) -> dict[tuple[str, str, str], Row]:
+    """The rows of a measure, by robot, its group and the population."""
+    return {
+        (str(row["robot"]), str(row["group"]), str(row["population"])): row
+        for row in rows
+        if row["measure"] == measure
+    }
+
+
 def draw_matrices(rows: Sequence[Row], measures: Sequence[str], path: Path) -> None:
     """Draw `rows` (robot, group, population, measure, value, low, high) as a PNG, better values darker."""
     shown = [measure for measure in measures if any(row["measure"] == measure for row in rows)]
@@ -40,12 +49,7 @@ def draw_matrices(rows: Sequence[Row], measures: Sequence[str], path: Path) -> N
         FigureCanvasAgg(figure)
         grid = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for axes, measure in zip(grid, shown, strict=True):
-            cells = {
-                (str(row["robot"]), str(row["group"]), str(row["population"])): row
-                for row in rows
-                if row["measure"] == measure
-            }
-            _draw(axes, measure, cells, robots, populations)
+            _draw(axes, measure, cells_of(rows, measure), robots, populations)
         grid[0].set_ylabel("robot")
         figure.supxlabel("in brackets: 95 % intervals; darker is better", fontsize=7, color="#6b6b70")
         with write_atomically(path) as temporary:

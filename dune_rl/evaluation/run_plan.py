@@ -35,11 +35,18 @@ def prepare_run(plan: EvaluationPlan) -> BlockRunner:
 
 
 def run_plan(
-    plan: EvaluationPlan, folder: ResultsFolder, runner: BlockRunner, console: Console, processes: int
+    plan: EvaluationPlan,
+    folder: ResultsFolder,
+    runner: BlockRunner,
+    console: Console,
+    processes: int,
+    *,
+    says_how_to_go_on: bool = True,
 ) -> None:
     """Run the episodes that `folder` lacks, write its tables and show them.
 
-    When it is interrupted, the rows of the finished episodes are written, and it says how to go on.
+    When it is interrupted, the rows of the finished episodes are written, and it says how to go on unless the
+    caller does.
     """
     agents = runner.agents
     has_runs = plan.conf.protocol is not None
@@ -73,12 +80,13 @@ def run_plan(
             folder.discard()
             raise
         folder.write()
-        console.print(
-            f"Cut off after {len(done())} of {total} {unit}; go on with python -m dune_rl.evaluate "
-            f"resume={folder.path}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        if says_how_to_go_on:
+            console.print(
+                f"Cut off after {len(done())} of {total} {unit}; go on with python -m dune_rl.evaluate "
+                f"resume={folder.path}",
+                highlight=False,
+                soft_wrap=True,
+            )
         raise
     if not runner.env.is_closed:
         runner.close()

@@ -1,7 +1,9 @@
 """Cross-play: the robots' policies among all populations, what is written, and what is refused."""
 
 import csv
+import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
+from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.cross_play import (
     begin_cross_play,
     find_populations,
@@ -23,6 +26,7 @@ from dune_rl.evaluation.cross_play import (
 )
 from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices
 from dune_rl.evaluation.folder import read_provenance
+from dune_rl.evaluation.running import BlockRunner
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import build_learner
@@ -108,6 +112,29 @@ def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
     assert list(walker.sensors.enabled) == ["goal", "neighbours", "lidar", "velocity"]
     assert not walker.task.rewards and walker.task.terminations["goal_reached"].renew
     assert not conf.cross_play and conf.populations == ()
+
+
+def test_an_interruption_says_once_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut(self: BlockRunner, block: EpisodeBlock, emit: Callable[..., None]) -> None:
+        raise KeyboardInterrupt
+
+    conf, out, said = settings("populations=[none]", "against=[]"), tmp_path / "matrix", io.StringIO()
+    begin_cross_play(conf, find_populations(conf), out, overwrite=False)
+    monkeypatch.setattr(BlockRunner, "run", cut)
+    with pytest.raises(KeyboardInterrupt):
+        run_cross_play(out, Console(file=said, width=500))
+    asked = [line for line in said.getvalue().splitlines() if "go on with" in line]
+    assert asked == [f"Cut off among none; go on with python -m dune_rl.evaluate resume={out}"]
+
+
+def test_a_population_that_has_the_robots_name_is_refused() -> None:
+    (walkers,) = find_populations(settings("populations=[walkers]"))
+    data = settings("populations=[walkers]").model_dump(mode="json")
+    data["agents"] = {"walker": {"body": "rover_zero"}}
+    with pytest.raises(
+        ConfigError, match=r"^populations: walkers has a group walker, as the robots are called"
+    ):
+        settings_among(EvaluateConf.model_validate(data), walkers, Path("out"))
 
 
 def test_a_population_that_is_there_twice_is_named() -> None:

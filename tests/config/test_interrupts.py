@@ -1,0 +1,44 @@
+"""Ctrl-C at any time ends a command, which says so."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import ctypes, os, signal, time
+from dune_rl.command import run_command
+from dune_rl.help_page import HelpPage
+
+def at_once(parsed):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60.0)
+
+@ctypes.CFUNCTYPE(None)
+def called_from_c():
+    os.kill(os.getpid(), signal.SIGNAL)
+    time.sleep(60.0)
+
+def in_a_callback(parsed):
+    called_from_c()
+    time.sleep(60.0)
+    print("went on")
+
+run_command(HelpPage("A command.", (), (), ""), BODY)
+"""
+
+
+def run(body: str, signal: str = "SIGINT") -> subprocess.CompletedProcess[str]:
+    program = PROGRAM.replace("BODY", body).replace("SIGNAL", signal)
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+
+
+def test_an_interruption_is_said() -> None:
+    ended = run("at_once")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "Interrupted\n")
+
+
+@pytest.mark.parametrize(("name", "code", "said"), [("SIGINT", 130, "Interrupted\n"), ("SIGTERM", 143, "")])
+def test_what_a_callback_from_c_loses_is_repeated(name: str, code: int, said: str) -> None:
+    ended = run("in_a_callback", name)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", said)
