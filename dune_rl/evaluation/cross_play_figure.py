@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from dune_rl.files import write_atomically
@@ -16,6 +17,10 @@ from dune_rl.metrics.catalogue import CATALOGUE
 Row = Mapping[str, Any]
 _LONGEST_NAME = 22
 _LIGHT = 0.45
+# Obstacle clearance is measured up to this distance [m]: where nothing is nearer, it is no result of driving,
+# and would leave all other cells pale.
+_CLEARANCE, _FARTHEST_M = "OC", 12.0 - 1e-3
+_BEYOND, _NOTHING_NEAR = "#e4e4e8", "12.00\nnothing\nnearer"
 
 
 def describe_cell(row: Row, separator: str = " ") -> str:
@@ -73,11 +78,14 @@ def _draw(
             for robot in robots
         ]
     )
-    lowest, highest = (0.0, 1.0) if about.is_share else _range(values, about.better)
-    shade = (values - lowest) / (highest - lowest)
+    beyond = values >= _FARTHEST_M if measure == _CLEARANCE else np.zeros(values.shape, bool)
+    measured = np.where(beyond, np.nan, values)
+    lowest, highest = (0.0, 1.0) if about.is_share else _range(measured, about.better)
+    shade = (measured - lowest) / (highest - lowest)
     if about.better == "lower":
         shade = 1.0 - shade
     colours = colormaps["Blues"](0.08 + 0.82 * np.nan_to_num(shade))
+    colours[beyond] = to_rgba(_BEYOND)
     axes.imshow(colours, aspect="auto")
     for row, robot in enumerate(robots):
         for column, name in enumerate(populations):
@@ -86,7 +94,7 @@ def _draw(
                 axes.text(
                     column,
                     row,
-                    describe_cell(cell, "\n"),
+                    _NOTHING_NEAR if beyond[row, column] else describe_cell(cell, "\n"),
                     ha="center",
                     va="center",
                     fontsize=7,

@@ -183,3 +183,19 @@ def test_cells_have_intervals_and_better_ones_are_darker(tmp_path: Path) -> None
         left, right = np.array_split(middle[picture.shape[0] // 4 : picture.shape[0] // 2], 2, axis=1)
         brightness[measure] = right.mean() - left.mean()
     assert brightness["SR"] < 0 < brightness["TC"]
+
+
+def test_where_nothing_is_near_the_clearance_is_no_result_of_driving(tmp_path: Path) -> None:
+    def shades(*values: float) -> list[float]:
+        about = {"robot": "a", "group": "rover", "measure": "OC", "low": 1.0, "high": 1.0}
+        cells = [{**about, "population": str(i), "value": value} for i, value in enumerate(values)]
+        draw_matrices(cells, ("OC",), tmp_path / "oc.png")
+        picture = np.asarray(Image.open(tmp_path / "oc.png").convert("L"), float)
+        line = picture[int(0.3 * len(picture)), picture.shape[1] // 6 :]
+        coloured = line[line < 254]
+        return [float(np.median(part)) for part in np.array_split(coloured, len(values))]
+
+    near, far, none = shades(1.0, 3.0, 12.0)
+    # The two that differ are as far apart as without the third, which is grey.
+    assert near - far > 100.0 and none > 200.0
+    assert near - far == pytest.approx(np.subtract(*shades(1.0, 3.0)), abs=5.0)

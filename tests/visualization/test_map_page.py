@@ -52,6 +52,12 @@ def test_a_region_as_large_as_the_world_needs_one_panel() -> None:
     assert len([axes for axes in figure.axes if axes.get_xlabel()]) == 1
 
 
+def test_positions_below_objects_have_their_legend() -> None:
+    words = "the same, below an object"
+    assert words in texts(draw_site_map(site("inspection"), "", "", 72))
+    assert words not in texts(draw_site_map(site("flat"), "", "", 72))
+
+
 def test_the_closer_panel_holds_all_that_was_driven() -> None:
     here = site("flat")
     far = Track("rover_0", 0, np.array([[0.0, 0.0], [20.0, 3.0]]), "stuck")

@@ -173,6 +173,12 @@ def cell_values_at(free: FreeSpace, cells: Flags, points: Array) -> Flags:
     return inside & cells[np.where(inside, row, 0), np.where(inside, column, 0)]
 
 
+def spawn_mask_below_props(spawner: Spawner, world: World, ground: GroundGrid) -> Flags:
+    """Mask (rows, columns) of ground below solid props, such as solar arrays, on which agents can start."""
+    chosen = cell_values_at(spawner.free_space, spawn_mask(spawner), ground.points)
+    return chosen & covered_by([prop for prop in world.props if prop.solid], ground)
+
+
 def choose_spread_episodes(
     place_robots: Callable[[int], list[Placement]], count: int, apart_m: float
 ) -> dict[int, list[Placement]]:

@@ -10,10 +10,12 @@ from matplotlib.patches import Rectangle as Box
 
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import (
+    GroundGrid,
     PropFootprints,
     SiteStatistics,
     site_statistics,
     slope_edges,
+    spawn_mask_below_props,
     vegetation_props,
     water_props,
 )
@@ -26,6 +28,8 @@ LINE_IN = 0.162
 Swatch = Callable[[Axes, float, float], None]
 Section = tuple[str, list[tuple[Swatch, str]]]
 _WIDE, _HIGH = 0.26, 0.115
+# Rows and columns of points of the region that are looked at for what is below objects.
+_PASSAGE_CELLS = 200
 
 
 def slope_legend(max_slope_deg: float) -> Section:
@@ -59,6 +63,7 @@ def episode_legend(content: MapContent) -> Section:
         (_outlined_box(colours.SPAWN_EDGE), "region of starts and goals"),
         *_candidate_entries(content),
         (_striped_box("#d9eff4", "#8fcfe0"), "positions they are drawn from"),
+        *_passage_entries(content),
         (
             _numbered_disc(colours.INK, colours.PAPER),
             f"start: episode{', robot a, b, ...' if several else ''}",
@@ -76,6 +81,15 @@ def episode_legend(content: MapContent) -> Section:
     for ending in [*listed, *sorted(ending for ending in counts if ending not in colours.ENDINGS)]:
         entries.append((_track(*colours.ending_style(ending)), f"{ending}: {counts[ending]} of {len(ended)}"))
     return "episodes", entries
+
+
+def _passage_entries(content: MapContent) -> list[tuple[Swatch, str]]:
+    """An entry of the positions below objects, if there are any."""
+    spawner = content.spawner
+    ground = GroundGrid.sample(content.world.terrain, spawner.region, _PASSAGE_CELLS, _PASSAGE_CELLS)
+    if not spawn_mask_below_props(spawner, content.world, ground).any():
+        return []
+    return [(_striped_box(colours.OBSTACLES[0], colours.PASSAGE), "the same, below an object")]
 
 
 def _candidate_entries(content: MapContent) -> list[tuple[Swatch, str]]:

@@ -25,6 +25,7 @@ from dune_rl.visualization.site_map.layers import (
     covered_by,
     slope_class,
     spawn_mask,
+    spawn_mask_below_props,
     vegetation_props,
     water_props,
 )
@@ -69,6 +70,10 @@ class MapContent:
     tracks: Sequence[Track] = ()
 
 
+# Stripes on props are fainter and wider apart than on the ground: the prop is to be seen first.
+_PASSAGE_OPACITY, _PASSAGE_STRIPES = 0.4, 3.2
+
+
 def render_ground(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
     """Colours (rows, columns, 3) of the ground in sRGB: slope, shading, spawn cells, plants and water."""
     picture = slope_colours(ground, content.max_slope_deg, stripe_px)
@@ -108,13 +113,12 @@ def shade_ground(picture: Array, world: World, ground: GroundGrid) -> Array:
 
 def render_passages(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
     """Stripes (rows, columns, 4), sRGB and opacity, on spawn cells below props such as solar arrays."""
-    chosen = cell_values_at(content.spawner.free_space, spawn_mask(content.spawner), ground.points)
-    hidden = covered_by([prop for prop in content.world.props if prop.solid], ground)
-    rows, columns = chosen.shape
+    below = spawn_mask_below_props(content.spawner, content.world, ground)
+    rows, columns = below.shape
     across, up = np.arange(columns), np.arange(rows)[:, None]
     picture = np.zeros((rows, columns, 4))
     picture[..., :3] = colours.rgb(colours.PASSAGE)
-    picture[..., 3] = 0.75 * (chosen & hidden & _stripes(across - up, 1.6 * stripe_px))
+    picture[..., 3] = _PASSAGE_OPACITY * (below & _stripes(across - up, _PASSAGE_STRIPES * stripe_px))
     return picture
 
 
