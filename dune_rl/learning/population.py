@@ -80,6 +80,7 @@ class PopulationPolicy(GroupPolicy):
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
         """Writes the actions, and who acted; scenes are the first axis."""
         self._begin_episodes(observation.get(DRAWS))
+        # For all scenes: a small network takes as long for a part of them.
         observation = super().forward(observation)
         parts = observation.get(self.group)
         is_past = self._chosen >= 0
