@@ -1,6 +1,6 @@
 """The view command: the sheets, films and pictures that it makes, and what it refuses."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from simulations import act, observation, started_simulation
 from training import make_sac
 
 from dune_rl import view
@@ -20,10 +19,6 @@ from dune_rl.files import write_atomically
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import policy_entry
-from dune_rl.sensors.conf import SensorsConf
-from dune_rl.sensors.lidar import LidarConf
-from dune_rl.visualization.contact_sheet import contact_sheet
-from dune_rl.visualization.overlay import draw_overlays
 from dune_rl.visualization.video import open_video
 
 TINY = ["+world=flat", "width=128", "height=96", "samples=1", "longest_s=1", "after_s=0.2", "actors=none"]
@@ -209,152 +204,6 @@ def test_help_and_settings_are_shown(call: Call, folder: Path, capsys: pytest.Ca
     shown = yaml.safe_load(capsys.readouterr().out)
     assert (shown["seed"], shown["world"]["name"], shown["view"]) == (4, "flat", "both")
     assert not list(folder.iterdir())
-
-
-# -- contact sheets -----------------------------------------------------------------------------------
-
-PICTURE = np.zeros((6, 8, 3), np.uint8)
-# The first words of each panel's title.
-TITLES = {
-    "camera_rgb": "camera, RGB",
-    "camera_depth": "camera, depth",
-    "camera_segmentation": "camera, segments",
-    "camera_normals": "camera, normals",
-    "camera_grey": "camera, grey",
-    "lidar_3d_range": "3D LiDAR, 16 rings",
-    "lidar_3d_intensity": "3D LiDAR, intensity",
-    "lidar_3d_segmentation": "3D LiDAR, segments",
-    "height_scan": "height scan",
-    "depth_strip": "depth strip",
-    "lidar": "LiDAR, ahead is up",
-}
-
-
-def panels(readings: dict[str, np.ndarray], conf: SensorsConf) -> list[str]:
-    """Titles of a sheet's panels, the sheet being drawn."""
-    figure = contact_sheet(readings, conf, PICTURE, "a title")
-    figure.canvas.draw()
-    assert figure.get_suptitle() == "a title"
-    return [title for axes in figure.axes if (title := axes.get_title(loc="left"))]
-
-
-@pytest.fixture(scope="module")
-def everything() -> Iterator[tuple[dict[str, np.ndarray], SensorsConf]]:
-    simulation = started_simulation("flat", sensors="all")
-    act(simulation, [0.0, 0.0])
-    suite = simulation.group().suite
-    assert suite is not None
-    yield {name: value[0] for name, value in observation(simulation).items()}, suite.conf
-    simulation.close()
-
-
-def test_a_sheet_has_a_panel_for_each_reading(everything) -> None:
-    readings, conf = everything
-    found = panels(readings, conf)
-    assert found[0] == "scene"
-    for name, title in TITLES.items():
-        assert name in readings
-        assert sum(each.startswith(title) for each in found) == 1
-    assert "numbers" in found
-    assert len(found) == len(TITLES) + 2
-    figure = contact_sheet(readings, conf, PICTURE, "")
-    text = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
-    for name in set(readings) - set(TITLES) - {"lidar_past"}:
-        assert name in text
-
-
-@pytest.mark.parametrize("name", [*TITLES, "lidar_past", "imu"])
-def test_any_reading_alone_makes_a_sheet(name: str, everything) -> None:
-    readings, conf = everything
-    found = panels({name: readings[name]}, conf)
-    assert len(found) == 2
-    assert found[0] == "scene"
-    assert found[1].startswith(TITLES.get(name, "numbers" if name == "imu" else "LiDAR"))
-
-
-def test_what_meets_nothing_makes_a_sheet_too() -> None:
-    conf = SensorsConf()
-    nothing = {
-        "lidar": np.full(32, 12.0, np.float32),
-        "lidar_3d_range": np.full((16, 32, 1), 30.0, np.float32),
-        "lidar_3d_intensity": np.zeros((16, 32, 1), np.float32),
-        "depth_strip": np.full(32, 5.0, np.float32),
-        "camera_segmentation": np.zeros((8, 8, 1), np.uint8),
-    }
-    assert len(panels(nothing, conf)) == 6
-
-
-def test_a_camera_that_sees_only_sky_makes_a_sheet_too() -> None:
-    assert len(panels({"camera_depth": np.full((8, 8, 1), 100.0, np.float32)}, SensorsConf())) == 2
-
-
-def test_a_strip_of_one_column_makes_a_sheet_too() -> None:
-    conf = SensorsConf.model_validate({"depth_strip": {"columns": 1}})
-    assert len(panels({"depth_strip": np.full(1, 2.0, np.float32)}, conf)) == 2
-
-
-# -- what is laid over films --------------------------------------------------------------------------
-
-LIDAR = LidarConf()
-FRAME = np.full((120, 160, 3), 90, np.uint8)
-SIDE = 120 // 3
-
-
-def changed(observation: dict[str, np.ndarray], lines=(), headline: str = "") -> np.ndarray:
-    """Which pixels (120, 160) of an even frame are drawn on."""
-    before = FRAME.copy()
-    picture = draw_overlays(before, observation, LIDAR, list(lines), headline)
-    assert picture.shape == FRAME.shape and picture.dtype == np.uint8
-    np.testing.assert_array_equal(before, FRAME)
-    return (picture != FRAME).any(axis=-1)
-
-
-def test_nothing_is_laid_over_where_there_is_nothing_to_say() -> None:
-    assert not changed({}).any()
-    assert not changed({"imu": np.zeros(9, np.float32), "lidar_past": np.zeros(32, np.float32)}).any()
-
-
-def test_text_is_laid_over_at_the_top() -> None:
-    rows, columns = np.nonzero(changed({}, ["speed 1.00 m/s"]))
-    assert rows.max() < 60 and columns.min() < 30
-    rows, columns = np.nonzero(changed({}, headline="stuck"))
-    assert abs(columns.mean() - 80) < 4 and rows.max() < 60
-
-
-def test_the_camera_s_picture_is_laid_over_at_the_top_right() -> None:
-    red = np.zeros((8, 16, 3), np.uint8)
-    red[..., 0] = 255
-    picture = draw_overlays(FRAME, {"camera_rgb": red}, LIDAR, [])
-    rows, columns = np.nonzero((picture == [255, 0, 0]).all(axis=-1))
-    assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (SIDE, SIDE // 2)
-    assert columns.max() < 160 and columns.min() > 80 and rows.max() < 60
-
-
-@pytest.mark.parametrize(("segment", "right", "down"), [(0, 0, 1), (8, 1, 0), (16, 0, -1), (24, -1, 0)])
-def test_returns_lie_where_they_come_from(segment: int, right: int, down: int) -> None:
-    # The first segment is behind, and they run counter-clockwise: ahead is up, and left is left.
-    nothing = np.full(32, 12.0, np.float32)
-    ranges = nothing.copy()
-    ranges[segment] = 8.0
-    empty, seen = (draw_overlays(FRAME, {"lidar": scan}, LIDAR, []) for scan in (nothing, ranges))
-    rows, columns = np.nonzero((empty != seen).any(axis=-1))
-    centre = np.array([160 - 14 - SIDE / 2, 120 - 14 - SIDE / 2])
-    offset = np.array([columns.mean(), rows.mean()]) - centre
-    reach = 8.0 / 12.0 * SIDE / 2
-    # Half a segment aside, since two of them meet straight ahead.
-    assert np.linalg.norm(offset) == pytest.approx(reach, abs=2.0)
-    assert offset @ [right, down] > 0.9 * np.linalg.norm(offset)
-
-
-def test_the_goal_lies_where_it_is() -> None:
-    scan = {"lidar": np.full(32, 12.0, np.float32)}
-    places = []
-    for bearing in (0.0, np.pi / 2):
-        goal = {"goal": np.array([6.0, bearing], np.float32)}
-        drawn = draw_overlays(FRAME, scan | goal, LIDAR, []) != draw_overlays(FRAME, scan, LIDAR, [])
-        rows, columns = np.nonzero(drawn.any(axis=-1))
-        places.append((columns.mean() - (160 - 14 - SIDE / 2), rows.mean() - (120 - 14 - SIDE / 2)))
-    np.testing.assert_allclose(places, [(0.0, -SIDE / 4), (-SIDE / 4, 0.0)], atol=1.5)
 
 
 # -- films and files ----------------------------------------------------------------------------------
