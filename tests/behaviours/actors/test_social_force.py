@@ -1,5 +1,7 @@
 """The social force model: its terms by hand, people who meet, and PySocialForce where it is installed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from stages import RADIUS_M, Stage, gaps, turns
@@ -47,7 +49,11 @@ def angle(vector: np.ndarray) -> float:
     return float(np.arctan2(vector[1], vector[0]))
 
 
-def test_forces_are_those_of_the_library_pysocialforce() -> None:
+def test_forces_are_those_of_the_library_pysocialforce(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # It writes a log to where it is loaded.
+    monkeypatch.chdir(tmp_path)
     pysocialforce = pytest.importorskip("pysocialforce")
     draws, compared = np.random.default_rng(1), 0
     for _ in range(60):
