@@ -66,8 +66,10 @@ def _parse_body(value: Any) -> Any:
 
 
 def plain_controller(value: Any) -> Any:
-    """A controller as it is written, a name without settings as text."""
-    return value["name"] if isinstance(value, Mapping) and value.keys() == {"name"} else value
+    """A controller as it is written; `{name: path}` and others without settings of their own as text."""
+    if isinstance(value, Mapping) and value.keys() == {"name"} and isinstance(value["name"], str):
+        return value["name"] if value["name"] in (EXTERNAL, PATH, TRAJECTORY) else value
+    return value
 
 
 def _parse_controller(value: Any) -> Any:
