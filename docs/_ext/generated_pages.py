@@ -10,7 +10,7 @@ from settings_tables import Section, as_code, first_paragraph, read_section, ren
 from vort_table import vort_table
 
 from dune_rl import paths, report, trajectory
-from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES

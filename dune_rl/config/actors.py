@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import EXTERNAL, PATH, PERSON, free_name
 

@@ -23,7 +23,7 @@ from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.arguments import check_whole
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.episode_plan import EpisodePlan
+from dune_rl.env.episodes.plan import EpisodePlan
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 
-from dune_rl.behaviours.path_follower import PathConf, PathFollower
+from dune_rl.behaviours.paths.follower import PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.agent_group import AgentGroup, GroupSetup

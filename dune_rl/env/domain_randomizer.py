@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from dune_rl.env.episode_plan import EpisodePlan
+from dune_rl.env.episodes.plan import EpisodePlan
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
 from dune_rl.env.traction import Traction
 from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.behaviours.path_follower import PathFollower
+from dune_rl.behaviours.paths.follower import PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.errors import WorldError
 from dune_rl.geometry.frames import wrap_angle

@@ -12,8 +12,8 @@ from pettingzoo import ParallelEnv
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.arguments import agent_action, check_whole
 from dune_rl.env.copying import CopiedByReplay
-from dune_rl.env.episode_infos import EpisodeInfos
-from dune_rl.env.episode_request import parse_options
+from dune_rl.env.episodes.infos import EpisodeInfos
+from dune_rl.env.episodes.request import parse_options
 from dune_rl.env.observation_layout import Observation, ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.registration import RENDER_MODES

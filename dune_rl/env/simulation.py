@@ -13,9 +13,9 @@ from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import add_sensors, build_groups, scene_bodies
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.episode_plan import EpisodePlan
-from dune_rl.env.episode_request import EpisodeRequest, plain_request, request_from_plain
-from dune_rl.env.episode_start import EpisodeStart
+from dune_rl.env.episodes.plan import EpisodePlan
+from dune_rl.env.episodes.request import EpisodeRequest, plain_request, request_from_plain
+from dune_rl.env.episodes.start import EpisodeStart
 from dune_rl.env.group_metrics import add_metrics
 from dune_rl.env.restore import RestoreError, check_arrival, state_digest
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.behaviours.path_follower import PathFollower
+from dune_rl.behaviours.paths.follower import PathFollower
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.goals import PathGoals, RegionGoals

@@ -8,8 +8,8 @@ from dune_rl.config.agents import ResolvedGroup
 from dune_rl.config.build import build_robot
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
-from dune_rl.env.episode_plan import EpisodePlan, PlannedEpisode
-from dune_rl.env.episode_request import AgentRequest
+from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
+from dune_rl.env.episodes.request import AgentRequest
 from dune_rl.episode_sets.episode_set import EpisodeSet
 from dune_rl.errors import ConfigError
 

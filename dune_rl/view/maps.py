@@ -15,7 +15,7 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import build_groups
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.episode_start import EpisodeStart
+from dune_rl.env.episodes.start import EpisodeStart
 from dune_rl.env.goals import PathGoals, RegionGoals, place_groups
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.files import write_atomically

@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 from yards import BEND, BOXES, hills, points_anywhere, yard
 
-from dune_rl.behaviours.path_follower import PathConf, PathFollower
-from dune_rl.behaviours.paths import spline_path
+from dune_rl.behaviours.paths.follower import PathConf, PathFollower
+from dune_rl.behaviours.paths.splines import spline_path
 from dune_rl.bodies.person import PersonConf
 from dune_rl.errors import WorldError
 from dune_rl.geometry.shared_per_scene import SharedPerScene

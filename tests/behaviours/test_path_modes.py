@@ -5,8 +5,8 @@ import pytest
 from pydantic import ValidationError
 from yards import points_anywhere, yard
 
-from dune_rl.behaviours.path_follower import PathConf, PathFollower
-from dune_rl.behaviours.paths import SPACING_M, spline_loop, spline_path, way_point_stations
+from dune_rl.behaviours.paths.follower import PathConf, PathFollower
+from dune_rl.behaviours.paths.splines import SPACING_M, spline_loop, spline_path, way_point_stations
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 
 SQUARE = ((-4.0, -4.0), (4.0, -4.0), (4.0, 4.0), (-4.0, 4.0))

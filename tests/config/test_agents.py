@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import FrozenPolicyConf, ResolvedGroup, walker_sensors
 from dune_rl.config.compose import compose, compose_environment, compose_evaluation, from_hydra

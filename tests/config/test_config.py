@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from dune_rl import paths
-from dune_rl.behaviours.path_follower import PathConf
+from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.animals import SheepConf
 from dune_rl.bodies.person import PersonConf

@@ -14,7 +14,7 @@ import yaml
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
-from dune_rl.env.episode_plan import EpisodePlan, PlannedEpisode
+from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
 from dune_rl.episode_sets import __main__ as episode_sets
 from dune_rl.episode_sets import plan_of_set, read_episode_set, set_names, settings_on_set, write_episode_set
 from dune_rl.episode_sets.apply import check_set_overrides

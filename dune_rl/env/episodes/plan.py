@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from dune_rl.env.episode_request import EpisodeRequest
+from dune_rl.env.episodes.request import EpisodeRequest
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.behaviours.path_loops import advance_on_paths, hold_back_on_paths
-from dune_rl.behaviours.path_stops import LoopStops, PathStops
-from dune_rl.behaviours.paths import (
+from dune_rl.behaviours.paths.loops import advance_on_paths, hold_back_on_paths
+from dune_rl.behaviours.paths.splines import (
     SPACING_M,
     PathBank,
     random_paths,
@@ -21,6 +20,7 @@ from dune_rl.behaviours.paths import (
     there_and_back,
     way_point_stations,
 )
+from dune_rl.behaviours.paths.stops import LoopStops, PathStops
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.settings import Settings
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_stretches, check_way_points
@@ -112,7 +112,7 @@ class PathFollower:
         self._step = np.zeros((len(worlds), count))
         # Where they would be on their paths after the last `advance`.
         self._targets = np.zeros((len(worlds), count, 4))
-        # See `path_loops`.
+        # See `loops`.
         self._agents = self._travelled, self._step, self._offsets, self._targets
         self._scenes = np.arange(len(worlds))
         self._distances = np.zeros((len(worlds), count))

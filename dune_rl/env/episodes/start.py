@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
-from dune_rl.env.episode_request import EpisodeRequest
+from dune_rl.env.episodes.request import EpisodeRequest
 from dune_rl.env.given_points import check_places
 from dune_rl.env.goals import PLACING_ATTEMPTS, PathGoals, RegionGoals, place_groups
 from dune_rl.env.kinematic import KinematicBody

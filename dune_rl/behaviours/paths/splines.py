@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from dune_rl.behaviours.path_loops import interpolate_paths
+from dune_rl.behaviours.paths.loops import interpolate_paths
 from dune_rl.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.world import World
@@ -104,7 +104,7 @@ class PathBank:
 
     @property
     def arrays(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-        """What `path_loops` calls `paths`."""
+        """What `paths.loops` calls `paths`."""
         return self.poses, self.starts, self.lengths
 
     def far_end(self, loop: NDArray[np.int64]) -> Array:
