@@ -16,7 +16,7 @@ from dune_rl.geometry.frames import POSE_COLUMNS
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.physics.bullet.reference import BulletReference
-from dune_rl.physics.interface import StaticBody
+from dune_rl.physics.shapes import StaticBody
 from dune_rl.rendering.light import LightConf
 from dune_rl.sensors.camera import Camera, CameraConf
 from dune_rl.sensors.lidar import Lidar, beam_angles

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.bodies.settings import BodySettings, MotionLimits
-from dune_rl.physics.interface import KinematicCapsule
+from dune_rl.physics.shapes import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.sensors.context import SensorCarrier

@@ -27,7 +27,7 @@ from dune_rl.bodies.fields import (
     WheelRadius,
     Width,
 )
-from dune_rl.physics.interface import KinematicBox, KinematicShape
+from dune_rl.physics.shapes import KinematicBox, KinematicShape
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh
 from dune_rl.sensors.context import SensorCarrier

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.visual import RobotVisual

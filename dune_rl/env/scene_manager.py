@@ -11,15 +11,9 @@ from numpy.typing import NDArray
 from dune_rl.env.domain_randomizer import DomainRandomizer, Values
 from dune_rl.env.scene_spec import scene_spec
 from dune_rl.errors import WorldError
-from dune_rl.physics.interface import (
-    KinematicShape,
-    PhysicsConf,
-    PhysicsRobot,
-    PhysicsScene,
-    RobotBody,
-    SceneSpec,
-    step_scene,
-)
+from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene, SceneSpec, step_scene
+from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.shapes import KinematicShape
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World

@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
-from dune_rl.physics.interface import KinematicShape, PhysicsConf, RobotBody, SceneSpec, StaticBody
+from dune_rl.physics.interface import PhysicsConf, SceneSpec
+from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.robots.robot import Robot
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import World

@@ -21,8 +21,9 @@ from dune_rl.physics.gate_loops import (
     find_near,
     measure_moves,
 )
-from dune_rl.physics.interface import KinematicShape, RobotBody, StaticBody, Tyre
 from dune_rl.physics.obstacle_map import load_shared_map
+from dune_rl.physics.robot_body import RobotBody, Tyre
+from dune_rl.physics.shapes import KinematicShape, StaticBody
 
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a
 # velocity and do not increase it.

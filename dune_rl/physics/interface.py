@@ -1,25 +1,21 @@
 """Interface of a physics engine: the description of a scene (`SceneSpec`), and protocols of its objects."""
 
-import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, Protocol, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.settings import Settings
 
 Engine = Literal["bullet", "dart"]
 FrictionModel = Literal["pyramid", "cone"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
-
-# Friction coefficient of kinematic bodies.
-KINEMATIC_FRICTION = 0.5
 
 
 class PhysicsConf(Settings):
@@ -56,186 +52,6 @@ class PhysicsConf(Settings):
     def control_step_s(self) -> float:
         """Length of a control step [s]."""
         return 1.0 / self.control_hz
-
-
-@dataclass(frozen=True)
-class StaticBody:
-    """Triangle mesh that never moves: vertices (V, 3) [m] in the world frame, faces (F, 3).
-
-    Contacts of robots with `ground` are not reported; a contact with any other
-    body is a collision. Friction and restitution coefficients are multiplied
-    with those of the other body of a contact.
-    """
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    friction: float
-    ground: bool
-    restitution: float = 0.0
-
-
-@dataclass(frozen=True)
-class KinematicCapsule:
-    """Upright capsule whose motion is prescribed; its origin is on the ground below its centre.
-
-    It pushes robots with at most `max_push_n` [N], horizontally, and is held
-    back or pushed away by larger resistance. The default is the largest initial
-    force for men in ISO 11228-2.
-    """
-
-    name: str
-    radius_m: float
-    height_m: float
-    max_push_n: float = 250.0
-
-    @property
-    def centre_height_m(self) -> float:
-        """Height of the centre above the origin."""
-        return self.height_m / 2
-
-    def reach_m(self, lean_rad: float) -> float:
-        """Upper bound of the horizontal distance [m] of its points from its origin; it does not lean."""
-        return self.radius_m
-
-
-@dataclass(frozen=True)
-class KinematicBox:
-    """Box whose motion is prescribed; its origin is on the ground below its centre, and it leans about it.
-
-    It is from `clearance_m`, such as a truck's underside, to `height_m` above the ground, `length_m` along
-    its x axis and `width_m` along y. It pushes robots as a `KinematicCapsule` does: robots can hold back or
-    push away its origin, but not its turns.
-    """
-
-    name: str
-    length_m: float
-    width_m: float
-    height_m: float
-    clearance_m: float = 0.0
-    max_push_n: float = 250.0
-
-    def __post_init__(self) -> None:
-        if self.height_m <= self.clearance_m:
-            raise ValueError(
-                f"the box {self.name!r} has no height: it is from clearance_m ({self.clearance_m}) to "
-                f"height_m ({self.height_m}) above the ground"
-            )
-
-    @property
-    def size_m(self) -> tuple[float, float, float]:
-        """Length, width and height of the box itself [m]."""
-        return self.length_m, self.width_m, self.height_m - self.clearance_m
-
-    @property
-    def centre_height_m(self) -> float:
-        """Height of the centre above the origin."""
-        return (self.clearance_m + self.height_m) / 2
-
-    def reach_m(self, lean_rad: float) -> float:
-        """Upper bound of the horizontal distance [m] of its points from its origin.
-
-        It leans by at most `lean_rad`, the sum of the amounts of roll and pitch.
-        """
-        farthest = max(abs(self.clearance_m), abs(self.height_m))
-        return math.hypot(self.length_m, self.width_m) / 2 + farthest * min(lean_rad, 1.0)
-
-
-KinematicShape = KinematicCapsule | KinematicBox
-
-
-@dataclass(frozen=True)
-class PassiveJoint:
-    """Joint without a motor, with dry friction and damping; its limits are the URDF's."""
-
-    joint: str
-    friction_nm: float = 0.0
-    damping_nms_per_rad: float = 0.0
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """Gear without backlash: the angle of joint `follower` is `ratio` times that of joint `leader`."""
-
-    leader: str
-    follower: str
-    ratio: float
-
-
-@dataclass(frozen=True)
-class Tyre:
-    """Cylinder by which a wheel collides with everything but the ground: the tyre in its true width.
-
-    An engine may round its edges by up to half of `width_m`. It is fixed to the wheel's `link`, with its
-    `centre` (3) [m] and its unit `axis` (3) in that link's frame; `position_b` (3) [m] is its centre in the
-    base link's frame with all joints at zero.
-    """
-
-    link: str
-    radius_m: float
-    width_m: float
-    position_b: tuple[float, float, float]
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
-
-    @property
-    def reach_m(self) -> float:
-        """Upper bound of the distance [m] of any of its points from the origin of its link."""
-        return math.hypot(*self.centre) + math.hypot(self.radius_m, self.width_m / 2)
-
-
-@dataclass(frozen=True)
-class RobotBody:
-    """URDF of a robot, and the roles of its joints and links.
-
-    `motors` take commands, in their order. Joints that are neither theirs nor
-    `passive` turn freely. Joints without a motor start at 0.
-
-    `ground_links` are wheels or feet. They collide with the ground, with
-    `ground_friction` (along a wheel's axle with `sideways_friction_share` of
-    it), and with nothing else, unless `ground_links_meet_obstacles`. Wheels
-    whose collision shapes are wider than they are, such as spheres, have
-    `tyres` instead: these collide, with the same friction, with everything but
-    the ground. All other links collide with everything, with `hull_friction`.
-
-    `look` is a URDF with the same links and joints that is drawn in place of `urdf`.
-    """
-
-    urdf: Path
-    motors: tuple[Motor, ...]
-    ground_links: tuple[str, ...]
-    ground_friction: float
-    hull_friction: float = 0.3
-    sideways_friction_share: float = 1.0
-    ground_links_meet_obstacles: bool = False
-    tyres: tuple[Tyre, ...] = ()
-    look: Path | None = None
-    passive: tuple[PassiveJoint, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-
-    @property
-    def drive_joints(self) -> tuple[str, ...]:
-        """Joints of the motors, in the order of commands and of `PhysicsRobot.drive_state`."""
-        return tuple(motor.joint for motor in self.motors)
-
-    def rest_commands(self) -> list[float]:
-        """Commands that keep all joints at their start angles."""
-        return [motor.rest_command for motor in self.motors]
-
-    def describe_missing_names(self, joints: Collection[str], links: Collection[str]) -> str | None:
-        """Error message for names that are not in the URDF; None if all are.
-
-        `joints` and `links` are the names in the URDF.
-        """
-        used_joints = [*self.drive_joints, *(joint.joint for joint in self.passive)]
-        for coupling in self.couplings:
-            used_joints += [coupling.leader, coupling.follower]
-        used_links = [*self.ground_links, *(tyre.link for tyre in self.tyres)]
-        for kind, used, known in (("joint", used_joints, joints), ("link", used_links, links)):
-            missing = [name for name in dict.fromkeys(used) if name not in known]
-            if missing:
-                return f"{self.urdf.name} has no {kind} {', '.join(missing)}; it has {', '.join(known)}"
-        return None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from dune_rl.physics.gate_loops import find_boxes, find_distance
-from dune_rl.physics.interface import StaticBody
+from dune_rl.physics.shapes import StaticBody
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.steering_geometry import SteeringGeometry

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.frames import clip
-from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.mounts import MountsConf

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import RobotBody
 
 MASS_KG = 2.0
 

@@ -24,7 +24,8 @@ from simple_robots import block, body, link
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.contact_gate import ContactGate
-from dune_rl.physics.interface import KinematicCapsule, RobotBody, Tyre
+from dune_rl.physics.robot_body import RobotBody, Tyre
+from dune_rl.physics.shapes import KinematicCapsule
 
 RADIUS_M = 0.1
 

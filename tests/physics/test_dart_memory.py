@@ -14,8 +14,8 @@ import dune_rl.physics.dart.memory as memory
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.dart.memory import MeshCopy, forget_copies, free_unused_copies
 from dune_rl.physics.dart.statics import CollisionMeshes, _watch_copies
-from dune_rl.physics.interface import StaticBody
 from dune_rl.physics.process_memory import read_memory
+from dune_rl.physics.shapes import StaticBody
 
 pytestmark = pytest.mark.skipif(
     not _watch_copies.is_needed, reason="this DART keeps no copies, or cannot say"

@@ -22,7 +22,8 @@ from scenes import (
 from simple_robots import body, link
 
 from dune_rl.physics.contact_gate import ContactGate
-from dune_rl.physics.interface import KinematicBox, RobotBody
+from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.shapes import KinematicBox
 
 CAR = KinematicBox("car", length_m=3.0, width_m=1.6, height_m=1.5, clearance_m=0.1, max_push_n=2000.0)
 

@@ -21,8 +21,8 @@ from scenes import (
 )
 from simple_robots import body, joint, link
 
-from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import RobotBody
 
 pytestmark = every_backend
 

@@ -29,8 +29,8 @@ from dune_rl.config.build import build_robot
 from dune_rl.config.compose import compose_environment
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import RobotBody
 
 
 def on_slope(backend, robot: RobotBody, slope: float, height_m: float, yaw: float = 0.0) -> Stage:

@@ -1,7 +1,7 @@
 """Passive joints, start angles and couplings of a robot in PyBullet."""
 
 from dune_rl.physics.bullet.body import LoadedBody
-from dune_rl.physics.interface import Coupling, RobotBody
+from dune_rl.physics.robot_body import Coupling, RobotBody
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.physics.bullet.pushes import DAMPING_NSPM, STIFFNESS_NPM, Push
-from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicBox, KinematicShape
+from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox, KinematicShape
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():

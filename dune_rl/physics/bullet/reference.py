@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.physics.interface import StaticBody
+from dune_rl.physics.shapes import StaticBody
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():

@@ -10,7 +10,7 @@ from dune_rl.physics.bullet.motors import BulletMotors
 from dune_rl.physics.bullet.reach import measure_reach_m
 from dune_rl.physics.bullet.touch import TouchedBodies
 from dune_rl.physics.bullet.wheels import WheelContacts
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.varied_body import BodyVariation
 
 

@@ -17,8 +17,9 @@ from dune_rl.physics.bullet.meshes import create_mesh_shape, release_mesh_lists
 from dune_rl.physics.bullet.robot import BulletRobot
 from dune_rl.physics.bullet.touch import ANY_BODY
 from dune_rl.physics.contact_gate import ContactGate
-from dune_rl.physics.interface import SceneSpec, StaticBody
+from dune_rl.physics.interface import SceneSpec
 from dune_rl.physics.mesh_pieces import mesh_pieces
+from dune_rl.physics.shapes import StaticBody
 from dune_rl.physics.stderr import suppress_stderr
 from dune_rl.physics.tyre_activation import TyreActivation
 

@@ -6,7 +6,7 @@ from xml.etree.ElementTree import SubElement, tostring
 from defusedxml.ElementTree import fromstring
 from scipy.spatial.transform import Rotation
 
-from dune_rl.physics.interface import Tyre
+from dune_rl.physics.robot_body import Tyre
 
 # Axis of a tyre in the frame of its link.
 TYRE_AXIS = (0.0, 0.0, 1.0)

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import SubElement, tostring
 from defusedxml.ElementTree import fromstring
 
 from dune_rl.physics.bullet.tyres import add_tyre_links
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.varied_body import BodyVariation, collision_urdf, varied_urdf
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.interface import Coupling
+from dune_rl.physics.robot_body import Coupling
 
 _TORQUE_NM = 1e4
 # A larger error of the body's angle is corrected by setting the position.

@@ -15,7 +15,8 @@ from dune_rl.physics.dart.joints import (
     chain_differential,
     differentials,
 )
-from dune_rl.physics.interface import RobotBody, StaticBody
+from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.shapes import StaticBody
 
 Array = NDArray[np.float64]
 

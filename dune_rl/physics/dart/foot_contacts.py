@@ -6,7 +6,7 @@ from typing import Any
 from dune_rl.physics.dart.grip import LateralSlip
 from dune_rl.physics.dart.softness import SERVO_SOFTNESS
 from dune_rl.physics.dart.tyres import CompliantGround
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.robot_body import RobotBody
 
 
 class FootContacts:

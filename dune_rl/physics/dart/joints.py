@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dune_rl.physics.interface import Coupling, RobotBody
+from dune_rl.physics.robot_body import Coupling, RobotBody
 
 Array = NDArray[np.float64]
 

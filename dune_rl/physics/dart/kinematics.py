@@ -11,7 +11,8 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.massless import negligible_inertia, weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import LinkMaterial, add_shape, obstacle_materials, tyre_materials
-from dune_rl.physics.interface import KINEMATIC_FRICTION, KinematicBox, SceneSpec
+from dune_rl.physics.interface import SceneSpec
+from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox
 
 Array = NDArray[np.float64]
 

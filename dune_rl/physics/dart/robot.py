@@ -12,7 +12,7 @@ from dune_rl.physics.dart.gears import Gears, has_driven_coupling
 from dune_rl.physics.dart.template import has_only_spheres, load_template, measure_reach_m, split_by_role
 from dune_rl.physics.dart.tyre_bodies import TyreBodies
 from dune_rl.physics.dart.work_meter import WorkMeter
-from dune_rl.physics.interface import RobotBody
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 
 

@@ -15,7 +15,7 @@ from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.memory import CopyWatch, MeshCopy, forget_copies, free_unused_copies
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
-from dune_rl.physics.interface import StaticBody
+from dune_rl.physics.shapes import StaticBody
 
 Array = NDArray[np.float64]
 

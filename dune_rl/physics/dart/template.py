@@ -13,7 +13,7 @@ from dune_rl.physics.dart.files import robot_urdf
 from dune_rl.physics.dart.joints import SLIP, TYRE
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.softness import TYRE_STIFFNESS_NPM
-from dune_rl.physics.interface import RobotBody, Tyre
+from dune_rl.physics.robot_body import RobotBody, Tyre
 
 # DART uses the smaller friction coefficient of the two shapes of a contact. The robot's is always larger,
 # so that the other shape's, which is the product of both bodies', is used.

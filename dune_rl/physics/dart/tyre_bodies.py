@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.massless import weld_massless_body
 from dune_rl.physics.dart.template import ROBOT_FRICTION
-from dune_rl.physics.interface import Tyre
+from dune_rl.physics.robot_body import Tyre
 
 # The compliance of a wheel's contact has the ending `joints.TYRE`, on its joint.
 _ENDING = "/tyre shape"

@@ -8,8 +8,8 @@ from pydantic import Field
 
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.paths import assets_folder
-from dune_rl.physics.interface import RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.hyperdog.leg_kinematics import Leg

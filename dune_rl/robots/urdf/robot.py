@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.errors import RobotError
-from dune_rl.physics.interface import PassiveJoint, RobotBody
 from dune_rl.physics.motors import Motor
+from dune_rl.physics.robot_body import PassiveJoint, RobotBody
 from dune_rl.robots.ackermann import AckermannDrive
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.robot import WheelLayout
