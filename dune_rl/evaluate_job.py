@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from dune_rl import command
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose_evaluation, override_value
-from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
 from dune_rl.learning.checkpoint import (
     POLICY_SOURCES,

@@ -22,8 +22,9 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from dune_rl import command, paths
+from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
-from dune_rl.config.schema import Conf, EnvConf, ViewConf
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.run.lock import refuse_locked

@@ -15,8 +15,9 @@ from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.config.agents import AgentGroupConf
+from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.compose import compose
-from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.engine_comparison import command_line as engines_command
 from dune_rl.engine_comparison.job import EnginesConf
 from dune_rl.env.randomisation import RandomisationConf

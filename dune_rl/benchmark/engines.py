@@ -9,7 +9,7 @@ import torch
 from dune_rl.benchmark.steppers import core_stepper
 from dune_rl.benchmark.timing import median_ratio, time_calls
 from dune_rl.config.build import make_simulation
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 from dune_rl.physics.interface import ENGINES
 
 _WARM_UP = 50

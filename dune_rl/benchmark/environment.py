@@ -15,7 +15,7 @@ from dune_rl.benchmark.steppers import (
 )
 from dune_rl.benchmark.timing import median_ratio, peak_memory_mib, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 
 _WARM_UP = 50
 

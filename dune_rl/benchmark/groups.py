@@ -8,7 +8,8 @@ import torch
 from dune_rl.benchmark.steppers import core_stepper
 from dune_rl.benchmark.timing import median_ratio, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
-from dune_rl.config.schema import BenchmarkConf, EnvConf
+from dune_rl.config.commands import BenchmarkConf
+from dune_rl.config.schema import EnvConf
 
 _ROBOTS = 4
 _WARM_UP = 50

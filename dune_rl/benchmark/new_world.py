@@ -10,7 +10,7 @@ import numpy as np
 
 from dune_rl.benchmark.timing import time_calls
 from dune_rl.config.build import build_world, make_simulation
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 
 _MOST_WORLDS = 5
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.benchmark.timing import median_ratio, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError

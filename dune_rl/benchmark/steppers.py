@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torchrl.envs import EnvBase, TransformedEnv
 
 from dune_rl.config.build import make_parallel_env, make_simulation, make_torchrl_env
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv

@@ -6,7 +6,7 @@ import numpy as np
 
 from dune_rl.benchmark.timing import time_in_turns
 from dune_rl.config.build import build_world
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 
 _POINTS = 100_000
 

@@ -7,7 +7,7 @@ import numpy as np
 from dune_rl.benchmark.steppers import RandomActions
 from dune_rl.benchmark.timing import resident_memory_mib
 from dune_rl.config.build import make_simulation
-from dune_rl.config.schema import BenchmarkConf
+from dune_rl.config.commands import BenchmarkConf
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError
 

@@ -5,7 +5,8 @@ from typing import Any
 
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.agents import EXTERNAL, PATH, PERSON, free_name
+from dune_rl.config.agents import PERSON, free_name
+from dune_rl.config.controller_settings import EXTERNAL, PATH
 
 _DEFAULTS: dict[str, Any] = {
     "kind": "walker",

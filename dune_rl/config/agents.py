@@ -2,8 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, model_validator
 
@@ -12,6 +11,7 @@ from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
+from dune_rl.config.controller_settings import PATH, Controller, follows_trajectories, parse_controller
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
@@ -19,35 +19,13 @@ from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.suggestions import closest, one_of
 from dune_rl.tasks.presence import PresenceConf
-from dune_rl.tasks.task import TaskConf, walking_task
+from dune_rl.tasks.task import TaskConf
 
-EXTERNAL, PATH, TRAJECTORY = "external", "path", "trajectory"
 PERSON = "person"
 _MOST_AGENTS = 1000
 # Agents are called GROUP_0, GROUP_1, ...; TorchRL has keys of its own beside the groups'.
 _GROUP_NAME = re.compile(r"[A-Za-z]\w*")
 _TAKEN_NAMES = ("action", "done", "metrics", "next", "observation", "reward", "terminated", "truncated")
-
-
-def _as_list(value: Any) -> Any:
-    return [value] if isinstance(value, str) else value
-
-
-class FrozenPolicyConf(Settings):
-    """A controller that is a trained policy: a run's folder, or a file of weights."""
-
-    checkpoint: str = Field(min_length=1)
-
-
-class TrajectoryFilesConf(Settings):
-    """A controller that is a trajectory for each agent, from files (.sdf, .csv, .json) in their order."""
-
-    trajectory: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(min_length=1)
-
-
-Controller = (
-    Literal["external", "path", "trajectory"] | FrozenPolicyConf | TrajectoryFilesConf | BehaviourSettings
-)
 
 
 def _parse_body(value: Any) -> Any:
@@ -63,46 +41,6 @@ def _parse_body(value: Any) -> Any:
             remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
             raise ValueError(f"there is no body {name!r}; {remedy}")
     return ROBOTS.parse_settings(value)
-
-
-def plain_controller(value: Any) -> Any:
-    """A controller as it is written; `{name: path}` and others without settings of their own as text."""
-    if isinstance(value, Mapping) and value.keys() == {"name"} and isinstance(value["name"], str):
-        return value["name"] if value["name"] in (EXTERNAL, PATH, TRAJECTORY) else value
-    return value
-
-
-def _parse_controller(value: Any) -> Any:
-    value = plain_controller(value)
-    if isinstance(value, Settings) or (isinstance(value, str) and value in (EXTERNAL, PATH, TRAJECTORY)):
-        return value
-    if isinstance(value, Mapping) and "checkpoint" in value:
-        return FrozenPolicyConf.model_validate(value)
-    if isinstance(value, Mapping) and TRAJECTORY in value:
-        return TrajectoryFilesConf.model_validate(value)
-    name = value.get("name") if isinstance(value, Mapping) else value
-    if name in (EXTERNAL, PATH, TRAJECTORY):
-        raise ValueError(f"{name} has no settings here: write controller: {name}")
-    if name is None:
-        raise ValueError(
-            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, a checkpoint, {checkpoint: PATH}, or "
-            "a trajectory, {trajectory: FILE}"
-        )
-    known = [EXTERNAL, PATH, TRAJECTORY, *BEHAVIOURS.names()]
-    if not isinstance(name, str) or name not in known:
-        near = closest(str(name), known)
-        remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
-        raise ValueError(f"there is no controller {name!r}; {remedy}")
-    if isinstance(value, str) and BEHAVIOURS.is_loaded(name):
-        settings = BEHAVIOURS.settings_class(name)
-        assert settings is not None, name
-        fields = settings.model_fields.items()
-        needed = [key for key, field in fields if field.is_required() and key != BEHAVIOURS.tag]
-        if needed:
-            raise ValueError(
-                f"{name} needs {' and '.join(needed)}; write controller: {{name: {name}, {needed[0]}: ...}}"
-            )
-    return BEHAVIOURS.parse_settings({"name": value} if isinstance(value, str) else value)
 
 
 class AgentGroupConf(Settings):
@@ -122,7 +60,7 @@ class AgentGroupConf(Settings):
 
     body: Annotated[SerializeAsAny[RobotSettings | BodySettings], BeforeValidator(_parse_body)]
     count: int = Field(1, ge=1, le=_MOST_AGENTS, description="number of agents")
-    controller: Annotated[SerializeAsAny[Controller], BeforeValidator(_parse_controller)] = "external"
+    controller: Annotated[SerializeAsAny[Controller], BeforeValidator(parse_controller)] = "external"
     path: PathConf | None = Field(
         None, description="where persons start, and between which ends they go; null: the defaults below"
     )
@@ -157,98 +95,6 @@ def _checked_names(groups: dict[str, AgentGroupConf]) -> dict[str, AgentGroupCon
 
 
 AgentGroups = Annotated[dict[str, AgentGroupConf], AfterValidator(_checked_names)]
-
-
-@dataclass(frozen=True)
-class ResolvedGroup:
-    """An agent group with all that it is made of.
-
-    A group without `task` has no goal of its own, earns nothing and never ends an episode; one without
-    `sensors` observes nothing. `path` is set for persons, and only for them.
-    """
-
-    name: str
-    body: RobotSettings | BodySettings
-    count: int
-    controller: Controller
-    path: PathConf | None
-    sensors: SensorsConf | None
-    task: TaskConf | None
-    metrics: MetricsConf | None
-    presence: PresenceConf | None = None
-
-    @property
-    def is_external(self) -> bool:
-        """Whether its actions come from outside."""
-        return self.controller == EXTERNAL
-
-    @property
-    def agents(self) -> tuple[str, ...]:
-        """The names of its agents."""
-        return tuple(f"{self.name}_{number}" for number in range(self.count))
-
-
-@dataclass(frozen=True)
-class GroupDefaults:
-    """What the groups of robots have unless they say otherwise: the environment's own sections."""
-
-    sensors: SensorsConf
-    task: TaskConf
-    metrics: MetricsConf
-
-
-def resolve_groups(
-    groups: Mapping[str, AgentGroupConf], defaults: GroupDefaults
-) -> tuple[ResolvedGroup, ...]:
-    """The groups in their order, with the sensors, task and metrics of those that do not say.
-
-    | body   | controller  | sensors       | task          | metrics       |
-    |--------|-------------|---------------|---------------|---------------|
-    | robot  | external    | environment's | environment's | environment's |
-    | robot  | checkpoint  | environment's | roaming       | none          |
-    | robot  | a behaviour | none          | roaming       | none          |
-    | person | external    | walker's      | walking       | none          |
-    | person | checkpoint  | walker's      | to and fro    | none          |
-    | person | another     | none          | none          | none          |
-    | other  | external    | walker's      | environment's | environment's |
-    | other  | checkpoint  | walker's      | roaming       | none          |
-    | other  | another     | none          | roaming       | none          |
-
-    A vehicle, an animal or a drone is "other", unless it is on a path: then it is as a person. Roaming agents
-    start and go where the environment's task has it, and get another goal at each.
-    """
-    return tuple(_resolved(name, group, defaults) for name, group in groups.items())
-
-
-def _resolved(name: str, group: AgentGroupConf, defaults: GroupDefaults) -> ResolvedGroup:
-    is_body = isinstance(group.body, BodySettings)
-    on_path = is_on_path(group.body, group.controller, has_path=group.path is not None)
-    is_external = group.controller == EXTERNAL
-    observes = is_external or reads_sensors(group.controller)
-    sensors: SensorsConf | None = None
-    task: TaskConf | None = None
-    metrics: MetricsConf | None = None
-    if observes:
-        sensors = walker_sensors() if is_body else defaults.sensors
-    if is_external:
-        task = walking_task() if on_path else defaults.task
-        # These bodies have no motors.
-        metrics = defaults.metrics.model_copy(update={"energy": False}) if is_body else defaults.metrics
-    elif not on_path:
-        task = roaming_task(defaults.task)
-    elif observes:
-        task = roaming_task(walking_task())
-    return ResolvedGroup(
-        name,
-        group.body,
-        group.count,
-        group.controller,
-        (group.path or PathConf()) if on_path else None,
-        group.sensors or sensors,
-        group.task or task,
-        group.metrics or metrics,
-        group.presence,
-    )
 
 
 def is_on_path(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> bool:
@@ -293,42 +139,6 @@ def motion_model(body: RobotSettings | BodySettings) -> str:
         return body.motion_model
     steers = getattr(getattr(body, "drive", None), "kind", None) == "ackermann"
     return "bicycle" if steers else "unicycle"
-
-
-def follows_trajectories(controller: Controller) -> bool:
-    """Whether a controller moves its agents on trajectories, of the world's file or of others."""
-    return controller == TRAJECTORY or isinstance(controller, TrajectoryFilesConf)
-
-
-def reads_sensors(controller: Controller) -> bool:
-    """Whether a controller needs its group's observation."""
-    if isinstance(controller, FrozenPolicyConf):
-        return True
-    part = BEHAVIOURS.find(controller.name) if isinstance(controller, BehaviourSettings) else None
-    return part is not None and getattr(part.target, "reads_sensors", False)
-
-
-def walker_sensors() -> SensorsConf:
-    """What persons observe: the end of their path, the nearest other agent, and their own velocity."""
-    return SensorsConf.model_validate(
-        {
-            "enabled": ["goal", "nearest_agent", "velocity"],
-            "named": {"velocity": {"sensor": "planar_velocity"}},
-        }
-    )
-
-
-def roaming_task(task: TaskConf) -> TaskConf:
-    """A task of the same starts and goals that earns nothing and never ends: goal follows goal."""
-    return TaskConf.model_validate(roaming_settings(task.model_dump()))
-
-
-def roaming_settings(task: Mapping[str, Any]) -> dict[str, Any]:
-    """`roaming_task` of settings as plain data, which need not be valid."""
-    endings = task.get("terminations")
-    reached = endings.get("goal_reached") if isinstance(endings, Mapping) else None
-    renewed = {"goal_reached": {**reached, "renew": True}} if isinstance(reached, Mapping) else {}
-    return {**task, "rewards": {}, "terminations": renewed}
 
 
 def robot_groups(robots: Iterable[RobotSettings], taken: Iterable[str]) -> dict[str, AgentGroupConf]:

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING
 from gymnasium.vector import AutoresetMode
 
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.config.agents import (
-    PATH,
-    TRAJECTORY,
-    follows_trajectories,
-)
+from dune_rl.config.controller_settings import PATH, TRAJECTORY, follows_trajectories
 from dune_rl.config.controllers import controller_factory, places_of
 from dune_rl.config.group_files import read_group_files
 from dune_rl.config.schema import EnvConf, SingleAgentConf

@@ -12,11 +12,12 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from dune_rl.config.checks import unique_lines, validate
+from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.expand import expand_options, merged
 from dune_rl.config.hydra_session import compose_config, hydra_session, present_groups, stated_keys, to_plain
 from dune_rl.config.migration import copied, migrated, move_renamed
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
-from dune_rl.config.schema import BenchmarkConf, Conf, EnvConf, EvaluateConf, ViewConf
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.world_actors import GROUP as ACTOR_GROUP
 from dune_rl.config.world_actors import replace_default_actors
 from dune_rl.errors import ConfigError

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.destinations import DestinedBehaviour
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
-from dune_rl.config.agents import Controller as ControllerConf
-from dune_rl.config.agents import FrozenPolicyConf
+from dune_rl.config.controller_settings import Controller as ControllerConf
+from dune_rl.config.controller_settings import FrozenPolicyConf
 from dune_rl.config.group_files import describe_owner
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController

@@ -9,10 +9,11 @@ from omegaconf import OmegaConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.config.actors import groups_of_list
-from dune_rl.config.agents import EXTERNAL, PATH, TRAJECTORY, plain_controller, roaming_settings
+from dune_rl.config.controller_settings import EXTERNAL, PATH, TRAJECTORY, plain_controller
 from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import option_names
 from dune_rl.config.renaming import rename_in_section
+from dune_rl.config.resolved_groups import roaming_settings
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import yaml
 
-from dune_rl.config.agents import FrozenPolicyConf, ResolvedGroup, TrajectoryFilesConf
+from dune_rl.config.controller_settings import FrozenPolicyConf, TrajectoryFilesConf
+from dune_rl.config.resolved_groups import ResolvedGroup
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.errors import CheckpointError, DuneError, WorldError
 from dune_rl.paths import conf_folder

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from dune_rl.config.actors import groups_of_list
-from dune_rl.config.agents import EXTERNAL, PERSON
+from dune_rl.config.agents import PERSON
+from dune_rl.config.controller_settings import EXTERNAL
 from dune_rl.config.expand import merged
 from dune_rl.config.renaming import RENAMED, put, rename_in_section, tell
 from dune_rl.metrics.episode import MetricsConf

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from dune_rl.config.agents import PERSON, TRAJECTORY
+from dune_rl.config.agents import PERSON
+from dune_rl.config.controller_settings import TRAJECTORY
 from dune_rl.errors import WorldError
 
 # The mark, in an option's file, of groups whose place the file's own actors take.

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.config.agents import ResolvedGroup
 from dune_rl.config.build import build_robot
 from dune_rl.config.checks import validate
+from dune_rl.config.resolved_groups import ResolvedGroup
 from dune_rl.config.schema import EnvConf
 from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
 from dune_rl.env.episodes.request import AgentRequest

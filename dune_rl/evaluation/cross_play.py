@@ -15,11 +15,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from dune_rl.config.agents import ResolvedGroup, roaming_task
 from dune_rl.config.checks import validate
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.migration import migrated
-from dune_rl.config.schema import EnvConf, EvaluateConf
+from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
+from dune_rl.config.schema import EnvConf
 from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices

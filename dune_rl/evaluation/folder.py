@@ -11,7 +11,7 @@ from typing import Any, Self
 import yaml
 
 from dune_rl.config.checks import validate
-from dune_rl.config.schema import EvaluateConf
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.errors import CheckpointError, ConfigError
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.tables import write_columns, write_tables

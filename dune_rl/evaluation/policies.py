@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from dune_rl.config.schema import EvaluateConf
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.stable_baselines import read_stable_baselines

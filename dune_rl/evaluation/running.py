@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 
 from dune_rl.config.build import make_learning_env
-from dune_rl.config.schema import EvaluateConf
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.episode_sets import EpisodeSet, plan_of_set
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.config.build import make_torchrl_env
-from dune_rl.config.schema import ViewConf
+from dune_rl.config.commands import ViewConf
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation

@@ -8,8 +8,8 @@ from typing import Any, get_args
 from rich.console import Console
 
 from dune_rl import command
+from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose_view, override_value
-from dune_rl.config.schema import ViewConf
 from dune_rl.sensors.camera import Output
 from dune_rl.sensors.conf import ROBOT_SENSORS
 from dune_rl.sensors.lidar_3d import Lidar3dOutput

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import no_grad
 
-from dune_rl.config.agents import reads_sensors
 from dune_rl.config.build import build_world, group_setups, make_torchrl_env, scene_class
-from dune_rl.config.schema import ViewConf
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.controller_settings import reads_sensors
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import build_groups

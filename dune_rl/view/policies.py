@@ -5,7 +5,7 @@ from pathlib import Path
 
 from torchrl.envs import EnvBase
 
-from dune_rl.config.schema import ViewConf
+from dune_rl.config.commands import ViewConf
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy

@@ -7,8 +7,9 @@ import pytest
 
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.agents import FrozenPolicyConf, ResolvedGroup, walker_sensors
 from dune_rl.config.compose import compose, compose_environment, compose_evaluation, from_hydra
+from dune_rl.config.controller_settings import FrozenPolicyConf
+from dune_rl.config.resolved_groups import ResolvedGroup, walker_sensors
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf

@@ -10,13 +10,15 @@ from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.animals import SheepConf
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.agents import AgentGroupConf, walker_sensors
+from dune_rl.config.agents import AgentGroupConf
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import (
     compose,
     compose_environment,
     compose_evaluation,
 )
-from dune_rl.config.schema import Conf, EnvConf, EvaluateConf
+from dune_rl.config.resolved_groups import walker_sensors
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.world_actors import MARK
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf

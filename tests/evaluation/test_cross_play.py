@@ -13,8 +13,8 @@ from PIL import Image
 from rich.console import Console
 
 from dune_rl.config.build import make_learning_env
+from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose, compose_evaluation
-from dune_rl.config.schema import EvaluateConf
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.cross_play import (

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 from matplotlib.figure import Figure
 
+from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose_view
-from dune_rl.config.schema import ViewConf
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.view import maps
 from dune_rl.visualization.site_map.panel import MapContent

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from dune_rl.config.checks import validate
+from dune_rl.config.commands import MOST_RUN_STEPS, EvaluateConf
 from dune_rl.config.compose import compose_environment
-from dune_rl.config.schema import MOST_RUN_STEPS, EvaluateConf
 from dune_rl.errors import ConfigError
 
 # What the paper counts as ten minutes; 570 s at its 20 Hz.

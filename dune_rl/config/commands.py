@@ -1,0 +1,187 @@
+"""Settings of the commands that evaluate, view and benchmark."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from dune_rl.config.schema import _BUILT_IN_POLICIES, EnvConf
+from dune_rl.suggestions import closest
+
+
+def _one_or_several(names: object) -> object:
+    """A list of names, of one name or of none (null)."""
+    return () if names is None else (names,) if isinstance(names, str) else names
+
+
+class BenchmarkConf(EnvConf):
+    """A measurement of what a step costs."""
+
+    parts: tuple[
+        Literal[
+            "environment",
+            "cameras",
+            "sensors",
+            "terrain",
+            "new_world",
+            "world_memory",
+            "groups",
+            "actors",
+            "processes",
+            "engines",
+        ],
+        ...,
+    ] = (
+        "environment",
+        "cameras",
+        "sensors",
+        "terrain",
+        "new_world",
+        "groups",
+        "actors",
+        "processes",
+    )
+    scenes: int = Field(16, ge=1, le=8_192)
+    rounds: int = Field(9, ge=1)
+    steps: int = Field(60, ge=1)
+    worlds: int = Field(500, ge=1)
+    processes: tuple[Annotated[int, Field(ge=1)], ...] = (1, 2)
+    seed: int = Field(0, ge=0)
+
+
+BuiltInPolicy = Literal["go_to_goal", "mppi", "planner", "random"]
+
+
+class ViewConf(EnvConf):
+    """A look at an environment: pictures and a video, seen from behind `agent` (None: the first)."""
+
+    view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
+    checkpoint: str | None = None
+    policy: BuiltInPolicy | None = None
+    agent: str | None = None
+    seed: int = Field(0, ge=0)
+    after_s: float = Field(3.0, ge=0.0)
+    longest_s: float = Field(30.0, gt=0.0)
+    frames_per_s: float = Field(10.0, gt=0.0, le=1_000.0)
+    width: int = Field(960, ge=64, le=8192, multiple_of=2)
+    height: int = Field(540, ge=64, le=8192, multiple_of=2)
+    samples: int = Field(2, ge=1, le=4)
+    episodes: int = Field(5, ge=1, le=100)
+    dpi: int = Field(160, ge=72, le=600)
+    out: str = Field("views", min_length=1)
+
+    @model_validator(mode="after")
+    def _one_driver(self) -> Self:
+        if self.checkpoint is not None and self.policy is not None:
+            raise ValueError("choose one driver: checkpoint=PATH or policy=NAME")
+        return self
+
+    @model_validator(mode="after")
+    def _a_map_is_of_one_world(self) -> Self:
+        drawn = [name for name in ("world_seed", "layout_seed") if name in self.randomisation.distributions]
+        if self.view == "map" and drawn and (self.checkpoint or self.policy):
+            raise ValueError(
+                f"view=map shows one world, and randomisation.{drawn[0]} draws another for each episode: "
+                "set randomisation=none"
+            )
+        return self
+
+
+def _steps_kept(value: object) -> object:
+    if isinstance(value, bool) or (isinstance(value, int) and value >= 1):
+        return value
+    raise ValueError(
+        f"true writes a row for each step, a whole number N of at least 1 each N-th, false none (got {value})"
+    )
+
+
+Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], BeforeValidator(_one_or_several)]
+
+
+MOST_RUN_STEPS = 100_000
+
+
+class EvaluateConf(EnvConf):
+    """An evaluation of checkpoints, built-in policies and users' own, on the same episodes.
+
+    `episodes` is None for all of the episode set, or 100 without one. With a `protocol` there are `runs` of
+    `run_steps` control steps instead, None for those of the protocol.
+    """
+
+    checkpoint: Names = ()
+    policy: Names = ()
+    against: Names = ()
+    set: str | None = None
+    episodes: int | None = Field(None, ge=1)
+    protocol: Literal["paper", "dune_code"] | None = None
+    runs: int | None = Field(None, ge=1)
+    run_steps: int | None = Field(None, ge=1, le=MOST_RUN_STEPS)
+    scenes: int = Field(16, ge=1, le=8_192)
+    seed: int = Field(0, ge=0)
+    processes: int = Field(1, ge=1, le=1_024)
+    steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False
+    actor_steps: bool = False
+    cross_play: bool = False
+    populations: Names = ()
+    out: str | None = Field(None, min_length=1)
+    overwrite: bool = False
+
+    @model_validator(mode="after")
+    def _known_policies(self) -> Self:
+        for key, names in (("policy", self.policy), ("against", self.against)):
+            for name in names:
+                if name in _BUILT_IN_POLICIES or ":" in name or name.endswith((".onnx", ".zip")):
+                    continue
+                if "/" in name or name.endswith(".pt"):
+                    raise ValueError(f"{key}: {name} is no policy; did you mean checkpoint={name}?")
+                near = closest(name, _BUILT_IN_POLICIES)
+                meant = f"did you mean {near}? There are" if near else "there are"
+                known = ", ".join((*_BUILT_IN_POLICIES, "FILE.onnx", "FILE.zip", "MODULE:FUNCTION"))
+                raise ValueError(f"{key}: {name} is no policy; {meant} {known}")
+        return self
+
+    @model_validator(mode="after")
+    def _actors_among_steps(self) -> Self:
+        if self.actor_steps and not self.steps:
+            raise ValueError("actor_steps=true adds rows to the steps; give steps=true or steps=N as well")
+        return self
+
+    @model_validator(mode="after")
+    def _protocol_fits(self) -> Self:
+        if self.protocol is None:
+            for name in ("runs", "run_steps"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} needs protocol=paper or protocol=dune_code; or take episodes=N")
+            return self
+        if self.set is not None:
+            raise ValueError(
+                f"protocol={self.protocol} samples starts and goals as in training, and set={self.set} fixes "
+                "them and how episodes end; leave one of the two out"
+            )
+        if self.episodes is not None:
+            raise ValueError(
+                f"protocol={self.protocol} has runs of control steps, whatever the number of episodes; "
+                "write runs=N in place of episodes"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _cross_play_has_populations(self) -> Self:
+        if self.cross_play and not self.populations:
+            raise ValueError(
+                "cross_play tests robots among populations of actors; name some: "
+                "populations=[walkers,none,RUN], options of actors or runs that trained actors"
+            )
+        if self.populations and not self.cross_play:
+            raise ValueError("populations are of a cross-play; give cross_play=true as well")
+        if self.cross_play and self.protocol is not None:
+            raise ValueError("cross_play counts episodes, and a protocol runs; leave protocol out")
+        return self
+
+    @model_validator(mode="after")
+    def _some_policy(self) -> Self:
+        if not (self.checkpoint or self.policy):
+            raise ValueError(
+                f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(_BUILT_IN_POLICIES)}, "
+                "FILE.onnx, FILE.zip or MODULE:FUNCTION"
+            )
+        return self
