@@ -117,8 +117,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
          "there is no group 'wrold/x'; "
-         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, sensors, task, "
-         "weather, world"),
+         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, scenario, "
+         "sensors, task, weather, world"),
         (["world=flat", "seed=${nowhere}"],
          "cannot resolve the settings: Interpolation key 'nowhere' not found"),
     ],
