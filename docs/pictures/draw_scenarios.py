@@ -1,4 +1,4 @@
-"""Draws a still and a film of each scenario: `python docs/pictures/draw_scenarios.py [--stills] [NAME ...]`.
+"""Draws a still and a film of each scenario: `python docs/pictures/draw_scenarios.py [--stills | --films] [NAME ...]`.
 
 It writes `scenario_NAME.jpg` and `scenario_NAME.mp4` beside itself.
 """
@@ -17,8 +17,8 @@ from dune_rl.view.episode import EpisodeView
 from dune_rl.visualization.video import open_video
 
 FOLDER = Path(__file__).parent
-STILL_PX, FILM_PX = (960, 540), (640, 360)
-FRAMES_PER_S = 10.0
+STILL_PX, FILM_PX = (960, 540), (480, 270)
+FRAMES_PER_S = 7.0
 # The robot gets goal after goal, so that a film does not end with the first.
 ROAMING = ("task.terminations.goal_reached.renew=true", "task.terminations.stuck=null")
 
@@ -37,14 +37,14 @@ class Shot:
 
 
 SHOTS = {
-    "crossing": Shot(3, (-27.4, -25.3, 4.4), (-20.6, -21.2, 0.5), 0.0, 10.0, 3.0),
-    "crowd": Shot(1, (-12.5, -6.0, 4.6), (0.3, -0.5, 0.5), 0.0, 12.0, 4.0),
-    "farm": Shot(1, (-18.0, 1.0, 5.0), (0.0, -2.4, 0.4), 0.0, 14.0, 8.0),
-    "site_traffic": Shot(2, (-11.0, -17.0, 7.0), (4.0, -6.5, 0.8), 0.0, 14.0, 4.0),
+    "crossing": Shot(3, (-27.4, -25.3, 4.4), (-20.6, -21.2, 0.5), 0.0, 9.0, 3.0),
+    "crowd": Shot(1, (-12.5, -6.0, 4.6), (0.3, -0.5, 0.5), 0.0, 9.0, 4.0),
+    "farm": Shot(1, (-18.0, 1.0, 5.0), (0.0, -2.4, 0.4), 0.0, 9.0, 8.0),
+    "site_traffic": Shot(2, (-11.0, -17.0, 7.0), (4.0, -6.5, 0.8), 0.0, 9.0, 4.0),
 }
 
 
-def draw(name: str, shot: Shot, with_film: bool) -> None:
+def draw(name: str, shot: Shot, *, with_still: bool, with_film: bool) -> None:
     """Write the still and the film of a scenario."""
     words = [f"scenario={name}", f"seed={shot.seed}", "sensors=[goal]", "policy=planner", *ROAMING]
     view = EpisodeView(compose_view(words))
@@ -59,7 +59,7 @@ def draw(name: str, shot: Shot, with_film: bool) -> None:
     still, begin, end = (round(time * rate) for time in (shot.still_s, shot.begin_s, shot.end_s))
     frames = []
     for step, _ in enumerate(view.run()):
-        if step == still:
+        if with_still and step == still:
             picture = pictures.seen(camera, 0, *STILL_PX, samples=3)
             Image.fromarray(picture).save(FOLDER / f"scenario_{name}.jpg", quality=85, optimize=True)
         if with_film and step >= begin and step % every == 0:
@@ -75,9 +75,11 @@ def draw(name: str, shot: Shot, with_film: bool) -> None:
 
 def main() -> None:
     """Write the pictures of all scenarios, or of those that are named."""
-    names = [word for word in sys.argv[1:] if word != "--stills"]
+    flags = {"--stills", "--films"}.intersection(sys.argv)
+    names = [word for word in sys.argv[1:] if word not in flags]
     for name in names or SHOTS:
-        draw(name, SHOTS[name], with_film="--stills" not in sys.argv)
+        with_still, with_film = "--films" not in flags, "--stills" not in flags
+        draw(name, SHOTS[name], with_still=with_still, with_film=with_film)
 
 
 if __name__ == "__main__":
