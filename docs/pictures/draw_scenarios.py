@@ -1,6 +1,7 @@
-"""Draws a still and a film of each scenario: `python docs/pictures/draw_scenarios.py [--stills | --films] [NAME ...]`.
+"""Draws a still and a film of each scenario: `python docs/pictures/draw_scenarios.py`.
 
-It writes `scenario_NAME.jpg` and `scenario_NAME.mp4` beside itself.
+It writes `scenario_NAME.jpg` and `scenario_NAME.mp4` beside itself: of all scenarios, or of those that are
+named, with `--stills` or `--films` the one kind alone.
 """
 
 import sys
