@@ -62,7 +62,7 @@ register_envs()
 
 
 def parallel_env(
-    world: str = "inspection",
+    world: str | None = None,
     seed: int = 0,
     *,
     render_mode: Literal["human", "rgb_array"] | None = None,
@@ -77,6 +77,7 @@ def parallel_env(
     of a scene. `robot="leo_rover"`, `robots=["rover_zero", {"name": "leo_rover",
     "wheel_friction": 0.8}]` and `actors="external_walkers"` are shorter forms.
 
+    `world` is inspection, or that of a `scenario` ("crossing", "crowd", "farm" or "site_traffic").
     `settings` are sections of the configuration: a name chooses an option
     (`task="paper"`), a mapping changes values (`world={"name": "flat",
     "friction": 0.5}`). `overrides` are command-line words
@@ -93,7 +94,7 @@ def parallel_env(
 
 
 def gym_env(
-    world: str = "inspection",
+    world: str | None = None,
     seed: int | None = None,
     *,
     render_mode: Literal["human", "rgb_array"] | None = None,
@@ -125,7 +126,7 @@ gym_env.metadata = RENDER_METADATA  # type: ignore[attr-defined]
 
 
 def gym_vector_env(
-    world: str = "inspection",
+    world: str | None = None,
     num_envs: int = 16,
     seed: int | None = None,
     *,
@@ -155,7 +156,7 @@ def gym_vector_env(
 
 
 def make(
-    world: str = "inspection",
+    world: str | None = None,
     num_scenes: int = 16,
     seed: int = 0,
     *,

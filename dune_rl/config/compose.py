@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, TypeVar, overload
 
 from hydra.core.config_loader import ConfigLoader
@@ -14,9 +15,25 @@ from omegaconf import DictConfig, OmegaConf
 from dune_rl.config.checks import unique_lines, validate
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.expand import expand_options, merged
-from dune_rl.config.hydra_session import compose_config, hydra_session, present_groups, stated_keys, to_plain
+from dune_rl.config.hydra_session import (
+    WHOLE_SETTINGS,
+    compose_config,
+    hydra_session,
+    present_groups,
+    stated_keys,
+    to_plain,
+)
 from dune_rl.config.migration import copied, migrated, move_renamed
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
+from dune_rl.config.scenarios import (
+    SCENARIO,
+    change_saved,
+    describe_shared_groups,
+    drop_absent_groups,
+    has_scenario,
+    named_actors,
+    names_options,
+)
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.world_actors import GROUP as ACTOR_GROUP
 from dune_rl.config.world_actors import replace_default_actors
@@ -29,6 +46,8 @@ Model = TypeVar("Model", bound=EnvConf)
 _GROUPS = ("agents", "actors")
 # What `agents` takes the place of.
 _SHORTHANDS = ("robot", "robots", "actors")
+# Of environments made in Python and of benchmarks, unless a scenario or an experiment chooses one.
+_DEFAULT_WORLD = "inspection"
 
 
 def compose(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> Conf:
@@ -56,7 +75,7 @@ def compose_view(
 
 def compose_benchmark(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> BenchmarkConf:
     """The settings of a benchmark, which has a default world."""
-    return _compose(BenchmarkConf, "benchmark", overrides, config_dirs)
+    return _compose(BenchmarkConf, "benchmark", overrides, config_dirs, default_world=_DEFAULT_WORLD)
 
 
 def compose_resumed(overrides: Sequence[str], config_dirs: Sequence[str], saved: Mapping[str, Any]) -> Conf:
@@ -66,7 +85,7 @@ def compose_resumed(overrides: Sequence[str], config_dirs: Sequence[str], saved:
 
 @overload
 def compose_environment(
-    world: str | Mapping[str, Any],
+    world: str | Mapping[str, Any] | None,
     overrides: Iterable[str] = (),
     settings: Mapping[str, Any] | None = None,
     *,
@@ -74,7 +93,7 @@ def compose_environment(
 ) -> EnvConf: ...
 @overload
 def compose_environment(
-    world: str | Mapping[str, Any],
+    world: str | Mapping[str, Any] | None,
     overrides: Iterable[str],
     settings: Mapping[str, Any] | None,
     model: type[Model],
@@ -82,7 +101,7 @@ def compose_environment(
     config_dirs: Sequence[str] = (),
 ) -> Model: ...
 def compose_environment(
-    world: str | Mapping[str, Any],
+    world: str | Mapping[str, Any] | None,
     overrides: Iterable[str] = (),
     settings: Mapping[str, Any] | None = None,
     model: type[EnvConf] = EnvConf,
@@ -92,13 +111,30 @@ def compose_environment(
     """The settings of an environment alone.
 
     In `settings` a string chooses an option of a group (`actors="none"`), and
-    anything else changes values. They take precedence over the overrides.
+    anything else changes values. They take precedence over the overrides. A
+    `world` of None is that of a scenario, or else inspection.
     """
     if isinstance(overrides, str) or isinstance(config_dirs, str):
         raise ConfigError("overrides and config_dirs are lists of strings; write [...] round the one")
+    with hydra_session(config_dirs) as loader:
+        words, changes = _words_and_changes(world, overrides, settings or {}, loader)
+        request = _with_world(_DEFAULT_WORLD, "environment", parse_overrides(words, loader), loader)
+        data = merged(to_plain(compose_config("environment", request)), changes)
+        return _validate_all(model, data, request, loader, set_in_python=settings or {})
+
+
+def _words_and_changes(
+    world: str | Mapping[str, Any] | None,
+    overrides: Iterable[str],
+    settings: Mapping[str, Any],
+    loader: ConfigLoader,
+) -> tuple[list[str], dict[str, Any]]:
+    """Settings of Python as overrides where they choose options, and what they change beside."""
     words = list(overrides)
     changes: dict[str, Any] = {}
-    for name, value in {"world": world, **(settings or {})}.items():
+    for name, value in {"world": world, **settings}.items():
+        if name == "world" and value is None:
+            continue
         if isinstance(value, Mapping) and "name" in value and name not in _GROUPS:
             words.append(f"{name}={value['name']}")
             # The option states its own name, which need not be that of its file.
@@ -108,14 +144,25 @@ def compose_environment(
             changes[name] = {"enabled": list(value)}
         elif isinstance(value, str):
             words.append(f"{name}={value}")
+        elif name == "actors" and names_options(value, loader):
+            words.append(f"actors=[{','.join(value)}]")
         elif isinstance(value, Sequence):
             changes[name] = list(value)
         else:
             changes[name] = value
-    with hydra_session(config_dirs) as loader:
-        request = parse_overrides(words, loader)
-        data = merged(to_plain(compose_config("environment", request)), changes)
-        return _validate_all(model, data, request, loader, set_in_python=settings or {})
+    return words, changes
+
+
+def _with_world(world: str, name: str, request: ParsedOverrides, loader: ConfigLoader) -> ParsedOverrides:
+    """The overrides, with a `world` where neither they nor the file `name` choose one."""
+    if (
+        "world" in request.faulty_groups
+        or any(override.key_or_group == "world" for override in request.groups)
+        or "world" in present_groups(name, request)
+    ):
+        return request
+    default = parse_overrides([f"world={world}"], loader)
+    return replace(request, groups=(*default.groups, *request.groups))
 
 
 def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> list[str]:
@@ -155,6 +202,7 @@ def from_hydra(config: DictConfig) -> Conf:
     """The settings that Hydra composed for a job, which have been validated before."""
     data = to_plain(config)
     move_renamed(data, warn=False)
+    drop_absent_groups(data)
     faults = expand_options(data, GlobalHydra.instance().config_loader(), warn=False)
     replace_default_actors(data)
     move_renamed(data, warn=False)
@@ -167,14 +215,23 @@ def _compose(
     overrides: Sequence[str],
     config_dirs: Sequence[str],
     saved: Mapping[str, Any] | None = None,
+    default_world: str | None = None,
 ) -> Model:
     with hydra_session(config_dirs) as loader:
         request = parse_overrides(overrides, loader)
+        if default_world is not None:
+            request = _with_world(default_world, name, request, loader)
         swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
         if swept:
             raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
         config = compose_config(name, request)
-        data = to_plain(config) if saved is None else _overlay_saved(migrated(saved), config, request, model)
+        if saved is None:
+            data = to_plain(config)
+        else:
+            saved = migrated(saved)
+            if has_scenario(request):
+                saved = change_saved(saved, name, request)
+            data = _overlay_saved(saved, config, request, model)
         return _validate_all(model, data, request, loader)
 
 
@@ -192,6 +249,8 @@ def _validate_all(
     # What a caller gave in Python stays as it is.
     data = copied(data)
     move_renamed(data)
+    if has_scenario(request):
+        drop_absent_groups(data, named_actors(request))
     faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
     replaced_actors = replace_default_actors(data, keep="actors" in set_in_python)
     for override in request.values:
@@ -205,6 +264,11 @@ def _validate_all(
     # The kind of a named sensor may be known only now, from an option.
     move_renamed(data)
     overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
+    if data.get("agents") is not None and has_scenario(request):
+        faults.append(
+            f"agents takes the place of the actors of the {SCENARIO}: leave one of the two out, or add "
+            "groups with +actors.NAME={...}"
+        )
     for section, replaced in (("agents", _SHORTHANDS), ("robots", ("robot",))):
         for name in replaced if data.get(section) is not None else ():
             if name in overridden or name in set_in_python:
@@ -214,10 +278,10 @@ def _validate_all(
 
 def _request_faults(request: ParsedOverrides, data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """The faults of the overrides. A missing world is one; `data` gets another, to validate the rest."""
-    faults = list(request.faults)
+    faults = [*request.faults, *describe_shared_groups(request)]
     world = data.get("world")
     if not isinstance(world, dict) or "name" not in world:
-        if "world" not in request.faulty_groups:
+        if not request.faulty_groups & {"world", *WHOLE_SETTINGS}:
             options = option_names(loader, "world")
             faults.append(f"choose a world: +world=NAME with {one_of(options)}")
         data["world"] = {"name": "flat"}

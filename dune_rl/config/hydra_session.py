@@ -26,6 +26,9 @@ from dune_rl.config.options import offer_user_parts, stored_options
 from dune_rl.config.overrides import ParsedOverrides, sweep_values
 from dune_rl.errors import ConfigError
 
+# The groups of options that choose options of other groups, and change any settings.
+WHOLE_SETTINGS = ("experiment", "scenario")
+
 
 @contextmanager
 def hydra_session(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
@@ -119,17 +122,28 @@ def _file_states(loader: ConfigLoader) -> Iterator[object]:
 
 
 def present_groups(name: str, request: ParsedOverrides) -> frozenset[str]:
-    """The groups that are in the defaults list already, with those of an experiment."""
-    experiments = [o for o in request.groups if o.key_or_group == "experiment"]
-    words = tuple(f"+experiment={sweep_values(o)[0].value()}" for o in experiments)
-    return _present_groups_of(name, words, _state_of_sources())
+    """The groups that are in the defaults list already, with those of an experiment and of a scenario."""
+    whole = [each for each in request.groups if each.key_or_group in WHOLE_SETTINGS and not each.is_delete()]
+    words = tuple(f"+{each.key_or_group}={sweep_values(each)[0].value()}" for each in whole)
+    try:
+        # Groups of which a list of options is chosen are no choices of Hydra's.
+        return frozenset[str]().union(
+            *(_present_groups_of(name, each, _state_of_sources()) for each in {(), words})
+        )
+    except HydraException:
+        if len(whole) < 2:
+            raise
+        chosen = " and ".join(str(each.input_line) for each in whole)
+        raise ConfigError(f"{chosen} both choose a world: leave one of them out") from None
 
 
 @lru_cache(maxsize=32)
 def _present_groups_of(name: str, words: tuple[str, ...], _state: object) -> frozenset[str]:
     config = hydra_compose(name, list(words), return_hydra_config=True)
     choices = config.hydra.runtime.choices
-    return frozenset(group for group in choices if group != "experiment" and not group.startswith("hydra/"))
+    return frozenset(
+        group for group in choices if group not in WHOLE_SETTINGS and not group.startswith("hydra/")
+    )
 
 
 def stated_keys(request: ParsedOverrides, present: frozenset[str]) -> set[str]:

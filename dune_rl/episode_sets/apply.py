@@ -40,6 +40,8 @@ def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
         for section in (*_DETERMINED, *_RENAMED, "seed"):
             if key == section or key.startswith(f"{section}."):
                 raise ConfigError(f"set={name} determines {section}; leave {word} out")
+        if key == "scenario":
+            raise ConfigError(f"set={name} determines world and actors; leave {word} out")
         if key.partition(".")[0] in _ONE_ROBOT:
             raise ConfigError(f"set={name} is for one robot; take robot=NAME in place of {word}")
 

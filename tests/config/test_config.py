@@ -8,8 +8,10 @@ import yaml
 from dune_rl import paths
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
-from dune_rl.bodies.animals import SheepConf
-from dune_rl.bodies.person import PersonConf
+from dune_rl.bodies.animals import CowConf, DogConf, SheepConf
+from dune_rl.bodies.drone import DroneConf
+from dune_rl.bodies.person import ChildConf, PersonConf
+from dune_rl.bodies.vehicles import CarConf, TractorConf, TruckConf
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import (
@@ -17,7 +19,8 @@ from dune_rl.config.compose import (
     compose_environment,
     compose_evaluation,
 )
-from dune_rl.config.resolved_groups import walker_sensors
+from dune_rl.config.hydra_session import WHOLE_SETTINGS
+from dune_rl.config.resolved_groups import roaming_task, walker_sensors
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.world_actors import MARK
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
@@ -47,7 +50,7 @@ from dune_rl.worlds.rubicon.build import RubiconConf
 
 CONF = paths.conf_folder()
 OPTIONS = sorted(
-    (path.parent.name, path.stem) for path in CONF.glob("*/*.yaml") if path.parent.name != "experiment"
+    (path.parent.name, path.stem) for path in CONF.glob("*/*.yaml") if path.parent.name not in WHOLE_SETTINGS
 )
 # What a user says, and no option.
 GIVEN = "a/file"
@@ -78,6 +81,20 @@ def people(controller: dict[str, Any], count: int, speed_mps: float = 1.0) -> Ag
     return WALKERS.model_copy(update={"controller": behaviour, "count": count, "body": body})
 
 
+def seen_as_figures(group: AgentGroupConf, **settings: Any) -> AgentGroupConf:
+    """People with limbs."""
+    assert isinstance(group.body, PersonConf)
+    return group.model_copy(update={"body": group.body.model_copy(update={"looks": "figure", **settings})})
+
+
+def roaming(body: Any, count: int, **controller: Any) -> AgentGroupConf:
+    """Bodies that start anywhere in the world."""
+    behaviour = BEHAVIOURS.parse_settings(controller)
+    task = roaming_task(TaskConf.model_validate({"spawn": {"region": "anywhere"}}))
+    return AgentGroupConf(body=body, count=count, controller=behaviour, task=task)
+
+
+TRAFFIC = {"name": "random_waypoint", "range_m": 15.0}
 SQUARE = [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]]
 NAVIGATION: dict[str, Any] = {
     "duration": {"reduce": "last", "initial": 0.0},
@@ -163,13 +180,50 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "default"): {"walker": WALKERS},
     ("actors", "walkers"): {"walker": WALKERS},
     ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
+    ("actors", "cars"): {"car": roaming(CarConf(), 2, speed_mps=3.0, **TRAFFIC)},
+    ("actors", "cows"): {
+        "cow": AgentGroupConf(
+            body=CowConf(),
+            count=4,
+            controller=BEHAVIOURS.parse_settings(
+                {
+                    **{"name": "herd", "speed_mps": 0.7, "run_mps": 1.2, "cohesion": 0.6},
+                    **{"spacing_m": 3.0, "pause_s": (10.0, 30.0)},
+                }
+            ),
+        )
+    },
+    ("actors", "crowd"): {
+        "walker": seen_as_figures(people({"name": "social_force", "range_m": 5.0}, 12), speed_mps=1.5),
+        "child": AgentGroupConf(
+            body=ChildConf(speed_mps=1.5),
+            count=4,
+            controller=BEHAVIOURS.parse_settings(
+                {"name": "social_force", "reaction": "curious", "range_m": 5.0}
+            ),
+            path=PathConf(),
+        ),
+    },
     ("actors", "crossing"): {"walker": people({"name": "crossing"}, 2)},
+    ("actors", "dogs"): {
+        "dog": AgentGroupConf(
+            body=DogConf(),
+            count=2,
+            controller=BEHAVIOURS.parse_settings(
+                {"name": "random_waypoint", "speed_mps": 2.5, "pause_s": (0.0, 4.0)}
+            ),
+        )
+    },
+    ("actors", "drones"): {"drone": roaming(DroneConf(), 2, name="go_to_goal", speed_mps=3.0)},
     ("actors", "flee"): {"walker": people({"name": "flee"}, 4, 1.5)},
     ("actors", "follow"): {"walker": people({"name": "follow"}, 1)},
     ("actors", "herd"): {
         "herd": AgentGroupConf(
             body=SheepConf(), count=8, controller=BEHAVIOURS.parse_settings({"name": "herd"})
         )
+    },
+    ("actors", "jaywalkers"): {
+        "walker": seen_as_figures(people({"name": "crossing", "speed_mps": 1.4}, 3), speed_mps=1.4)
     },
     ("actors", "learning_walkers"): {
         "walker": WALKERS.model_copy(
@@ -178,8 +232,13 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     },
     ("actors", "orca"): {"walker": people({"name": "orca"}, 8, 1.5)},
     ("actors", "patrol"): {"walker": people({"name": "patrol", "places": SQUARE}, 2)},
+    ("actors", "pedestrians"): {"walker": seen_as_figures(people({"name": "random_waypoint"}, 5))},
     ("actors", "random_waypoint"): {"walker": people({"name": "random_waypoint"}, 5)},
     ("actors", "social_force"): {"walker": people({"name": "social_force"}, 8, 1.5)},
+    ("actors", "tractor"): {
+        "tractor": roaming(TractorConf(), 1, **(TRAFFIC | {"speed_mps": 1.5, "range_m": 12.0}))
+    },
+    ("actors", "trucks"): {"truck": roaming(TruckConf(), 2, speed_mps=2.5, **TRAFFIC)},
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
     ("metrics", "dune_code"): MetricsConf(terms={**PAPER_METRICS, **DUNE_CODE_METRICS}),
@@ -296,6 +355,13 @@ def test_yaml_states_every_setting(group: str, option: str) -> None:
         stated["actors"].pop("defaults", None)
         # A name stands for all settings of that option.
         named = {f"actors.{each}.{part}" for each in plain.actors for part in ("sensors", "task", "metrics")}
+        # A task may be the environment's but for what is stated.
+        changed = tuple(
+            f"actors.{name}.task." for name, group in stated["actors"].items() if group.get("task")
+        )
+        settings = {key for key in settings if not key.startswith(changed)} | {
+            key for key in leaves(stated) if key.startswith(changed)
+        }
     else:
         settings = leaves(plain.model_dump())
         inherits = "defaults" in stated

@@ -47,9 +47,10 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         ([], CHOOSE),
         (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
-        (["world=flat", "actors=crowd"],
-         "there is no actors 'crowd'; choose crossing, default, external_walkers, flee, follow, herd, "
-         "learning_walkers, none, orca, patrol, random_waypoint, social_force or walkers"),
+        (["world=flat", "actors=throng"],
+         "there is no actors 'throng'; choose cars, cows, crossing, crowd, default, dogs, drones, "
+         "external_walkers, flee, follow, herd, jaywalkers, learning_walkers, none, orca, patrol, "
+         "pedestrians, random_waypoint, social_force, tractor, trucks or walkers"),
         (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),
         (["world=flat", "world.friction=-1"], "world.friction must be above 0.0 (got -1)"),
         (["world=flat", "world.friction=6"], "world.friction must be at most 5.0 (got 6)"),
@@ -117,8 +118,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
          "there is no group 'wrold/x'; "
-         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, sensors, task, "
-         "weather, world"),
+         "choose from actors, experiment, learning, metrics, physics, randomisation, robot, scenario, "
+         "sensors, task, weather, world"),
         (["world=flat", "seed=${nowhere}"],
          "cannot resolve the settings: Interpolation key 'nowhere' not found"),
     ],
