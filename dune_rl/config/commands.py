@@ -1,10 +1,10 @@
 """Settings of the commands that evaluate, view and benchmark."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from dune_rl.config.schema import _BUILT_IN_POLICIES, EnvConf
+from dune_rl.config.schema import EnvConf
 from dune_rl.suggestions import closest
 
 
@@ -49,6 +49,7 @@ class BenchmarkConf(EnvConf):
 
 
 BuiltInPolicy = Literal["go_to_goal", "mppi", "planner", "random"]
+_BUILT_IN_POLICIES = get_args(BuiltInPolicy)
 
 
 class ViewConf(EnvConf):

@@ -1,13 +1,12 @@
 """Every setting there is: one class for training, one for evaluation, both around an environment's."""
 
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationError, model_validator
 
 from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import AgentGroups, robot_groups
 from dune_rl.config.checks import describe_faults
-from dune_rl.config.commands import BuiltInPolicy
 from dune_rl.config.resolved_groups import GroupDefaults, ResolvedGroup, resolve_groups
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
@@ -252,6 +251,3 @@ class Conf(EnvConf):
             remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
             raise ValueError(f"objective: there is no metric {self.objective!r}; {remedy}")
         return self
-
-
-_BUILT_IN_POLICIES = get_args(BuiltInPolicy)
