@@ -154,7 +154,7 @@ def test_what_is_no_population_is_named(run: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as error:
         find_populations(settings(words))
     first, second, third = str(error.value).splitlines()
-    assert first.startswith("populations: walkrs is no option of actors (crossing, default, external_walkers")
+    assert first.startswith("populations: walkrs is no option of actors (cars, cows, ")
     assert second.startswith("populations: nobody drives walker of actors=learning_walkers; give a run")
     assert third.startswith(f"populations: {published} trained no actors, but rover")
     for words, said in (

@@ -185,6 +185,14 @@ def _is_alive(pid: int) -> bool:
     return state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
+def _command(pid: int) -> bytes:
+    """The command of a process; empty if it has ended."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
 def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_set: str) -> None:
     words = ["policy=random", short_set, "scenes=1", "processes=2", "out=results"]
@@ -193,7 +201,7 @@ def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_se
     workers: list[int] = []
     while len(workers) < 2 and parent.poll() is None:
         found = [int(pid) for pid in children.read_text().split()]
-        workers = [pid for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        workers = [pid for pid in found if b"spawn_main" in _command(pid)]
         time.sleep(0.05)
     assert len(workers) >= 2
     parent.kill()

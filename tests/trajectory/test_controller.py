@@ -38,7 +38,7 @@ def test_actors_follow_their_files_on_time(tmp_path):
         for _ in range(2):
             simulation.reset()
             rest = {
-                group.name: np.tile(group._rest, (simulation.num_scenes, group.count, 1))
+                group.name: np.tile(group.rest_action, (simulation.num_scenes, group.count, 1))
                 for group in simulation.external
             }
             for _ in range(30):

@@ -42,7 +42,7 @@ def simulation_of(path, scenes: int = 1, **settings):
 
 def rest(simulation):
     return {
-        group.name: np.tile(group._rest, (simulation.num_scenes, group.count, 1))
+        group.name: np.tile(group.rest_action, (simulation.num_scenes, group.count, 1))
         for group in simulation.external
     }
 

@@ -64,7 +64,7 @@ def test_a_track_has_the_places_speeds_collisions_and_walkers_of_its_steps(make_
     np.testing.assert_allclose(first.points, [[0, 0], [1, 0], [2, 0], [3, 0]])
     np.testing.assert_allclose(first.speeds, [1, 2, 3])
     np.testing.assert_allclose(first.collisions, [[2, 0]])
-    np.testing.assert_allclose(first.walkers, [[[1, 9], [2, 9], [3, 9]]])
+    np.testing.assert_allclose(first.walkers, [[[1, 9, 0.5], [2, 9, 1.0], [3, 9, 1.5]]])
     assert (first.success, first.ending) == (True, REACHED)
     assert (second.success, second.ending) == (False, FAILURES["stuck"])
     # Walkers are no reason to see less of the robots.
@@ -95,7 +95,7 @@ def test_the_ends_of_tracks_are_their_last_seconds_before_the_failure(make_rows:
     crash = until_failure(track, "collision", 0.5)
     np.testing.assert_allclose(crash.points, [[1, 1], [2, 1]])
     np.testing.assert_allclose(crash.speeds, [2])
-    np.testing.assert_allclose(crash.walkers[0], [[1, 9], [2, 9]])
+    np.testing.assert_allclose(crash.walkers[0], [[1, 9, 0.5], [2, 9, 1.0]])
     assert crash.ending is None and len(crash.collisions) == 1
     end = until_failure(track, "stuck", 0.5)
     np.testing.assert_allclose(end.points, [[2, 1], [3, 1]])
