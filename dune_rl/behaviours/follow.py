@@ -22,8 +22,8 @@ class Follow(SteeredBehaviour):
 
     Leader following with arrival, after Reynolds, "Steering behaviors for autonomous characters" (1999): the
     speed is the distance beyond `distance_m` over 0.5 s. It walks on the leader's trail of the last 32 m, and
-    so round the obstacles that the leader went round. The leader is chosen at the start of an episode, and
-    again when it leaves the scene.
+    so round the obstacles that the leader went round. The leader is chosen at the start of an episode, or
+    when somebody comes, and again when it leaves the scene.
     """
 
     motion_models = ("holonomic", "unicycle", "bicycle")
@@ -48,7 +48,8 @@ class Follow(SteeredBehaviour):
         """Along the trail, at a speed that falls as the gap closes."""
         around, rows = state.surroundings, np.arange(self._num_rows)
         here, scenes = group.motion.position_w[:, :2], rows // group.count
-        self._fresh = self._fresh | ~around.are_here[scenes, self._leader]
+        alone = around.columns(group.name).start + rows % group.count
+        self._fresh = self._fresh | ~around.are_here[scenes, self._leader] | (self._leader == alone)
         if self._fresh.any():
             self._choose_leaders(state, group)
         leader = around.position_w[scenes, self._leader]

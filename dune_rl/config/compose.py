@@ -29,9 +29,10 @@ from dune_rl.config.scenarios import (
     SCENARIO,
     change_saved,
     describe_shared_groups,
-    drop_absent_groups,
+    drop_groups_without_body,
+    drop_values_of_other_world,
     has_scenario,
-    named_actors,
+    named_in,
     names_options,
 )
 from dune_rl.config.schema import Conf, EnvConf
@@ -202,7 +203,8 @@ def from_hydra(config: DictConfig) -> Conf:
     """The settings that Hydra composed for a job, which have been validated before."""
     data = to_plain(config)
     move_renamed(data, warn=False)
-    drop_absent_groups(data)
+    drop_groups_without_body(data)
+    drop_values_of_other_world(data)
     faults = expand_options(data, GlobalHydra.instance().config_loader(), warn=False)
     replace_default_actors(data)
     move_renamed(data, warn=False)
@@ -250,7 +252,10 @@ def _validate_all(
     data = copied(data)
     move_renamed(data)
     if has_scenario(request):
-        drop_absent_groups(data, named_actors(request))
+        drop_groups_without_body(data, named_in("actors", request))
+        given = set_in_python.get("world") if isinstance(set_in_python, Mapping) else None
+        in_python = given if isinstance(given, Mapping) else ()
+        drop_values_of_other_world(data, {*named_in("world", request), *in_python})
     faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
     replaced_actors = replace_default_actors(data, keep="actors" in set_in_python)
     for override in request.values:

@@ -11,6 +11,7 @@ from dune_rl.bodies.registry import BODIES
 from dune_rl.config.expand import merged
 from dune_rl.config.hydra_session import compose_config, compose_words, to_plain
 from dune_rl.config.overrides import ParsedOverrides, option_names
+from dune_rl.worlds.registry import WORLDS
 
 SCENARIO = "scenario"
 # Sections of which a scenario chooses an option: a saved run's settings of another option are no use there.
@@ -22,7 +23,7 @@ def has_scenario(request: ParsedOverrides) -> bool:
     return any(override.key_or_group == SCENARIO for override in request.groups)
 
 
-def drop_absent_groups(data: dict[str, Any], named: Iterable[str] = ()) -> None:
+def drop_groups_without_body(data: dict[str, Any], named: Iterable[str] = ()) -> None:
     """Leave out what a scenario changes of actors that other `actors` were chosen in place of.
 
     Such groups have no body. Those that are `named` by an override stay, so that the check says what lacks.
@@ -32,6 +33,20 @@ def drop_absent_groups(data: dict[str, Any], named: Iterable[str] = ()) -> None:
         data["actors"] = {name: group for name, group in actors.items() if name in named or _has_body(group)}
 
 
+def drop_values_of_other_world(data: dict[str, Any], named: Iterable[str] = ()) -> None:
+    """Leave out what a scenario changes of its world, where another one was chosen that has no such setting.
+
+    Settings that are `named` stay, so that the check says what lacks.
+    """
+    world = data.get("world")
+    if not isinstance(world, Mapping) or not isinstance(name := world.get("name"), str):
+        return
+    known = WORLDS.settings_class(name) if name in WORLDS.names() else None
+    if known is not None:
+        fields = {*known.model_fields, *named}
+        data["world"] = {key: value for key, value in world.items() if key in fields}
+
+
 def _has_body(group: Any) -> bool:
     if not isinstance(group, Mapping):
         return True
@@ -39,10 +54,10 @@ def _has_body(group: Any) -> bool:
     return "name" in body if isinstance(body, Mapping) else body is not None
 
 
-def named_actors(request: ParsedOverrides) -> set[str]:
-    """The groups of `actors` that an override changes."""
+def named_in(section: str, request: ParsedOverrides) -> set[str]:
+    """The parts of a section that an override changes, such as the groups of `actors`."""
     keys = (str(override.key_or_group).split(".") for override in request.values)
-    return {key[1] for key in keys if key[0] == "actors" and len(key) > 1}
+    return {key[1] for key in keys if key[0] == section and len(key) > 1}
 
 
 def change_saved(saved: Mapping[str, Any], name: str, request: ParsedOverrides) -> dict[str, Any]:

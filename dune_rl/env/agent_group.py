@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.behaviours.paths.follower import PathConf
+from dune_rl.behaviours.paths.follower import PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.body import Body
@@ -225,7 +225,9 @@ class AgentGroup:
             actions = self._controller.act(state, now, self.observe)
         assert actions is not None
         if self.done.any():
-            actions = np.where(self.done[:, None], self.rest_action, actions)
+            # Behaviours may leave the last numbers out.
+            rest = self.rest_action[: actions.shape[1]]
+            actions = np.where(self.done[:, None], rest, actions)
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known, engines)
 
@@ -235,7 +237,12 @@ class AgentGroup:
         self.body.hold_back(scenes, poses)
         if self.setup.is_scripted:
             assert isinstance(self.goals.source, PathGoals)
-            self.goals.source.follower.hold_back(scenes, poses)
+            follower = self.goals.source.follower
+            if self.visits is not None:
+                assert isinstance(follower, PathFollower), "trajectories have times of their own"
+                absent = self.visits.absent.reshape(-1, self.count)[scenes]
+                poses = np.where(absent[..., None], follower.targets(scenes), poses[..., :4])
+            follower.hold_back(scenes, poses)
 
     def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
         """Read the bodies' states after a physics step; returns contacts as pairs of row and body number."""
@@ -284,6 +291,11 @@ class AgentGroup:
         """Control steps (N,) of each agent, of those of the scenes, (M,)."""
         rows = steps if self.count == 1 else np.repeat(steps, self.count)
         return rows if self.visits is None else self.visits.own_steps(rows)
+
+    @property
+    def is_there_at_start(self) -> bool:
+        """Whether all agents are in their scenes when an episode starts."""
+        return self.setup.presence is None or self.setup.presence.is_from_the_start
 
     def agents_of(self, scene: int) -> list[int]:
         """Numbers of the agents of a scene that are there."""

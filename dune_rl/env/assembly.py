@@ -35,16 +35,16 @@ def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager) -> tuple[Ag
     robots: list[RegionGoals] = []
     roaming: list[RegionGoals] = []
     spawners = _SharedSpawners(scenes.worlds.worlds)
-    lane = 0
+    parking = 0
     for setup in setups:
         if not isinstance(setup.body, BodySettings):
             group = _robot_group(setup, scenes, spawners, robots)
         elif setup.paths is not None or setup.follows_trajectories:
-            group = _group_on_paths(setup, setup.body, scenes, lane, spawners)
+            group = _group_on_paths(setup, setup.body, scenes, parking, spawners)
         else:
-            group = _roaming_group(setup, setup.body, scenes, lane, roaming)
+            group = _roaming_group(setup, setup.body, scenes, parking, roaming)
         groups.append(group)
-        lane += setup.count
+        parking += setup.count
     # Other agents keep off robots, and robots take no notice of them.
     roaming[:0] = robots
     return tuple(groups)
@@ -100,9 +100,13 @@ def _robot_group(
 
 
 def _group_on_paths(
-    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, lane: int, shared_spawners: _SharedSpawners
+    setup: GroupSetup,
+    conf: BodySettings,
+    scenes: SceneManager,
+    first_place: int,
+    shared_spawners: _SharedSpawners,
 ) -> AgentGroup:
-    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, lane)
+    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, first_place)
     worlds = scenes.worlds.worlds
     follower: PathFollower | TrajectoryFollower
     if setup.follows_trajectories:
@@ -126,9 +130,9 @@ def _visits(setup: GroupSetup, scenes: SceneManager) -> Visits | None:
 
 
 def _roaming_group(
-    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, lane: int, roaming: list[RegionGoals]
+    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, first_place: int, roaming: list[RegionGoals]
 ) -> AgentGroup:
-    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, lane)
+    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, first_place)
     spawn = SpawnConf() if setup.task is None else setup.task.spawn
     radius, worlds = conf.keep_out_radius_m, scenes.worlds.worlds
     body_in_words = SpawnedBody(conf.name, needs_in_words(conf), setup.settings)

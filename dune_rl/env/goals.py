@@ -20,6 +20,7 @@ from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 # How often agents are placed anew where there is no room for the last of them.
 PLACING_ATTEMPTS = 8
@@ -35,6 +36,10 @@ class GoalSource(Protocol):
 
     def renew(self, mask: Flags) -> None:
         """Set new goals for the agents in `mask` (N,)."""
+        ...
+
+    def set_goals(self, rows: Rows, goals_w: Array) -> None:
+        """Set the goals of the agents in `rows` (K,) to `goals_w` (K, 2) [m]."""
         ...
 
 
@@ -141,8 +146,14 @@ class RegionGoals:
         draws = self._draws(seed, agent, episode, attempt)
         placement = self._sample(self._spawners.of_scene(scene), draws, taken)
         self._streams[row] = draws
-        self.goals_w[row] = placement.goal_x, placement.goal_y
+        self.set_goals(np.array([row]), np.array([placement.goal_x, placement.goal_y]))
         return placement
+
+    def set_goals(self, rows: Rows, goals_w: Array) -> None:
+        """Set the goals of the agents in `rows` (K,) to `goals_w` (K, 2) [m]."""
+        # States that were handed out keep theirs.
+        self.goals_w = self.goals_w.copy()
+        self.goals_w[rows] = goals_w
 
     def try_placing(
         self, world: World, seed: int, episode: int, taken: Sequence[tuple[Placement, float]]
@@ -264,6 +275,11 @@ class PathGoals:
     def renew(self, mask: Flags) -> None:
         """Set the other end of the path as goal of the agents in `mask` (N,)."""
         self.follower.renew(mask)
+
+    def set_goals(self, rows: Rows, goals_w: Array) -> None:
+        """Set the goals of the agents in `rows` (K,) to `goals_w` (K, 2) [m], for now."""
+        self.follower.goals_w = self.follower.goals_w.copy()
+        self.follower.goals_w[rows] = goals_w
 
 
 class GoalTracker:

@@ -50,10 +50,10 @@ class KinematicBody:
     """
 
     def __init__(
-        self, conf: BodySettings, worlds: BatchedWorlds, count: int, step_s: float, lane: int = 0
+        self, conf: BodySettings, worlds: BatchedWorlds, count: int, step_s: float, first_place: int = 0
     ) -> None:
-        """Parked bodies stand in the places from number `lane` on, which no other group may use."""
-        self._lane = lane
+        """Parked bodies stand in the places from number `first_place` on, which no other group may use."""
+        self._first_place = first_place
         self.conf, self.count = conf, count
         self._worlds, self.step_s = worlds, step_s
         rows = len(worlds) * count
@@ -149,7 +149,7 @@ class KinematicBody:
         self.poses = self.poses.copy()
         self.poses[rows] = 0.0
         self.poses[rows, 0] = extents[:, 1] + _PARKED_AWAY_M
-        self.poses[rows, 1] = extents[:, 3] + _PARKED_AWAY_M + _PARKED_APART_M * (self._lane + agents)
+        self.poses[rows, 1] = extents[:, 3] + _PARKED_AWAY_M + _PARKED_APART_M * (self._first_place + agents)
         self.poses[rows, 2] = -_PARKED_DEEP_M
         self.parked[rows], self.blocked[rows] = True, False
         self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
@@ -218,14 +218,14 @@ class KinematicBody:
         stopped = self._nobody
         if limits.braking_mps2 is not None:
             way = self._way_ahead(step)
-            clear = self._room.is_free(step.xy + way, step.yaw, poses)
+            clear = self._room.is_free(step.xy + way, step.yaw, poses, self.parked)
             if self._flight is not None:
                 clear &= self._flight.can_pass(poses, step.xy + way)
             if not clear.all():
                 braking = np.where(clear[:, None], actions, _braked(actions))
                 step = advance(limits, poses, self._velocity, braking, backing, step_s)
                 stopped = ~clear & (np.abs(step.velocity).max(axis=1) < 1e-6)
-        free = self._room.is_free(step.xy, step.yaw, poses)
+        free = self._room.is_free(step.xy, step.yaw, poses, self.parked)
         if self._flight is not None:
             free &= self._flight.climb(poses, step.xy, actions, free, step_s)
         return step, free, stopped

@@ -130,8 +130,9 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         result = self.simulation.step(
             {group.name: self._actions(group, actions) for group in self.simulation.external}
         )
-        before, after = self.agents, [] if result.done[0] else self._present()
-        told = [name for name in self.possible_agents if name in before or name in after]
+        after = [] if result.done[0] else self._present()
+        shown = {*self.agents, *after}
+        told = [name for name in self.possible_agents if name in shown]
         rewards, terminations, truncations = self._outcomes(result, told)
         observations, infos = self._observations(told), self._infos(told)
         self.agents = after

@@ -92,8 +92,9 @@ class Pictures:
                 ]
         return found
 
-    def _rows(self, scene: int, group: AgentGroup) -> range:
-        return range(scene * group.count, (scene + 1) * group.count)
+    def _rows(self, scene: int, group: AgentGroup) -> list[int]:
+        """Rows of the agents that are in a scene."""
+        return [scene * group.count + agent for agent in group.agents_of(scene)]
 
     def _agent(self, group: AgentGroup, row: int) -> list[PosedMesh]:
         motion = group.body.motion
@@ -121,8 +122,7 @@ class Pictures:
         The viewpoint is clear of fixed objects. With `turns_for_agents` it is beside or before the agent
         where others would hide it from behind.
         """
-        group = self._simulation.group() if agent is None else self._group_of(agent)
-        row = scene * group.count + (0 if agent is None else group.names.index(agent))
+        group, row = self._seen_agent(scene, agent)
         motion = group.body.motion
         position = motion.position_w[row]
         yaw = float(motion.yaw[row])
@@ -143,6 +143,19 @@ class Pictures:
             views = views[:1]
         eye, target = views[-1]
         return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
+
+    def _seen_agent(self, scene: int, agent: str | None) -> tuple[AgentGroup, int]:
+        """Group and row of an agent or, without a name or if it is not there, of the first one that is."""
+        first = self._simulation.group()
+        if agent is not None:
+            first = self._group_of(agent)
+            number = first.names.index(agent)
+            if number in first.agents_of(scene):
+                return first, scene * first.count + number
+        for group in (first, *self._simulation.external, *self._simulation.groups):
+            if there := group.agents_of(scene):
+                return group, scene * group.count + there[0]
+        return first, scene * first.count
 
     def moment(self, scene: int, agent: str) -> Moment:
         """The present instant of an agent, for a picture that is rendered later (`of_moment`)."""

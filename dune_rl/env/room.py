@@ -41,12 +41,15 @@ class Room:
             if self._limits is not None:
                 self._checks.append(self._on_ground)
 
-    def is_free(self, xy: Array, yaw: Array, poses: Array) -> Flags:
-        """Whether the bodies can get to `xy` (N, 2) [m] and `yaw` (N,) [rad] from `poses` (N, 6)."""
+    def is_free(self, xy: Array, yaw: Array, poses: Array, parked: Flags) -> Flags:
+        """Whether the bodies can get to `xy` (N, 2) [m] and `yaw` (N,) [rad] from `poses` (N, 6).
+
+        Those that are `parked` (N,) may be anywhere.
+        """
         free = np.ones(len(xy), bool)
         for measure in self._checks:
             room = measure(xy, yaw)
-            enough = room >= 0.0
+            enough = (room >= 0.0) | parked
             if not enough.all():
                 enough |= room > measure(poses[:, :2], poses[:, 3])
             free &= enough

@@ -58,8 +58,9 @@ class VectorSimulation:
     Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All random
     draws of an episode depend on (seed, episode id) alone, so simulations of the same seed start an episode
     in the same state. A scene's episode ends when all agents of the groups with terminations are done, or
-    when physics diverges. `world` is the world of all scenes, unless `randomizer` draws worlds. A `plan` has
-    the starts and goals of episodes in place of sampled ones; its world seeds are the randomizer's.
+    when physics diverges; where agents come and go, also when no external agent is left. `world` is the world
+    of all scenes, unless `randomizer` draws worlds. A `plan` has the starts and goals of episodes in place of
+    sampled ones; its world seeds are the randomizer's.
     """
 
     def __init__(
@@ -241,9 +242,15 @@ class VectorSimulation:
         """Flags (M,) of scenes whose episodes terminate, and of those whose episodes are truncated."""
         over, terminated = self._nobody, self._nobody
         for index, group in enumerate(self._ending):
+            # Those who have left, or may come yet, do not keep others from an end.
             absent = False if group.visits is None else group.visits.absent
             done, own = self._all(group, group.done), self._all(group, group.terminated | absent)
             over, terminated = (over & done, terminated & own) if index else (done, own)
+        visits = [group.visits for group in self._ending if group.visits is not None]
+        if visits and len(visits) == len(self._ending):
+            # Before any of them has come, nothing can have ended.
+            came = np.concatenate([each.came.reshape(self.num_scenes, -1) for each in visits], axis=1)
+            over = over & came.any(axis=1)
         if self._turnover.ends_episodes:
             left = [self._all(group, group.done) for group in self.external]
             over = over | np.logical_and.reduce(left)

@@ -60,24 +60,32 @@ class Turnover:
                 continue
             visits.leave(gone)
             rows = np.flatnonzero(gone)
-            body.park(rows)
+            _park(group, body, rows)
             self._move(group, body, rows.tolist())
 
     def admit(self, seed: int, episodes: Counts, steps: Counts) -> dict[str, Flags]:
         """Place the agents that are due, after a control step; flags (N,) of those by group.
 
-        `episodes` and `steps` (M,) are those of the scenes.
+        `episodes` and `steps` (M,) are those of the scenes. Where one of a group finds no room, the others of
+        its group in that scene wait, too.
         """
         found = {}
+        taken: dict[int, list[tuple[Placement, float]]] = {}
         for group, visits, body in self._visiting:
-            arrived = np.zeros(group.num_rows, bool)
+            arrived, full = np.zeros(group.num_rows, bool), set()
             for row in visits.due(np.repeat(steps, group.count)):
                 scene, agent = divmod(row, group.count)
-                pose = self._find_place(group, scene, agent, seed, int(episodes[scene]))
+                if scene in full:
+                    continue
+                if scene not in taken:
+                    taken[scene] = self._taken(scene)
+                pose = self._find_place(group, scene, agent, seed, int(episodes[scene]), taken[scene])
                 if pose is None:
+                    full.add(scene)
                     continue
                 body.come(row, pose)
                 visits.admit(row, int(steps[scene]))
+                taken[scene].append(_placement_of(group, row))
                 arrived[row] = True
             if arrived.any():
                 self._move(group, body, np.flatnonzero(arrived).tolist())
@@ -115,8 +123,19 @@ class Turnover:
             scene, agent = divmod(row, group.count)
             self._scenes.move_kinematic(scene, self._first[group.name] + agent, body.poses[row])
 
-    def _find_place(self, group: AgentGroup, scene: int, agent: int, seed: int, episode: int) -> Array | None:
-        """A pose (4: x, y, z, yaw) for an agent that comes; None if there is no room now."""
+    def _find_place(
+        self,
+        group: AgentGroup,
+        scene: int,
+        agent: int,
+        seed: int,
+        episode: int,
+        taken: Sequence[tuple[Placement, float]],
+    ) -> Array | None:
+        """A pose (4: x, y, z, yaw) for an agent that comes, apart from those `taken`; None without room now.
+
+        Agents on paths keep their distance from robots and from bodies that are not on paths.
+        """
         source, world = group.goals.source, self._scenes.worlds.worlds[scene]
         if isinstance(source, PathGoals):
             assert isinstance(source.follower, PathFollower), "trajectories have times of their own"
@@ -124,22 +143,18 @@ class Turnover:
             return source.follower.place_agent(scene, agent, draws, self._points(scene))
         assert isinstance(source, RegionGoals)
         try:
-            one = source.place_agent(scene, seed, episode, agent, self._taken(scene))
+            one = source.place_agent(scene, seed, episode, agent, taken)
         except WorldError:
             return None
         return np.array([one.x, one.y, float(world.terrain.height(np.array([one.x, one.y]))), one.yaw])
 
     def _taken(self, scene: int) -> list[tuple[Placement, float]]:
         """Where the agents of a scene are and go to, and the radii of discs that hold them [m]."""
-        found = []
-        for group in self._groups:
-            rows = slice(scene * group.count, (scene + 1) * group.count)
-            places, yaws = group.body.motion.position_w[rows], group.body.motion.yaw[rows]
-            here = np.ones(group.count, bool) if group.visits is None else ~group.visits.absent[rows]
-            goals = group.goals.source.goals_w[rows]
-            for (x, y, _), yaw, goal in zip(places[here], yaws[here], goals[here], strict=True):
-                found.append((Placement(x, y, yaw, *goal), group.reach_m))
-        return found
+        return [
+            _placement_of(group, scene * group.count + agent)
+            for group in self._groups
+            for agent in group.agents_of(scene)
+        ]
 
     def _points(self, scene: int) -> Array:
         """Points (P, 2) [m] from which agents on paths start at a distance: robots, and bodies off paths."""
@@ -158,4 +173,17 @@ def park_absent(group: AgentGroup, scene: int) -> None:
     if group.visits is None or not isinstance(group.body, KinematicBody):
         return
     of_scene = scene_rows(np.arange(group.num_rows // group.count) == scene, group.count)
-    group.body.park(np.flatnonzero(group.visits.absent & of_scene))
+    _park(group, group.body, np.flatnonzero(group.visits.absent & of_scene))
+
+
+def _park(group: AgentGroup, body: KinematicBody, rows: Counts) -> None:
+    """Park the agents in `rows` (K,), with goals where they are: nothing is left of earlier ones."""
+    body.park(rows)
+    group.goals.source.set_goals(rows, body.poses[rows, :2])
+
+
+def _placement_of(group: AgentGroup, row: int) -> tuple[Placement, float]:
+    """Where an agent is and goes to, and the radius of a disc that holds it [m]."""
+    x, y, _, yaw = group.body.poses[row, :4].tolist()
+    goal_x, goal_y = group.goals.source.goals_w[row].tolist()
+    return Placement(x, y, yaw, goal_x, goal_y), group.reach_m

@@ -49,8 +49,8 @@ class Visits:
 
     def due(self, steps: Counts) -> list[int]:
         """Rows of agents that are to come now, or try again to; `steps` (N,) are those of their scenes."""
-        late = steps - self._due
-        return np.flatnonzero(~self.came & (late >= 0) & (late % self._retry == 0)).tolist()
+        since_due = steps - self._due
+        return np.flatnonzero(~self.came & (since_due >= 0) & (since_due % self._retry == 0)).tolist()
 
     def admit(self, row: int, step: int) -> None:
         """The agent of `row` has come at the end of this step of its scene."""

@@ -60,7 +60,7 @@ def evaluate(
     finished: dict[str, dict[int, list[MetricsRow]]] = {group: {} for group in env.metric_names}
     if not finished:
         raise ConfigError("no group of agents has metrics, so there is nothing to evaluate: give one a task")
-    count = 0
+    ended: set[int] = set()
     with preserve_random_state():
         env.set_seed(seed)
         if first:
@@ -68,14 +68,15 @@ def evaluate(
         observation = env.reset()
         if observer is not None:
             observer.begin()
-        while count < episodes and not stop():
+        while len(ended) < episodes and not stop():
             after = env.step(policy(observation))
             if observer is not None:
                 observer.step(after)
             done = after["next", "done"].squeeze(-1)
             found = _finished_rows(env, after, done, first, episodes) if done.any() else {}
             for episode, rows in found.items():
-                if observer is not None:
+                ended.add(episode)
+                if observer is not None and rows:
                     observer.finish(rows)
                 for group, agents in rows.items():
                     finished[group][episode] = agents
@@ -84,9 +85,7 @@ def evaluate(
                 observer.begin()
             if not found:
                 continue
-            # Of a group that comes and goes nobody may have come.
-            count = max(map(len, finished.values()))
-            progress(count)
+            progress(len(ended))
     return {
         group: [row for episode in sorted(found) for row in found[episode]]
         for group, found in finished.items()
@@ -97,7 +96,11 @@ def _finished_rows(
     env: EnvBase, after: TensorDictBase, done: torch.Tensor, first: int, episodes: int
 ) -> dict[int, dict[str, list[MetricsRow]]]:
     """The rows by episode and group of the scenes that are `done` (M,), of `episodes` from `first` on."""
-    found: dict[int, dict[str, list[MetricsRow]]] = {}
+    ids = env.episode_keys()[1][done.numpy()].tolist()
+    # Nobody may have come of the groups that are measured.
+    found: dict[int, dict[str, list[MetricsRow]]] = {
+        episode: {} for episode in ids if first <= episode < first + episodes
+    }
     for group, names in env.metric_names.items():
         for agents in after["next", group, "metrics"][done].tolist():
             rows = [
@@ -111,5 +114,5 @@ def _finished_rows(
             # A scene goes on with later ids while others are still at theirs.
             episode = int(rows[0]["episode"])
             if first <= episode < first + episodes:
-                found.setdefault(episode, {})[group] = rows
+                found[episode][group] = rows
     return found

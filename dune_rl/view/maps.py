@@ -94,16 +94,19 @@ def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGro
 def _place_agents(
     groups: tuple[AgentGroup, ...], seed: int, episode: int, actors: list[tuple[Placement, float]]
 ) -> list[Placement]:
-    """Starts and goals of robots and of others that have no path, as an episode has them.
+    """Starts and goals of robots, and of others without a path that are there at the start of an episode.
 
     They are away from the starts of `actors`.
     """
     placed = list(actors)
     with_goals = [group for group in groups if isinstance(group.goals.source, RegionGoals)]
     robots = [group.goals.source for group in with_goals if isinstance(group.body, ArticulatedBody)]
-    others = [
-        (group.goals.source, None) for group in with_goals if not isinstance(group.body, ArticulatedBody)
-    ]
+    others = []
+    for group in with_goals:
+        if not isinstance(group.body, ArticulatedBody):
+            if group.visits is not None:
+                group.visits.begin(0, seed, episode)
+            others.append((group.goals.source, group.agents_of(0)))
     for source in robots:
         assert isinstance(source, RegionGoals)
         placements = source.place(0, seed, episode, placed)

@@ -154,3 +154,18 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
     assert (
         compose_environment(None, (), {"scenario": "yard"}, config_dirs=[str(tmp_path)]).actors == conf.actors
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "world"), [("farm", "rubicon"), ("crowd", "inspection"), ("farm", "inspection")]
+)
+def test_another_world_takes_what_it_knows_of_a_scenario(name: str, world: str) -> None:
+    conf = compose([f"+world={world}", f"scenario={name}"])
+    assert conf.world.name == world
+    in_python = compose_environment(None, (), {"scenario": name, "world": world})
+    assert in_python.world == conf.world
+
+
+def test_settings_that_another_world_lacks_are_named_where_they_are_given() -> None:
+    with pytest.raises(ConfigError, match=r"world\.size_m is not a setting"):
+        compose(["+world=rubicon", "scenario=farm", "world.size_m=30"])

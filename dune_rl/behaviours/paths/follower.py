@@ -202,6 +202,8 @@ class PathFollower:
         bank, choices, stops = self._paths[self._worlds[scene]]
         is_once, row = self.conf.mode == "once", scene * self.count + agent
         farthest, found = -1.0, np.zeros(4)
+        # States that were handed out keep theirs.
+        self.goals_w = self.goals_w.copy()
         for _ in range(_START_TRIES):
             loop = rng.choice(choices[agent])
             travelled = 0.0 if is_once else rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
@@ -235,6 +237,10 @@ class PathFollower:
             height = query_grouped(self._worlds.groups, _height, poses[..., :2])
             poses[..., 2] = np.where(self._offsets.any(axis=2), height, poses[..., 2])
         return poses.reshape(-1, 4)
+
+    def targets(self, scenes: NDArray[np.int64]) -> Array:
+        """Where the agents of `scenes` (S,) would be on their paths, (S, G, 4), after the last `advance`."""
+        return self._targets[scenes]
 
     def hold_back(self, scenes: NDArray[np.int64], poses: Array) -> None:
         """Set the agents of `scenes` (S,) to `poses` (S, G, 4), to which robots limited them.

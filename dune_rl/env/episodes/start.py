@@ -50,10 +50,10 @@ class EpisodeStart:
     def check_counts(self, seed: int, world: World) -> None:
         """Raise `WorldError` if `world` has no room for all agents beside each other.
 
-        It is that of the last of a few episodes, in none of which all could be placed. Agents that come and
-        go are not counted: they wait until there is room.
+        It is that of the last of a few episodes, in none of which all could be placed. Agents that come
+        later are not counted: they wait until there is room.
         """
-        groups = [group for group in (*self._robots, *self._roaming) if group.visits is None]
+        groups = [group for group in (*self._robots, *self._roaming) if group.is_there_at_start]
         for episode in range(PLACING_ATTEMPTS):
             taken = self.starts_on_trajectories(world)
             try:

@@ -15,7 +15,7 @@ with suppress_stderr():
     import pybullet
 
 # Bodies that are not near any robot are moved out of the way once, and not at all after that.
-_PARKING_POSE = [0.0, 0.0, -1e4, 0.0, 0.0, 0.0]
+_ASIDE_POSE = [0.0, 0.0, -1e4, 0.0, 0.0, 0.0]
 
 Quaternion = tuple[float, float, float, float]
 
@@ -45,7 +45,7 @@ class BulletKinematics:
         self.handles = [self._add(shape, group, mask) for shape in shapes]
         self._centre_heights = [shape.centre_height_m for shape in shapes]
         self._leans = [isinstance(shape, KinematicBox) for shape in shapes]
-        self._unparked = set(range(len(shapes)))
+        self._in_place = set(range(len(shapes)))
         self._indices = {handle: index for index, handle in enumerate(self.handles)}
         self.poses: NDArray[np.float64] = np.zeros((len(shapes), 6))
         self.any_held_back = False
@@ -88,28 +88,28 @@ class BulletKinematics:
         self.poses, self.any_held_back = poses.copy(), False
         for index, pose in enumerate(poses.tolist()):
             self._put(index, pose)
-        self._unparked = set(range(len(poses)))
+        self._in_place = set(range(len(poses)))
 
     def place(self, index: int, pose: NDArray[np.float64]) -> None:
         """Have a body begin its next motion at a `pose` (6)."""
         self.poses = self.poses.copy()
         self.poses[index] = pose
-        self._park({index} & self._unparked)
+        self._put_aside({index} & self._in_place)
 
     def begin_step(self, poses: NDArray[np.float64], near: Sequence[int]) -> None:
         """Start the motion to `poses` (K, 6) of the bodies whose indices are in `near`; remove all others."""
         old, self.poses = self.poses, poses.copy()
         self._offsets.clear()
-        self._park(self._unparked.difference(near))
-        self._unparked.update(near)
+        self._put_aside(self._in_place.difference(near))
+        self._in_place.update(near)
         self._ways = {index: (old[index].tolist(), poses[index].tolist()) for index in near}
         for index, (_, pose) in self._ways.items():
             self._attitudes[index] = _turn(pose[3])
 
-    def _park(self, indices: set[int]) -> None:
+    def _put_aside(self, indices: set[int]) -> None:
         for index in sorted(indices):
-            self._put(index, _PARKING_POSE)
-        self._unparked -= indices
+            self._put(index, _ASIDE_POSE)
+        self._in_place -= indices
 
     def move(self, index: int, share: float) -> None:
         """Put a body at `share` of the way that it moves, turns and leans in this control step."""
