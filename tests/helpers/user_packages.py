@@ -21,11 +21,16 @@ REGISTRIES: tuple[Registry[Any], ...] = (
     *(WORLDS, ROBOTS, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, ALGORITHMS),
 )
 _SHOWN_FILE = re.compile(r"^```\w+\n# ([\w/.]+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+# Hydra wants the package in the first line.
+_PACKAGED_FILE = re.compile(
+    r"^```yaml\n(# @package _global_\n)# (\S+\.yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL
+)
 
 
 def shown_files(text: str) -> dict[str, str]:
-    """The blocks of a text that open with a path, by it."""
-    return dict(_SHOWN_FILE.findall(text))
+    """The blocks of a text that open with a path, or have it behind Hydra's package, by it."""
+    packaged = {name: header + content for header, name, content in _PACKAGED_FILE.findall(text)}
+    return dict(_SHOWN_FILE.findall(text)) | packaged
 
 
 def write_package(text: str, folder: Path) -> Path:
