@@ -1,0 +1,32 @@
+"""The tasks of the paper and of its published code, and the start of one."""
+
+import numpy as np
+
+from dune_rl.state import GroupState
+from dune_rl.tasks.task import Task, TaskConf
+
+PAPER = TaskConf().with_terms(rewards={"contact": {"weight": 0.0}})
+DUNE_CODE = TaskConf().with_terms(
+    rewards={
+        "distance": {"min_progress_m": 0.001, "signed": True, "heading_limit_deg": 72.0, "misaligned": -0.03},
+        "heading": {"bonus": 0.0},
+        "velocity": {"turn_scale": 0.0015},
+        "collision": {"distance_m": 0.3},
+        "contact": {"weight": 0.0},
+        "stuck": {"weight": -25.0},
+        "flipped": {"weight": -20.0},
+        "out_of_world": {"weight": -10.0},
+        "long_collision": {"term": "ended_by", "termination": "long_collision", "weight": -20.0},
+    },
+    terminations={
+        "goal_reached": {"distance_m": 0.5, "renew": True},
+        "stuck": {"distance_m": 0.001, "steps": 600},
+        "long_collision": {"distance_m": 0.3, "steps": 600},
+    },
+)
+
+
+def begun(conf: TaskConf, group: GroupState) -> Task:
+    task = Task(conf, len(group.done))
+    task.reset(np.ones(len(group.done), bool), group)
+    return task
