@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from conformance import difference
 from simulations import act, every_engine, motion_of_group, new_simulation, started_simulation, state_of_group
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+from visits import visited, visitors
 
 import dune_rl
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.torchrl import EpisodeMetrics
 from dune_rl.errors import WorldError
+from dune_rl.evaluation.recorder import EpisodeRecorder
+from dune_rl.learning.evaluation import evaluate
+from dune_rl.view.tracks import TrackRecorder
 
 REWARDS = (
     "distance",
@@ -162,3 +169,52 @@ def test_pictures_are_of_somebody_who_is_there() -> None:
     np.testing.assert_array_equal(env.render(), alone.render())
     env.close()
     alone.close()
+
+
+# -- records -----------------------------------------------------------------------------------------
+
+
+def test_tracks_are_of_the_time_in_the_scene() -> None:
+    presence = {"arrive_s": [0.2, 0.2], "stay_s": [0.3, 0.3]}
+    simulation = started_simulation(**visited(presence))
+    recorder = TrackRecorder(simulation)
+    for _ in range(12):
+        act(simulation, guest=[1.0, 0.0])
+        recorder.update()
+    tracks = {track.agent: track for track in recorder.tracks(0)}
+    xmin, xmax, ymin, ymax = simulation.worlds.extents[0]
+    for name in ("guest_0", "guest_1"):
+        x, y = tracks[name].points.T
+        # From the step in which it comes to its last one.
+        assert len(x) == 7
+        assert x.min() > xmin and x.max() < xmax and y.min() > ymin and y.max() < ymax
+        assert tracks[name].ending == "cut short"
+    assert len(tracks["rover_0"].points) == 13
+    simulation.close()
+
+
+def test_evaluations_have_rows_of_those_who_came() -> None:
+    presence = {"arrive_s": [0.2, 0.2], "stay_s": [0.3, 0.3]}
+    later = {
+        "guest": visitors("person", 2, **presence),
+        "stranger": visitors("dog", 1, arrive_s=[50.0, 60.0]),
+    }
+    task = {"rewards": {}, "terminations": {"time_limit": {"max_steps": 16}}}
+    for group in later.values():
+        group["task"] = task
+    env = TransformedEnv(dune_rl.make("flat", 2, actors=later, task=task), EpisodeMetrics())
+    recorder = EpisodeRecorder(env.base_env.simulation, steps=True)
+
+    def act_at_random(data: TensorDictBase) -> TensorDictBase:
+        return data.update(env.full_action_spec.rand())
+
+    rows = evaluate(act_at_random, env, 3, 1, observer=recorder)
+    assert len(rows["guest"]) == 6
+    assert rows.get("stranger", []) == []
+    for row in rows["guest"]:
+        assert row["steps"] == 6.0
+        assert abs(row["start_x_m"]) < 100.0
+    times = [step["time_s"] for step in recorder.take_steps() if step["agent"] == "guest_0"]
+    assert min(times) == pytest.approx(0.25)
+    assert max(times) == pytest.approx(0.5)
+    env.close()
