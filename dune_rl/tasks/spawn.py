@@ -152,19 +152,21 @@ class Spawner:
     def _with_goal_in_reach(self) -> Array:
         # The cell farthest from anywhere is outermost in some direction; 64 directions find it to 0.1 %.
         bearings = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-        directions = np.stack([np.cos(bearings), np.sin(bearings)])
-        outermost = self._cells[np.unique((self._cells @ directions).argmax(axis=0))]
-        farthest = np.zeros(len(self._cells))
-        for point in outermost:
-            farthest = np.maximum(farthest, np.hypot(*(self._cells - point).T))
+        directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+        outermost = self._cells[np.unique((directions @ self._cells.T).argmax(axis=1))]
         reach = self._conf.min_goal_distance_m
-        if not (farthest >= reach).any():
+        # Hardly a cell is near to the first one, so that the others are for few.
+        near = np.arange(len(self._cells))
+        for point in outermost:
+            near = near[np.hypot(*(self._cells[near] - point).T) < reach]
+        if len(near) == len(self._cells):
+            across = max(float(np.hypot(*(self._cells - point).T).max()) for point in outermost)
             raise WorldError(
-                f"{self._body.spawn}.min_goal_distance_m={reach:g} is more than the {farthest.max():.2f} m "
+                f"{self._body.spawn}.min_goal_distance_m={reach:g} is more than the {across:.2f} m "
                 f"across the free part of {self._body.spawn}.region {_rectangle(self.region)}: "
                 "lower it, or widen the region."
             )
-        return self._cells[farthest >= reach]
+        return np.delete(self._cells, near, axis=0)
 
     @property
     def cells(self) -> Array:
