@@ -30,10 +30,10 @@ def steepest_slope_deg(terrain: HeightField, start: Array, goal: Array) -> Array
     between them that are equally far apart, at most 0.1 m. The parts of a line outside the terrain count as
     its edge.
     """
-    longest = float(np.max(np.linalg.norm(goal - start, axis=-1), initial=0.0))
-    share = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(longest / _SLOPE_STEP_M))))[:, None]
-    points = start[:, None] + share * (goal - start)[:, None]
-    return np.rad2deg(terrain.slope(points).max(axis=1))
+    counts = 1 + np.maximum(1, np.ceil(np.linalg.norm(goal - start, axis=-1) / _SLOPE_STEP_M).astype(int))
+    # Each line has points of its own, so that its slope does not hang on who else starts.
+    lines = [np.linspace(first, last, n) for first, last, n in zip(start, goal, counts, strict=True)]
+    return np.rad2deg([terrain.slope(points).max() for points in lines])
 
 
 class EpisodeRecorder:

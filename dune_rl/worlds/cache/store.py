@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import ConfigError
-from dune_rl.paths import cache_folder, package_folder
+from dune_rl.paths import assets_folder, cache_folder, package_folder
 from dune_rl.worlds.appearance import is_appearance_cached
 from dune_rl.worlds.cache.background_builder import BackgroundBuilder
 from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
@@ -220,6 +220,8 @@ def _code_digest() -> str:
     for name in _SOURCES:
         for path in sorted((package / name).rglob("*.py")) if "." not in name else [package / name]:
             sums.update(f" {path.relative_to(package).as_posix()} ".encode() + path.read_bytes())
+    for path in sorted((assets_folder() / "worlds").iterdir()):
+        sums.update(f" {path.name} ".encode() + path.read_bytes())
     return sums.hexdigest()
 
 

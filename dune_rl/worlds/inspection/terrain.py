@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.seeding import stream
 from dune_rl.worlds.fractal_terrain import smooth_step
+from dune_rl.worlds.inspection.relief import Amplitudes, fit, known_amplitudes
 from dune_rl.worlds.props import unit_vector
 
 Array = NDArray[np.float64]
@@ -27,6 +27,8 @@ BRIDGE_WIDTH_M = 3.9
 _RELIEF_M = 8.6
 _SLOPE_DEG = {50: 13.0, 90: 25.2, 99: 35.6}
 _YARD_SLOPE_DEG = {10: 5.0, 50: 8.8, 90: 17.7}
+# Slant and bumps of the yard while those of the site are solved for.
+_FIRST_YARD = np.array([0.12, 0.2])
 
 
 @dataclass(frozen=True)
@@ -67,22 +69,22 @@ def build_terrain(seed: int) -> tuple[HeightField, Gully]:
         return z + window * (smooth - z)
 
     def site_misfit(amplitudes: Array) -> Array:
-        z = heights(amplitudes, yard_amplitudes)[np.ix_(main, main)]
+        z = heights(amplitudes, _FIRST_YARD)[np.ix_(main, main)]
         relief = (np.ptp(z) - _RELIEF_M) / 0.8
         return np.array([relief, *(_slope_misfit(z, _SLOPE_DEG) * [2.5, 1.0, 0.7])])
 
-    def yard_misfit(amplitudes: Array) -> Array:
-        z = heights(site_amplitudes, amplitudes)[np.ix_(yard, yard)]
-        return _slope_misfit(z, _YARD_SLOPE_DEG)
+    def solve() -> Amplitudes:
+        site = fit(site_misfit, np.array([1.5, 0.4, 0.4]), ([0.3, 0.05, 0.0], [4.0, 2.0, 1.5]))
 
-    yard_amplitudes = np.array([0.12, 0.2])
-    bounds = ([0.3, 0.05, 0.0], [4.0, 2.0, 1.5])
-    site_amplitudes = least_squares(site_misfit, [1.5, 0.4, 0.4], bounds=bounds, diff_step=1e-3).x
-    yard_amplitudes = least_squares(
-        yard_misfit, yard_amplitudes, bounds=([0.0, 0.0], [0.3, 1.0]), diff_step=1e-3
-    ).x
+        def yard_misfit(amplitudes: Array) -> Array:
+            z = heights(site, amplitudes)[np.ix_(yard, yard)]
+            return _slope_misfit(z, _YARD_SLOPE_DEG)
+
+        return site, fit(yard_misfit, _FIRST_YARD, ([0.0, 0.0], [0.3, 1.0]))
+
+    amplitudes = known_amplitudes(seed) or solve()
     # Rounded to 1 mm, so that machines whose arithmetic differs in the last bits make the same terrain.
-    z = np.round(heights(site_amplitudes, yard_amplitudes), 3)
+    z = np.round(heights(*amplitudes), 3)
     return HeightField(z, SPACING_M, (-HALF_EXTENT_M, -HALF_EXTENT_M)), gully
 
 
