@@ -134,8 +134,11 @@ def _words_and_changes(
     words = list(overrides)
     changes: dict[str, Any] = {}
     for name, value in {"world": world, **settings}.items():
-        if name == "world" and value is None:
+        if name in ("world", SCENARIO) and value is None:
             continue
+        if name == SCENARIO and not isinstance(value, str):
+            options = one_of(option_names(loader, SCENARIO))
+            raise ConfigError(f"{SCENARIO} must be the name of an option: choose {options} (got {value!r})")
         if isinstance(value, Mapping) and "name" in value and name not in _GROUPS:
             words.append(f"{name}={value['name']}")
             # The option states its own name, which need not be that of its file.

@@ -14,6 +14,9 @@ from dune_rl.config.options import load_user_part
 from dune_rl.suggestions import closest, one_of
 
 _SENSORS = "sensors"
+# The group of which several options can be chosen at once.
+_SEVERAL = "actors"
+_PLURAL = (_SEVERAL, _SENSORS)
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,8 @@ def _option_faults(override: Override, loader: ConfigLoader) -> list[str]:
     chosen: list[object] = []
     for single in sweep_values(override):
         value = single.value()
+        if value is None or (isinstance(value, list) and group != _SEVERAL):
+            return [f"{group} must be the name of an option: choose {one_of(options)}, or leave it out"]
         chosen += value if isinstance(value, list) else [value]
     found = []
     for option in chosen:
@@ -133,7 +138,8 @@ def _option_faults(override: Override, loader: ConfigLoader) -> list[str]:
         if option not in options:
             near = closest(str(option), options)
             hint = f"did you mean {near}?" if near and len(options) > 6 else f"choose {one_of(options)}"
-            found.append(f"there is no {group} {str(option)!r}; {hint}")
+            none = "are no" if group in _PLURAL else "is no"
+            found.append(f"there {none} {group} {str(option)!r}; {hint}")
     return found
 
 

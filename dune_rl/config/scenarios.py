@@ -89,25 +89,35 @@ def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str
 def describe_shared_groups(request: ParsedOverrides) -> list[str]:
     """Faults of lists of actors, as `actors=[orca,follow]`: groups that two of the options have.
 
-    Composed, the second one would change the first one's group.
+    Composed, the second one would change the first one's group, or be the same group again.
     """
     faults = []
     for override in request.groups:
         options = override.value() if override.key_or_group == "actors" else None
         owners: dict[str, str] = {}
-        for option in options if isinstance(options, list) else ():
-            composed = OmegaConf.to_container(compose_words(f"actors/{option}"), resolve=True)
-            assert isinstance(composed, dict)
-            for name, group in (composed.get("actors") or {}).items():
-                if not isinstance(group, Mapping) or not _has_body(group):
-                    continue
-                if owners.setdefault(name, str(option)) != option:
+        listed = [str(option) for option in options] if isinstance(options, list) else []
+        for option in dict.fromkeys(listed):
+            if listed.count(option) > 1:
+                faults.append(
+                    f"actors: {option} is listed more than once; list it once, and for more of them set "
+                    f"{' or '.join(f'actors.{name}.count' for name in _groups_of(option))}"
+                )
+            for name, group in _groups_of(option).items():
+                if owners.setdefault(name, option) != option:
                     faults.append(
                         f"actors: {owners[name]} and {option} are both of a group {name}; leave one of them "
                         f"out, and add its group by another name: '+actors.NAME={{body: {_body_name(group)}, "
                         f"count: {group.get('count', 1)}, controller: {_controller_name(group)}}}'"
                     )
     return faults
+
+
+def _groups_of(option: str) -> dict[str, Mapping[str, Any]]:
+    """The groups of an option of actors."""
+    composed = OmegaConf.to_container(compose_words(f"actors/{option}"), resolve=True)
+    assert isinstance(composed, dict)
+    groups = (composed.get("actors") or {}).items()
+    return {str(name): group for name, group in groups if isinstance(group, Mapping) and _has_body(group)}
 
 
 def _body_name(group: Mapping[str, Any]) -> Any:

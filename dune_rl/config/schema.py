@@ -98,6 +98,25 @@ class EnvConf(Settings):
         return self
 
     @model_validator(mode="after")
+    def _visitors_come_in_time(self) -> Self:
+        ends = [
+            [] if group.task is None else group.task.terminations.values() for group in self.external_groups
+        ]
+        limits = [[term for term in terms if term.term == "time_limit"] for terms in ends]
+        if not all(limits):
+            return self
+        steps: list[int] = [getattr(term, "max_steps") for terms in limits for term in terms]  # noqa: B009
+        longest_s = max(steps) * self.physics.control_step_s
+        for group in self.groups:
+            if group.presence is not None and group.presence.arrive_s[0] >= longest_s:
+                raise ValueError(
+                    f"{self.path_of(group.name)}.presence.arrive_s: episodes end after {longest_s:g} s, "
+                    f"before anybody comes (from {group.presence.arrive_s[0]:g} s on); let them come "
+                    "earlier, or raise task.terminations.time_limit.max_steps"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _can_be_drawn(self) -> Self:
         self.randomisation.check(self.world, self.weather)
         return self

@@ -125,7 +125,8 @@ class Spawner:
             if not usable.any():
                 raise WorldError(
                     f"{self._where} has no ground that this body can be on: all is too steep, too rough, "
-                    f"below water or below roofs. Choose another {self._body.spawn}.region, or another body."
+                    f"below water or below roofs. Choose another {self._body.spawn}.region, another world, "
+                    "or another body."
                 )
         part = int(np.bincount(free.components[usable]).argmax())
         return part, free.centres(usable & (free.components == part))
@@ -146,7 +147,8 @@ class Spawner:
             f"clearance (footprint {self._footprint_radius_m:.2f} m, "
             f"{spawn}.margin_m={self._conf.margin_m:g}; "
             f"there is {free.clearance[in_region].max():.2f} m at most).\n"
-            f"Lower {spawn}.margin_m, raise {spawn}.max_slope_deg, or choose another {spawn}.region."
+            f"Lower {spawn}.margin_m, raise {spawn}.max_slope_deg, or choose another {spawn}.region, a "
+            "smaller body or another world."
         )
 
     def _with_goal_in_reach(self) -> Array:

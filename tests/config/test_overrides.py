@@ -48,7 +48,7 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["+world=inspektion"], "there is no world 'inspektion'; did you mean inspection?"),
         (["+wrld=flat", "world=flat"], "wrld is not a setting; did you mean world?"),
         (["world=flat", "actors=throng"],
-         "there is no actors 'throng'; choose cars, cows, crossing, crowd, default, dogs, drones, "
+         "there are no actors 'throng'; choose cars, cows, crossing, crowd, default, dogs, drones, "
          "external_walkers, flee, follow, herd, jaywalkers, learning_walkers, none, orca, patrol, "
          "pedestrians, random_waypoint, social_force, tractor, trucks or walkers"),
         (["world=flat", "learning.batch_size=0"], "learning.batch_size must be at least 1 (got 0)"),

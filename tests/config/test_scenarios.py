@@ -115,11 +115,20 @@ def test_lists_of_bodies_are_no_options() -> None:
     ("words", "message"),
     [
         (["scenario=farms"], "there is no scenario 'farms'; choose crossing, crowd, farm or site_traffic"),
-        (["+world=flat", "actors=[walkers,crs]"], "there is no actors 'crs'; did you mean cars?"),
+        (["+world=flat", "actors=[walkers,crs]"], "there are no actors 'crs'; did you mean cars?"),
         (
             ["+world=flat", "actors=[orca,crossing]"],
             "actors: orca and crossing are both of a group walker; leave one of them out, and add its group "
             "by another name: '+actors.NAME={body: person, count: 2, controller: crossing}'",
+        ),
+        (
+            ["+world=flat", "actors=[cars,walkers,cars]"],
+            "actors: cars is listed more than once; list it once, and for more of them set actors.car.count",
+        ),
+        (
+            ["scenario=[farm,crowd]"],
+            "scenario must be the name of an option: choose crossing, crowd, farm or site_traffic, or leave "
+            "it out",
         ),
         (
             ["scenario=farm", "+experiment=quick"],
@@ -136,6 +145,27 @@ def test_faults_are_named(words: list[str], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         compose(words)
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("scenario", [3, True, ["farm", "crowd"], {"name": "farm"}])
+def test_a_scenario_in_python_is_a_name(scenario: object) -> None:
+    with pytest.raises(ConfigError, match="scenario must be the name of an option"):
+        compose_environment(None, (), {"scenario": scenario})
+
+
+def test_no_scenario_in_python_is_none() -> None:
+    assert compose_environment(None, (), {"scenario": None}).world.name == "inspection"
+
+
+def test_visitors_come_before_the_episode_ends() -> None:
+    words = ["+world=flat", "actors=walkers", "task.terminations.time_limit.max_steps=200"]
+    compose([*words, "actors.walker.presence={arrive_s: [9, 90]}"])
+    with pytest.raises(ConfigError) as caught:
+        compose([*words, "actors.walker.presence={arrive_s: [10, 90]}"])
+    assert str(caught.value) == (
+        "actors.walker.presence.arrive_s: episodes end after 10 s, before anybody comes (from 10 s on); let "
+        "them come earlier, or raise task.terminations.time_limit.max_steps"
+    )
 
 
 def test_the_help_lists_scenarios() -> None:
