@@ -17,9 +17,13 @@ def _as_list(value: Any) -> Any:
 
 
 class FrozenPolicyConf(Settings):
-    """A controller that is a trained policy: a run's folder, or a file of weights."""
+    """A controller that is a trained policy: a run's folder, or a file of weights.
+
+    `group` is the one whose policy is played, of those that were trained; without it, that of the same name.
+    """
 
     checkpoint: str = Field(min_length=1)
+    group: str | None = None
 
 
 class TrajectoryFilesConf(Settings):

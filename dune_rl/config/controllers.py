@@ -54,10 +54,12 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
 
     spec = PolicySpec.of_bounds(group.observation_bounds, group.action_bounds)
     try:
-        found, _ = load_group_policy(Path(conf.checkpoint), group.name, spec, allow_more=True)
+        found, _ = load_group_policy(
+            Path(conf.checkpoint), group.name, spec, trained_as=conf.group, allow_more=True
+        )
     except CheckpointError as error:
         setting = f"{group.setup.settings}.controller.checkpoint"
-        what_to_do = describe_owner(conf.checkpoint, group.name, group.setup.settings)
+        what_to_do = describe_owner(conf.checkpoint, conf.group or group.name, group.setup.settings)
         # In place of what to do where the robot itself is to be driven by it.
         lines = [str(error).splitlines()[0], what_to_do] if what_to_do else [str(error)]
         raise CheckpointError("\n".join([f"{setting}: {lines[0]}", *lines[1:]])) from None

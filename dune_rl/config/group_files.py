@@ -98,30 +98,36 @@ def _policy_faults(conf: EnvConf) -> Iterator[str]:
     """A line or two for each group that is to play a trained policy, and has none to play."""
     for group in conf.groups:
         if isinstance(group.controller, FrozenPolicyConf):
-            fault = _why_not_played(group.controller.checkpoint, group.name)
+            settings = f"{conf.path_of(group.name)}.controller"
+            named = group.controller.group
+            fault = _why_not_played(
+                group.controller.checkpoint,
+                named or group.name,
+                f"Set {settings}.group to",
+                by_name=named is not None,
+            )
             if fault:
-                yield f"{conf.path_of(group.name)}.controller.checkpoint: {fault}"
+                yield f"{settings}.checkpoint: {fault}"
     if not isinstance(conf, Conf):
         return
     for group in conf.external_groups:
         location = conf.learning.frozen(group.name)
-        fault = "" if location is None else _why_not_played(location, group.name)
+        fault = "" if location is None else _why_not_played(location, group.name, "Call the group")
         if fault:
             yield f"learning.groups.{group.name}.frozen: {fault}"
 
 
-def _why_not_played(location: str, group: str) -> str:
+def _why_not_played(location: str, group: str, remedy: str, *, by_name: bool = False) -> str:
+    """Why no policy in a file is that of `group`; empty where one is. Without `by_name`, one alone is."""
     from dune_rl.learning.saved_policies import read_policy_groups
 
     try:
         trained, _ = read_policy_groups(Path(location))
     except CheckpointError as error:
         return str(error)
-    # A policy that is alone serves a group of any name.
-    if group in trained or len(trained) == 1:
+    if group in trained or (len(trained) == 1 and not by_name):
         return ""
     return (
         f"{location} has no policy for the group {group}, but for {', '.join(trained)}.\n"
-        f"Call the group {one_of(trained)}, after the one whose policy it is to play, or take another "
-        "checkpoint."
+        f"{remedy} {one_of(trained)}, after the one whose policy it is to play, or take another checkpoint."
     )

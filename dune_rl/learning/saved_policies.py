@@ -52,18 +52,18 @@ def policy_entry(learner: Algorithm) -> dict[str, Any]:
 
 
 def load_group_policy(
-    path: Path, group: str, here: PolicySpec, *, allow_more: bool = False
+    path: Path, group: str, here: PolicySpec, *, trained_as: str | None = None, allow_more: bool = False
 ) -> tuple[GroupPolicy, dict[str, Any]]:
     """The policy of a file or run folder for `group`, on the CPU, and the resolved settings that made it.
 
-    A folder gives its best policy, or its published one. A file with one policy alone serves a group of
-    any name. Raises CheckpointError if the file is unreadable, has no policy for
-    the group, or one for another spec than `here`, which with `allow_more` may
-    have further parts in its observation.
+    A folder gives its best policy, or its published one. It is the policy of the group `trained_as`, by
+    default that of the same name; a file with one policy alone serves a group of any name. Raises
+    CheckpointError if the file is unreadable, has no policy for the group, or one for another spec than
+    `here`, which with `allow_more` may have further parts in its observation.
     """
     file = find_checkpoint_file(path, *POLICY_SOURCES)
     content = read_checkpoint_file(file, "policy", "checkpoint")
-    return _group_policy(content, file, group, here, allow_more), content["config"]
+    return _group_policy(content, file, group, here, allow_more, trained_as), content["config"]
 
 
 def load_policy(
@@ -123,9 +123,14 @@ def _saved_policy(
 
 
 def _group_policy(
-    content: Mapping[str, Any], file: Path, group: str, here: PolicySpec, allow_more: bool
+    content: Mapping[str, Any],
+    file: Path,
+    group: str,
+    here: PolicySpec,
+    allow_more: bool,
+    trained_as: str | None = None,
 ) -> GroupPolicy:
-    saved = _saved_policy(content, file, group, here, allow_more)
+    saved = _saved_policy(content, file, trained_as or group, here, allow_more)
     return GroupPolicy(group, saved.spec, saved.make_network())
 
 

@@ -108,9 +108,33 @@ def test_a_file_without_the_groups_policy_names_those_that_it_has(tmp_path: Path
         check_group_files(compose_environment("flat", (), {"actors": {"foe": foe}}))
     assert str(error.value).splitlines() == [
         f"actors.foe.controller.checkpoint: {both} has no policy for the group foe, but for rover, walker.",
-        "Call the group rover or walker, after the one whose policy it is to play, or take another "
-        "checkpoint.",
+        "Set actors.foe.controller.group to rover or walker, after the one whose policy it is to play, or "
+        "take another checkpoint.",
     ]
+    foe["controller"] = {"checkpoint": str(both), "group": "rover"}
+    check_group_files(compose_environment("flat", (), {"actors": {"foe": foe}}))
+    foe["controller"] = {"checkpoint": str(POLICY), "group": "walker"}
+    with pytest.raises(CheckpointError, match="has no policy for the group walker, but for rover"):
+        check_group_files(compose_environment("flat", (), {"actors": {"foe": foe}}))
+
+
+def test_a_policy_is_played_by_a_group_of_another_name(tmp_path: Path) -> None:
+    content = read_checkpoint_file(POLICY, "policy")
+    rover = content["groups"]["rover"]
+    network = {
+        key: value * 0.0 if key.endswith(("weight", "bias")) else value
+        for key, value in rover["policy"].items()
+    }
+    both = tmp_path / "both.pt"
+    groups = {"rover": rover, "statue": {**rover, "policy": network}}
+    torch.save({**content, "version": VERSION, "groups": groups}, both)
+    progress = {}
+    for name in groups:
+        simulation = simulation_of({"checkpoint": str(both), "group": name})
+        distances = goal_distances(simulation, 100)
+        progress[name] = (distances[0] - distances[-1]).max()
+        simulation.close()
+    assert progress["rover"] > 1.0 > 0.5 > progress["statue"]
 
 
 def test_missing_files_are_named_at_once_before_the_world_is_built(tmp_path: Path) -> None:
