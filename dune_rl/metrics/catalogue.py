@@ -40,7 +40,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "collisions per episode",
         "",
         "lower",
-        "number of contacts that begin, one for each body",
+        "number of contacts that begin, one for each body; one that is touched again within 1 s counts once",
         _PAPER,
         are_counts=True,
     ),

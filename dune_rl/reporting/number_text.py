@@ -24,11 +24,11 @@ def format_value(measure: Measure, value: float, decimals: int | None = None) ->
     return text.removeprefix("-") if not any(digit in text for digit in "123456789") else text
 
 
-def format_difference(measure: Measure, value: float) -> str:
+def format_difference(measure: Measure, value: float, decimals: int | None = None) -> str:
     """A difference of a measure, with its sign; a dash where it is not known."""
     if math.isnan(value):
         return NOTHING
-    text = format_value(measure, abs(value))
+    text = format_value(measure, abs(value), decimals)
     zero = not any(digit in text for digit in "123456789")
     return text if zero else f"{MINUS if value < 0 else '+'}{text}"
 

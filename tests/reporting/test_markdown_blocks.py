@@ -70,6 +70,23 @@ def test_a_grid_has_a_row_for_each_set(file: Path) -> None:
     ]
 
 
+def test_a_grid_has_columns_of_differences(file: Path) -> None:
+    write_evaluation(file.parent / "b", [*episode_rows("x", 4, share=0.5), *episode_rows("y", 4, share=0.5)])
+    begin = "<!-- report: grid\nmeasure: SR\nrows: [a, b, c]\ndecimals: 1\n"
+    columns = "columns:\n  X: {folder: '{row}', policy: x}\n  Y: {folder: '{row}', policy: y}\n"
+    file.write_text(f"{begin}{columns}differences: {{X - Y: [X, Y]}}\n-->\n{END}\n")
+    rewrite_file(file)
+    lines = file.read_text().splitlines()
+    assert lines[9:11] == ["| set | X | Y | X - Y |", "|---|---:|---:|---:|"]
+    # x alone succeeds in two of the four: p = 2 / 2^2, times two for the two sets.
+    assert lines[11].startswith("| a | 75.0 % (30.1 to 95.4) | 25.0 % (4.6 to 69.9) | +50.0 (")
+    assert lines[11].endswith("), p = 1 |")
+    assert "| 0.0 (" in lines[12] and lines[13] == "| c | not run | not run | not run |"
+    for pair, words in (("[X, Z]", "there is no column Z"), ("[X, Z, Y]", "differences")):
+        with pytest.raises(ConfigError, match=words):
+            rewrite_text(f"{begin}{columns}differences: {{d: {pair}}}\n-->\n{END}\n", file)
+
+
 @pytest.mark.parametrize(
     ("measure", "folder", "policy", "words"),
     [("SR", "nowhere", "x", "no folder"), ("SR", "{row}", "z", "z"), ("SRR", "{row}", "x", "SRR")],

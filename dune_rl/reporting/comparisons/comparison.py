@@ -1,7 +1,7 @@
 """Methods on the same cases: their episodes, their estimates and how they differ in pairs."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, cluster_rows
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.statistics import Estimate
+from dune_rl.metrics.measure import Measure
 from dune_rl.reporting.comparisons.estimates import (
     column_names,
     estimate_rows,
@@ -71,18 +72,7 @@ class Comparison:
 
     def paired(self) -> list[PairedComparison]:
         """All pairs of methods on the episodes that all of them have; empty where there are none."""
-        common = self.common_episodes()
-        if len(self.methods) < 2 or not common:
-            return []
-        results = {method.name: _rows_of(method, common) for method in self.methods}
-        shared = set.intersection(*(measured_names(rows) for rows in results.values()))
-        kept = {*shared, *CASE_COLUMNS, "episode", "agent"}
-        return compare_policies(
-            {
-                name: [{key: value for key, value in row.items() if key in kept} for row in rows]
-                for name, rows in results.items()
-            }
-        )
+        return compare_methods({method.name: method for method in self.methods})
 
     @property
     def sites(self) -> int:
@@ -92,9 +82,7 @@ class Comparison:
 
     def common_episodes(self) -> set[tuple[float, str]]:
         """The (episode, agent) that all methods have."""
-        return set.intersection(
-            *({(row["episode"], row["agent"]) for row in method.rows} for method in self.methods)
-        )
+        return _common_episodes(self.methods)
 
     @property
     def files(self) -> list[Path]:
@@ -106,6 +94,32 @@ class Comparison:
         """The tilts above which ground counts as uneven for VORT [°]: one, unless the evaluations differ."""
         found = {_uneven_tilt(run.config) for method in self.methods for run in method.runs}
         return sorted(value for value in found if value is not None)
+
+
+def compare_methods(methods: Mapping[str, Method], only: Measure | None = None) -> list[PairedComparison]:
+    """All pairs of methods, by their names, on the episodes that all of them have; empty without any.
+
+    With `only`, that measure alone is compared. Raises ValueError if their cases differ.
+    """
+    common = _common_episodes(methods.values())
+    if len(methods) < 2 or not common:
+        return []
+    results = {name: _rows_of(method, common) for name, method in methods.items()}
+    shared = set.intersection(*(measured_names(rows) for rows in results.values()))
+    if only is not None:
+        shared &= {only.metric, only.per}
+    kept = {*shared, *CASE_COLUMNS, "episode", "agent"}
+    found = compare_policies(
+        {
+            name: [{key: value for key, value in row.items() if key in kept} for row in rows]
+            for name, rows in results.items()
+        }
+    )
+    return [pair for pair in found if only is None or pair.measure.name == only.name]
+
+
+def _common_episodes(methods: Iterable[Method]) -> set[tuple[float, str]]:
+    return set.intersection(*({(row["episode"], row["agent"]) for row in method.rows} for method in methods))
 
 
 def _rows_of(method: Method, ids: set[tuple[float, str]]) -> list[MetricsRow]:
