@@ -57,6 +57,10 @@ VARIANTS = (
 )
 
 
+# What the sets of a variant need of one family: on the land of a smaller island no two places are 15 m apart.
+_OF_FAMILY = {("island", "-site"): ("world.radius_m=20",)}
+
+
 @dataclass(frozen=True)
 class SetRecipe:
     """What a set is made from: a world, and `overrides` of the settings of its episodes.
@@ -112,7 +116,7 @@ def _package_recipe(family: str, variant: SetVariant) -> SetRecipe:
     return SetRecipe(
         f"{family}{variant.suffix}-v1",
         family,
-        ("robot=rover_zero", *variant.overrides),
+        ("robot=rover_zero", *variant.overrides, *_OF_FAMILY.get((family, variant.suffix), ())),
         variant.meaning,
         variant.goal_distance_m,
         # Another one for each set.

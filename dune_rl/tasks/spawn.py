@@ -12,6 +12,7 @@ from dune_rl.errors import WorldError
 from dune_rl.settings import Settings
 from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.world import Rectangle, World
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ class SpawnConf(Settings):
     margin_m: float = Field(default=0.1, ge=0.0, le=5.0, description="room beside the footprint")
     min_goal_distance_m: float = Field(default=2.0, ge=0.0, le=1000.0)
     robots_apart_m: float = Field(default=0.5, ge=0.0, le=100.0, description="room between footprints")
+    max_water_m: float = Field(default=0.1, ge=0.0, le=100.0, description="deepest water at starts and goals")
 
     @model_validator(mode="after")
     def _region_has_an_area(self) -> "SpawnConf":
@@ -78,6 +80,8 @@ class Spawner:
         self._max_slope = np.deg2rad(conf.max_slope_deg)
         self.region: Rectangle = self._resolve_region()
         self._points_by_radius: dict[float, Array] = {}
+        # Whether some of the region is too deep below water, so that points must be looked at one by one.
+        self._is_wet = False
         # Kept with the world, which other environments may be in, such as that of the evaluation.
         self.free_space = world.memoize(
             ("free space", footprint_radius_m, conf.max_slope_deg),
@@ -119,7 +123,18 @@ class Spawner:
         usable = in_region & free.traversable & (free.clearance >= clearance_m)
         if not usable.any():
             raise WorldError(self._why_none(free, in_region, clearance_m))
-        if self._is_passable is not None:
+        if self._is_passable is None:
+            rows, columns = np.nonzero(usable)
+            shallow = self._is_shallow(free.centres(usable))
+            self._is_wet = not shallow.all()
+            usable[rows, columns] = shallow
+            if not usable.any():
+                raise WorldError(
+                    f"{self._where} is all below more than {self._body.spawn}.max_water_m="
+                    f"{self._conf.max_water_m:g} m of water: raise it, or choose another "
+                    f"{self._body.spawn}.region or another world."
+                )
+        else:
             rows, columns = np.nonzero(usable)
             usable[rows, columns] = self._is_passable(self._world, free.centres(usable))
             if not usable.any():
@@ -259,6 +274,9 @@ class Spawner:
         slope = float(np.rad2deg(self._world.terrain.slope(xy)))
         if slope > self._conf.max_slope_deg:
             return f"is on a slope of {slope:.0f} degrees, above {self._body.spawn}.max_slope_deg"
+        if self._is_passable is None and not self._is_shallow(xy):
+            depth = float(water_depth(self._world, xy))
+            return f"is in water that is {depth:.2f} m deep, above {self._body.spawn}.max_water_m"
         return ""
 
     def _too_full(self, others: int) -> str:
@@ -283,7 +301,13 @@ class Spawner:
         clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m
         gentle: NDArray[np.bool_] = self._world.terrain.slope(xy) <= self._max_slope
         fits = gentle & clear
-        return fits if self._is_passable is None else fits & self._is_passable(self._world, xy)
+        if self._is_passable is not None:
+            return fits & self._is_passable(self._world, xy)
+        return fits & self._is_shallow(xy) if self._is_wet else fits
+
+    def _is_shallow(self, xy: Array) -> NDArray[np.bool_]:
+        shallow: NDArray[np.bool_] = water_depth(self._world, xy) <= self._conf.max_water_m
+        return shallow
 
     def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:
         """Points (n, 2) [m] of the same part with `radius_m` of clearance, connected at that clearance.

@@ -1,5 +1,6 @@
 """Spawns and goals: checked by the props' surfaces and by a path, not by the grid that made them."""
 
+import re
 from collections import deque
 
 import numpy as np
@@ -12,6 +13,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
+from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
@@ -144,6 +146,22 @@ def test_only_the_larger_of_two_parts_is_used():
     placed = samples(spawner, 200)
     assert np.concatenate([placed[:, 0], placed[:, 3]]).max() < 1.0
     assert spawner.sample_points(np.random.default_rng(0), 100, 0.2)[:, 0].max() < 1.0
+
+
+def test_starts_and_goals_are_on_land_unless_water_may_be_deeper() -> None:
+    world = build_island(IslandConf(seed=500))
+    on_land = samples(Spawner(world, SpawnConf(region="anywhere"), RADIUS_M), 200)
+    ends = on_land[:, [0, 1, 3, 4]].reshape(-1, 2)
+    assert world.terrain.height(ends).min() >= -0.1 - 1e-9
+    wading = Spawner(world, SpawnConf(region="anywhere", max_water_m=1.0), RADIUS_M)
+    assert world.terrain.height(samples(wading, 200)[:, :2]).min() < -0.5
+    far = Spawner(world, SpawnConf(region="anywhere"), RADIUS_M)
+    goals = [far.sample_goal(np.random.default_rng(i), ends[0], ends[:0], np.zeros(0)) for i in range(100)]
+    assert world.terrain.height(np.array(goals)).min() >= -0.1 - 1e-9
+    said = far.why_not(13.0, 13.0)
+    assert re.fullmatch(r"is in water that is 0\.\d\d m deep, above task\.spawn\.max_water_m", said)
+    with pytest.raises(WorldError, match=r"is all below more than task\.spawn\.max_water_m=0\.1 m of water"):
+        Spawner(world, SpawnConf(region=(11.0, 13.0, 11.0, 13.0), min_goal_distance_m=0.5), RADIUS_M)
 
 
 def test_points_have_the_clearance_asked_for():

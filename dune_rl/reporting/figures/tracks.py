@@ -69,7 +69,7 @@ def draw_tracks(sites: Sequence[TrackSite]) -> Figure:
             _draw_site(list(block), site, norm, shown)
             first += count
         bar = figure.colorbar(
-            ScalarMappable(norm, _SPEEDS), ax=grid.ravel().tolist(), shrink=min(1.0, 1.6 / sum(rows)),
+            ScalarMappable(norm, _SPEEDS), ax=list(figure.axes), shrink=min(1.0, 1.6 / sum(rows)),
             aspect=25, pad=0.01, extend="max",
         )  # fmt: skip
         bar.set_label("forward speed [m/s]")

@@ -89,6 +89,15 @@ def test_the_figure_draws_each_way_in_the_colours_of_its_speeds(make_rows: Calla
     assert any(axes.get_ylabel() == "forward speed [m/s]" for axes in figure.axes)
 
 
+def test_five_methods_fill_a_second_row_in_part(make_rows: Callable) -> None:
+    names = ["a", "b", "c", "d", "e"]
+    figure = draw_tracks(collect_tracks(methods_of(make_evaluation(make_rows, names))))
+    panels = [axes for axes in figure.axes if axes.get_title(loc="left")]
+    assert [axes.get_title(loc="left")[0] for axes in panels] == names
+    # One more for the colours.
+    assert len(figure.axes) == len(names) + 1
+
+
 def test_the_ends_of_tracks_are_their_last_seconds_before_the_failure(make_rows: Callable) -> None:
     (site,) = collect_tracks(methods_of(make_evaluation(make_rows, ["planner"])))
     track = site.tracks["planner"][1]
