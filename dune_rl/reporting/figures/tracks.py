@@ -50,7 +50,9 @@ def draw_tracks(sites: Sequence[TrackSite]) -> Figure:
     sites = [site for site in sites if any(site.tracks.values())]
     if not sites:
         return note_figure("no evaluation has steps: evaluate with steps=10 to see tracks")
-    across = min(_MOST_ACROSS, max(len(site.tracks) for site in sites))
+    most = max(len(site.tracks) for site in sites)
+    # Rows of equal length: five methods are three and two.
+    across = ceil(most / ceil(most / _MOST_ACROSS))
     rows = [ceil(len(site.tracks) / across) for site in sites]
     speeds = np.concatenate(
         [track.speeds for site in sites for tracks in site.tracks.values() for track in tracks]
