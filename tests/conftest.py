@@ -25,6 +25,9 @@ torch.set_num_threads(1)
 # Hypothesis fails a test that takes 0.2 s, which on a busy machine any may.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
+# Shells start background jobs with Ctrl-C ignored, which commands started by tests would inherit.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)
