@@ -197,7 +197,7 @@ def test_evaluations_have_rows_of_those_who_came() -> None:
     presence = {"arrive_s": [0.2, 0.2], "stay_s": [0.3, 0.3]}
     later = {
         "guest": visitors("person", 2, **presence),
-        "stranger": visitors("dog", 1, arrive_s=[50.0, 60.0]),
+        "stranger": visitors("dog", 1, arrive_s=[0.7, 6000.0]),
     }
     task = {"rewards": {}, "terminations": {"time_limit": {"max_steps": 16}}}
     for group in later.values():

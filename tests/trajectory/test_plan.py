@@ -100,5 +100,6 @@ def test_speed_and_spacing_hold_for_any_way(world, points, velocity, spacing, mo
     moving = steps(actor) > 0.0
     # No chord is longer than its arc, which takes as long as the speed says.
     assert (steps(actor)[moving] <= velocity * np.diff(actor.times)[moving] * 1.01 + 1e-6).all()
-    assert (velocity * np.diff(actor.times)[moving] <= spacing * (1 + 1e-6)).all()
+    # A point that is nearer to a stop than a thousandth of the spacing gives way to it.
+    assert (velocity * np.diff(actor.times)[moving] <= spacing * (1 + 1.001e-3)).all()
     assert np.abs(np.diff(actor.poses[:, 3])).max() <= np.pi + 1e-3
