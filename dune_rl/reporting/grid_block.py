@@ -105,6 +105,5 @@ def _text(pair: PairedComparison, conf: GridConf) -> str:
     ends = (pair.difference.value, pair.difference.low, pair.difference.high)
     value, low, high = (format_difference(pair.measure, end, conf.decimals) for end in ends)
     interval = "" if NOTHING in (low, high) else f" ({low} to {high})"
-    return f"{value}{interval}" + (
-        "" if math.isnan(pair.adjusted_p) else f", p = {format_p(pair.adjusted_p)}"
-    )
+    p_value = "" if math.isnan(pair.adjusted_p) else f", p = {format_p(pair.adjusted_p)}"
+    return f"{value}{interval}{p_value}"

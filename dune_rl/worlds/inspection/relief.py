@@ -42,6 +42,8 @@ def fit(
 ) -> NDArray[np.float64]:
     """The amplitudes (A,) with the least sum of squares of `misfit`, the same ones on every processor.
 
+    `misfit` maps amplitudes (A,) to residuals (R,) without unit; `start` and both `bounds` are (A,).
+
     The solver's way from step to step is chaotic, as slopes' percentiles have kinks: a misfit that differs in
     its last bit would lead it elsewhere. So it is told rounded misfits of rounded amplitudes.
     """
