@@ -103,11 +103,19 @@ def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
     """
     for stop, number in ((KeyboardInterrupt, signal.SIGINT), (Terminated, signal.SIGTERM)):
         if issubclass(unraisable.exc_type, stop):
-            again = threading.Timer(_AGAIN_S, _thread.interrupt_main, [number])
+            again = threading.Timer(_AGAIN_S, _signal_main_thread, [number])
             again.daemon = True
             again.start()
             return
     sys.__unraisablehook__(unraisable)
+
+
+def _signal_main_thread(number: signal.Signals) -> None:
+    """Send a signal to the main thread, which ends its waiting, too, where the system can do so."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        _thread.interrupt_main(number)
 
 
 def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

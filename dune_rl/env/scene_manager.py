@@ -165,17 +165,21 @@ class SceneManager:
 
     # -- a step -----------------------------------------------------------------------------------
 
-    def step(self, kinematic_poses: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
-        """Advance the physics of all scenes by a control step; kinematic bodies move to poses (M, K, 6).
+    def step(
+        self, kinematic_poses: NDArray[np.float64], resting: NDArray[np.bool_]
+    ) -> dict[int, NDArray[np.float64]]:
+        """Advance the physics by a control step in the scenes that are not `resting` (M,).
 
-        Returns, by scene, the poses (K, 6) reached where a robot blocked any of the bodies.
+        Kinematic bodies move to poses (M, K, 6). Returns, by scene, the poses (K, 6) reached where a robot
+        blocked any of the bodies.
         """
-        substeps, scenes = self.conf.substeps, self.built
+        substeps, built = self.conf.substeps, self.built
+        moving = [(index, built[index]) for index in np.flatnonzero(~resting).tolist()]
         held_back = {}
         # One after another, so that the processor has the code of each part in its caches.
-        for scene, poses in zip(scenes, kinematic_poses, strict=True):
-            scene.begin_step(substeps, poses)
-        for index, scene in enumerate(scenes):
+        for index, scene in moving:
+            scene.begin_step(substeps, kinematic_poses[index])
+        for index, scene in moving:
             scene.finish_step()
             reached = scene.held_back_poses()
             if reached is not None:

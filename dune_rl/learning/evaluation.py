@@ -68,23 +68,31 @@ def evaluate(
         observation = env.reset()
         if observer is not None:
             observer.begin()
+        # More scenes than episodes.
+        resting = _episode_ids(env) >= first + episodes
+        env.rest_scenes(resting)
         while len(ended) < episodes and not stop():
             after = env.step(policy(observation))
             if observer is not None:
                 observer.step(after)
-            done = after["next", "done"].squeeze(-1)
-            found = _finished_rows(env, after, done, first, episodes) if done.any() else {}
-            for episode, rows in found.items():
+            observation = env.step_mdp(after)
+            done = after["next", "done"].squeeze(-1) & ~resting
+            if not done.any():
+                continue
+            for episode, rows in _finished_rows(env, after, done).items():
                 ended.add(episode)
                 if observer is not None and rows:
                     observer.finish(rows)
                 for group, agents in rows.items():
                     finished[group][episode] = agents
-            observation = env.maybe_reset(env.step_mdp(after))
-            if observer is not None and done.any():
+            # Nobody asks for the episodes that these scenes would go on with.
+            resting |= done & (_episode_ids(env) + len(done) >= first + episodes)
+            env.rest_scenes(resting)
+            for key in env.done_keys:
+                observation[key][resting] = False
+            observation = env.maybe_reset(observation)
+            if observer is not None:
                 observer.begin()
-            if not found:
-                continue
             progress(len(ended))
     return {
         group: [row for episode in sorted(found) for row in found[episode]]
@@ -92,15 +100,18 @@ def evaluate(
     }
 
 
+def _episode_ids(env: EnvBase) -> torch.Tensor:
+    """The ids (M,) of the present episodes."""
+    return torch.from_numpy(env.episode_keys()[1])
+
+
 def _finished_rows(
-    env: EnvBase, after: TensorDictBase, done: torch.Tensor, first: int, episodes: int
+    env: EnvBase, after: TensorDictBase, done: torch.Tensor
 ) -> dict[int, dict[str, list[MetricsRow]]]:
-    """The rows by episode and group of the scenes that are `done` (M,), of `episodes` from `first` on."""
+    """The rows by episode and group of the scenes that are `done` (M,)."""
     ids = env.episode_keys()[1][done.numpy()].tolist()
     # Nobody may have come of the groups that are measured.
-    found: dict[int, dict[str, list[MetricsRow]]] = {
-        episode: {} for episode in ids if first <= episode < first + episodes
-    }
+    found: dict[int, dict[str, list[MetricsRow]]] = {episode: {} for episode in ids}
     for group, names in env.metric_names.items():
         for agents in after["next", group, "metrics"][done].tolist():
             rows = [
@@ -109,10 +120,6 @@ def _finished_rows(
                 # Agents that never came have no values at all.
                 if not math.isnan(values[0])
             ]
-            if not rows:
-                continue
-            # A scene goes on with later ids while others are still at theirs.
-            episode = int(rows[0]["episode"])
-            if first <= episode < first + episodes:
-                found[episode][group] = rows
+            if rows:
+                found[int(rows[0]["episode"])][group] = rows
     return found

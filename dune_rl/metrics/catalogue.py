@@ -20,7 +20,7 @@ CATALOGUE: tuple[Measure, ...] = (
         _PAPER,
         is_share=True,
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "TR",
@@ -32,7 +32,7 @@ CATALOGUE: tuple[Measure, ...] = (
         _PAPER,
         is_share=True,
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "TC",

@@ -222,6 +222,9 @@ class PointMass(EnvBase):
         """The seed and the ids (M,) of the present episodes."""
         return self._seed, self._id
 
+    def rest_scenes(self, mask: torch.Tensor) -> None:
+        """A point that is done stands still by itself."""
+
     def state(self) -> dict[str, Any]:
         """Episode ids and the actions since each episode's start."""
         traces = [torch.tensor(np.array(trace).reshape(-1, self._agents, 2)) for trace in self._trace]

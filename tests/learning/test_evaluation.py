@@ -171,7 +171,8 @@ def test_csv_and_table_and_curve(tmp_path: Path) -> None:
     console = Console(record=True, width=80, file=io.StringIO())
     console.print(results_table({"go_to_goal": estimate_metrics(rows)}, "flat, 6 episodes"))
     text = console.export_text()
-    assert "100 %" in text and "(61 to 100)" in text and "VORT  velocity over rough terrain [m/s]" in text
+    assert "100.0 %" in text and "(61.0 to 100.0)" in text
+    assert "VORT  velocity over rough terrain [m/s]" in text
     history = [{"kind": kind, "frames": 1000, **average_metrics(rows)} for kind in ("train", "eval")]
     draw_curve(history, tmp_path / "curve.png", "flat")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")

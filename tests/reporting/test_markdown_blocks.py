@@ -44,7 +44,7 @@ def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
     file.write_text(f"before\n\n{TABLE}old\n{END}\nbetween\n\n{TABLE}{END} after\n")
     assert rewrite_file(file).blocks == 2
     # One collision: Garwood's interval of 0.0253 to 5.572, by four episodes.
-    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75 % (30 to 95) | 0.25 (0.01 to 1.39) |")
+    lines = ("|  | SR | TC |", "|---|---:|---:|", "| ours | 75.0 % (30.1 to 95.4) | 0.25 (0.01 to 1.39) |")
     made = TABLE + "".join(f"{line}\n" for line in lines) + END
     assert file.read_text() == f"before\n\n{made}\nbetween\n\n{made} after\n"
     written = file.stat().st_mtime_ns
@@ -58,13 +58,13 @@ def test_a_grid_has_a_row_for_each_set(file: Path) -> None:
     begin = "<!-- report: grid\nmeasure: SR\nrows: [a, b, c]\n"
     columns = "columns:\n  X: {folder: '{row}', policy: x}\n  Y: {folder: 'other_{row}', policy: y}\n-->\n"
     file.write_text(f"{begin}{columns}{END}\n")
-    with_gaps = "| b | 50 % (15 to 85) | not run |"
+    with_gaps = "| b | 50.0 % (15.0 to 85.0) | not run |"
     rewrite_file(file)
     lines = file.read_text().splitlines()
     assert lines[7:-1] == [
         "| set | X | Y |",
         "|---|---:|---:|",
-        "| a | 75 % (30 to 95) | not run |",
+        "| a | 75.0 % (30.1 to 95.4) | not run |",
         with_gaps,
         "| c | not run | not run |",
     ]
@@ -105,14 +105,14 @@ def test_rows_labels_digits_several_sources_and_the_paper(file: Path) -> None:
         "<!-- report: table\n"
         "methods:\n  both: [{folder: a, policy: x}, {folder: a, policy: y}]\n"
         "  '`y`': {folder: a, policy: y}\n"
-        "measures: [SR, TC, episodes]\nlabels: {TC: collisions}\ndecimals: {SR: 1}\nrows: measures\n"
+        "measures: [SR, TC, episodes]\nlabels: {TC: collisions}\ndecimals: {SR: 2}\nrows: measures\n"
         f"paper: inspection\nintervals: false\n-->\n{END}\n"
     )
     rewrite_file(file)
     assert file.read_text().splitlines()[11:-1] == [
         "|  | both | `y` | DUnE paper |",
         "|---|---:|---:|---:|",
-        "| SR | 75.0, 25.0 % | 25.0 % | 75 % |",
+        "| SR | 75.00, 25.00 % | 25.00 % | 75 % |",
         "| collisions | 0.25, 0.75 | 0.75 | 52 in all |",
         "| episodes | 4, 4 | 4 |  |",
     ]
@@ -142,7 +142,7 @@ def test_line_endings_stay_as_they_are(file: Path) -> None:
     windows = file.read_bytes()
     file.write_bytes(text.encode())
     rewrite_file(file)
-    assert b"75 %" in windows and windows == file.read_bytes().replace(b"\n", b"\r\n")
+    assert b"75.0 %" in windows and windows == file.read_bytes().replace(b"\n", b"\r\n")
     fenced = f"```markdown\n{TABLE}{END}\n```\n".replace("\n", "\r\n")
     assert rewrite_text(fenced, file).blocks == 0
 

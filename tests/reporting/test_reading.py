@@ -277,9 +277,9 @@ def test_a_sweep_is_read_with_its_best_job(tmp_path: Path) -> None:
     assert [job.objective for job in sweep.jobs[:2]] == pytest.approx([0.61, 0.62])
     assert sweep.best == "1_flat_seed2"
     table = sweep_table("s", sweep)
-    assert [row[-1].text for row in table.rows] == ["61", "62 (best)", NOTHING]
+    assert [row[-1].text for row in table.rows] == ["61.0", "62.0 (best)", NOTHING]
     equal = replace(sweep, jobs=[replace(job, objective=0.5) for job in sweep.jobs])
-    assert {row[-1].text for row in sweep_table("s", equal).rows} == {"50"}
+    assert {row[-1].text for row in sweep_table("s", equal).rows} == {"50.0"}
     # Its jobs are training runs too.
     assert len(inputs.training) == 2
 

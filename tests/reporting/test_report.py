@@ -78,7 +78,7 @@ def test_a_report_of_all_kinds_of_folders(
     for words in ("My report", "missing: there is no such folder", "VORT above", "5°", "DUnE paper", "12.82"):
         assert words in page.text
     # The sweep: its parameter, and which job was best.
-    assert "learning.gamma" in page.text and "62 (best)" in page.text
+    assert "learning.gamma" in page.text and "62.0 (best)" in page.text
     stems = {path.stem for path in (tmp_path / "r" / "figures").iterdir()}
     for stem in stems:
         assert (tmp_path / "r" / "figures" / f"{stem}.png").read_bytes().startswith(b"\x89PNG")

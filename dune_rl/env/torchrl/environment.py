@@ -132,6 +132,10 @@ class DuneEnv(CopiedByReplay, EnvBase):
         """Let the next reset of all scenes start at episode `first_episode` of `seed`."""
         self._simulation.reseed(seed, first_episode)
 
+    def rest_scenes(self, mask: torch.Tensor) -> None:
+        """Leave the scenes in `mask` (M,) out of the physics until they are reset; see `VectorSimulation`."""
+        self._simulation.rest(mask.numpy())
+
     def episode_keys(self) -> tuple[int, NDArray[np.int64]]:
         """The seed and the ids (M,) of the present episodes."""
         return self._simulation.seed, self._simulation.episodes

@@ -43,6 +43,8 @@ _LEAST_SHARE = 0.05
 _LEAST_COUNT = 5
 # A property that differs by less does not vary.
 _LEAST_RANGE = 1e-3
+# Methods of a bin stand side by side over this share of the narrowest bin.
+_SPREAD = 0.3
 # More methods than these have thinner intervals.
 _FEW = 5
 
@@ -155,7 +157,7 @@ def _panel(
     for method, place in places.items():
         bins = success_by_bin(methods[method], name, edges)
         counts.append([one.share.count for one in bins])
-        shift = 0.0 if len(places) == 1 else (place / (len(places) - 1) - 0.5) * 0.6
+        shift = 0.0 if len(places) == 1 else (place / (len(places) - 1) - 0.5) * _SPREAD
         full = [one for one in bins if one.share.count]
         x = np.array([(one.low + one.high) / 2 + shift * narrowest for one in full])
         y = np.array([one.share.value for one in full])
