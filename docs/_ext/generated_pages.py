@@ -167,6 +167,7 @@ _BODY_MEANINGS = {
     "max_slope_deg": "steepest ground that it crosses [deg]",
     "max_water_m": "deepest water that it crosses [m]",
     "looks": "what sensors see: a capsule in clothes, or a figure with limbs that swing",
+    "clothes": "of figures: alike, or mixed (six outfits in turn)",
 }
 _REWARD_MEANINGS = {
     "weight": "factor on the term",

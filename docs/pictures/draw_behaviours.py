@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -95,9 +96,9 @@ def draw_panel(
     spawner = simulation.group("rover").spawners.of(place)
     content = MapContent(place, spawner, 25.0, 0.5, prop_footprints(place, 3))
     draw_ground(axes, content, rectangle, (SIDE_IN, SIDE_IN), DPI)
-    draw_props(axes, content.footprints, obstacle_tints(content))
+    draw_props(axes, content.footprints, obstacle_tints(content.footprints))
     draw_track(axes, rover, "#1b1f24", 2.2)
-    for agent, colour in enumerate(plt.cm.tab10.colors[: actors.shape[1]]):
+    for agent, colour in zip(range(actors.shape[1]), colormaps["tab10"](range(10)), strict=False):
         draw_track(axes, actors[:, agent], colour, 1.4)
     axes.set_title(title, fontsize=9)
     axes.set_xticks([])

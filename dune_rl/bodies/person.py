@@ -31,7 +31,7 @@ class PersonConf(BodySettings):
     """Size and motion limits of a person: never backwards, and turns take time.
 
     With `looks: figure` it has a head, arms and legs that swing with its stride; `pillar` is the capsule in
-    clothes that physics has.
+    clothes that physics has. Figures in `mixed` clothes wear one of six outfits in turn.
     """
 
     name: Literal["person"] = "person"
@@ -44,13 +44,16 @@ class PersonConf(BodySettings):
     max_slope_deg: float = Field(45.0, gt=0.0, le=90.0)
     max_water_m: float = Field(1.0, ge=0.0, le=100.0)
     looks: Literal["pillar", "figure"] = "pillar"
+    clothes: Literal["alike", "mixed"] = "alike"
 
     kind: ClassVar[str] = "person"
 
     @model_validator(mode="after")
-    def _is_a_capsule(self) -> Self:
+    def _fits_together(self) -> Self:
         if self.height_m <= 2 * self.radius_m:
             raise ValueError(f"height_m ({self.height_m}) must be more than twice radius_m ({self.radius_m})")
+        if self.clothes == "mixed" and self.looks == "pillar":
+            raise ValueError("clothes: mixed are those of figures: set looks to figure, or clothes to alike")
         return self
 
     @property
@@ -62,6 +65,15 @@ class PersonConf(BodySettings):
     def num_frames(self) -> int:
         """Number of pictures of a stride."""
         return 12 if self.looks == "figure" else 1
+
+    @property
+    def num_looks(self) -> int:
+        """Number of outfits."""
+        if self.clothes == "alike":
+            return 1
+        from dune_rl.bodies.meshes.person import NUM_OUTFITS
+
+        return NUM_OUTFITS
 
     @property
     def is_round(self) -> bool:
@@ -94,9 +106,15 @@ class PersonConf(BodySettings):
         """The person at a phase of its stride; a pillar looks the same at each."""
         if self.looks == "pillar":
             return _capsule_in_clothes(self.radius_m, self.height_m)
+        return self.look(0, phase)
+
+    def look(self, number: int, phase: float) -> ColouredMesh:
+        """The person in an outfit, at a phase of its stride."""
+        if self.looks == "pillar":
+            return self.picture(phase)
         from dune_rl.bodies.meshes.person import draw_person
 
-        return draw_person(self, phase)
+        return draw_person(self, phase, number)
 
 
 class ChildConf(PersonConf):

@@ -111,6 +111,11 @@ class BodySettings(Settings):
         return 1
 
     @property
+    def num_looks(self) -> int:
+        """Number of looks, such as clothes, that the agents of a group have in turn."""
+        return 1
+
+    @property
     def stride_m(self) -> float:
         """Way [m] in which the pictures of a stride are gone through once."""
         return 1.0
@@ -167,11 +172,16 @@ class BodySettings(Settings):
         """How it looks at a `phase` in [0, 1) of its stride, or of a turn of its propellers."""
         raise NotImplementedError
 
+    def look(self, number: int, phase: float) -> ColouredMesh:
+        """The `picture` in one of its looks, by number."""
+        return self.picture(phase)
+
 
 @lru_cache(maxsize=64)
 def pictures_of(body: BodySettings) -> tuple[ColouredMesh, ...]:
-    """The coloured meshes of a body's frames, made once for equal settings."""
-    return tuple(body.picture(frame / body.num_frames) for frame in range(body.num_frames))
+    """The coloured meshes of a body's frames, of one look after the other, made once for equal settings."""
+    looks, frames = range(body.num_looks), range(body.num_frames)
+    return tuple(body.look(look, frame / body.num_frames) for look in looks for frame in frames)
 
 
 class RectangularBody(BodySettings):

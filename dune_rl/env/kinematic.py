@@ -70,6 +70,8 @@ class KinematicBody:
         self._velocity = np.zeros((rows, 2))
         self._backing_m = np.zeros(rows)
         self._num_frames = conf.num_frames
+        # Of each body's look, the number of the first frame.
+        self._first_frames = np.tile(np.arange(count) % conf.num_looks * conf.num_frames, len(worlds))
         self._travelled_m = np.zeros(rows)
         self._start_poses = self.poses
         self._rotation: Array | None = rotation_from_angles(np.zeros((rows, 3))) if self._leans else None
@@ -309,7 +311,7 @@ class KinematicBody:
         derived: dict[str, Any] = {"acceleration_b": acceleration_b}
         if self._num_frames > 1:
             phase = self._travelled_m / self.conf.stride_m
-            derived["frames"] = np.floor(self._num_frames * phase) % self._num_frames
+            derived["frames"] = np.floor(self._num_frames * phase) % self._num_frames + self._first_frames
         if self._rotation is not None:
             attitude[:, :2] = self.poses[:, 4:]
             derived["rotation"] = self._rotation

@@ -66,6 +66,22 @@ def test_limbs_swing_with_the_stride(name: str) -> None:
 
 def test_a_pillar_is_one_picture() -> None:
     assert len(pictures_of(PersonConf())) == 1
+    with pytest.raises(ValueError, match="set looks to figure"):
+        PersonConf(clothes="mixed")
+
+
+@pytest.mark.parametrize("name", ["person", "child"])
+def test_people_in_mixed_clothes_differ_in_colour_alone(name: str) -> None:
+    mixed = body(name, clothes="mixed")
+    pictures = pictures_of(mixed)
+    assert len(pictures) == mixed.num_frames * mixed.num_looks == 72
+    for frame in range(12):
+        outfits = pictures[frame::12]
+        for one in outfits:
+            assert is_closed(one)
+            np.testing.assert_array_equal(one.vertices, outfits[0].vertices)
+        colours = {one.albedo.tobytes() for one in outfits}
+        assert len(colours) == 6
 
 
 @pytest.mark.parametrize(("conf", "radius"), [(CarConf(), 3.7), (TruckConf(), 4.9), (TractorConf(), 2.7)])

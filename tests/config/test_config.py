@@ -82,9 +82,10 @@ def people(controller: dict[str, Any], count: int, speed_mps: float = 1.0) -> Ag
 
 
 def seen_as_figures(group: AgentGroupConf, **settings: Any) -> AgentGroupConf:
-    """People with limbs."""
+    """People with limbs, in clothes of their own."""
     assert isinstance(group.body, PersonConf)
-    return group.model_copy(update={"body": group.body.model_copy(update={"looks": "figure", **settings})})
+    figure = {"looks": "figure", "clothes": "mixed", **settings}
+    return group.model_copy(update={"body": group.body.model_copy(update=figure)})
 
 
 def roaming(body: Any, count: int, **controller: Any) -> AgentGroupConf:
@@ -196,7 +197,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "crowd"): {
         "walker": seen_as_figures(people({"name": "social_force", "range_m": 5.0}, 12), speed_mps=1.5),
         "child": AgentGroupConf(
-            body=ChildConf(speed_mps=1.5),
+            body=ChildConf(speed_mps=1.5, clothes="mixed"),
             count=4,
             controller=BEHAVIOURS.parse_settings(
                 {"name": "social_force", "reaction": "curious", "range_m": 5.0}

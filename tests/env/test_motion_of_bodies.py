@@ -28,10 +28,12 @@ def conf_of(name: str, **settings: object) -> BodySettings:
     return made
 
 
-def bodies(name: str, *poses: tuple[float, float, float], world: World | None = None) -> KinematicBody:
+def bodies(
+    name: str, *poses: tuple[float, float, float], world: World | None = None, **settings: str
+) -> KinematicBody:
     """Bodies of one scene at (x, y, yaw)."""
     worlds = BatchedWorlds([(world or yard(half=30), WeatherConf())])
-    made = KinematicBody(conf_of(name), worlds, len(poses), STEP_S)
+    made = KinematicBody(conf_of(name, **settings), worlds, len(poses), STEP_S)
     ground = (world or yard(half=30)).terrain.height(np.array(poses)[:, :2])
     made.place(0, np.array([(x, y, z, yaw) for (x, y, yaw), z in zip(poses, ground, strict=True)]))
     made.read_start(np.ones(len(poses), bool))
@@ -267,6 +269,15 @@ def test_frames_follow_the_way_walked() -> None:
     drive(body, 0.0, 0.5, steps=5)
     np.testing.assert_array_equal(body.motion.frames, frames)
     assert len(standing) == 21
+
+
+def test_people_in_mixed_clothes_keep_their_outfits() -> None:
+    places = [(0.0, float(number), 0.0) for number in range(8)]
+    body = bodies("child", *places, clothes="mixed")
+    outfits = [0, 1, 2, 3, 4, 5, 0, 1]
+    np.testing.assert_array_equal(body.motion.frames // 12, outfits)
+    drive(body, 1.0, 0.0, steps=30)
+    np.testing.assert_array_equal(body.motion.frames // 12, outfits)
 
 
 def test_actions_are_bounded_by_the_motion_model() -> None:
