@@ -128,12 +128,20 @@ class KinematicBody:
         self._put(rows, scene, self._standing(poses, np.array([scene])))
         self._travelled_m[rows] = self.conf.stride_m * (_STRIDES_APART * np.arange(self.count) % 1.0)
 
+    def face_a_way(self, scene: int, poses: Array) -> Array:
+        """Start `poses` (G, 4) of a scene, turned so that vehicles can drive on from where they start."""
+        way_m = self.limits.turning_radius_m
+        if way_m == 0.0:
+            return poses
+        headings = self._room.headings_with_way(scene, poses, way_m)
+        return np.column_stack([poses[:, :3], headings])
+
     def come(self, row: int, pose: Array) -> None:
         """Put a parked body at a `pose` (4), at rest; `read_start` must follow."""
         scene, agent = divmod(row, self.count)
         poses = self.poses[scene * self.count : (scene + 1) * self.count, :4].copy()
         poses[agent] = pose
-        standing = self._standing(poses, np.array([scene]))
+        standing = self._standing(self.face_a_way(scene, poses), np.array([scene]))
         self.poses = self.poses.copy()
         self._put(slice(row, row + 1), scene, standing[agent : agent + 1])
 

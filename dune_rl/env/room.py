@@ -20,6 +20,9 @@ Flags = NDArray[np.bool_]
 # Agents keep this far from the world's edge [m].
 _EDGE_M = 1.0
 _LEVEL, _ANY_DEPTH = 90.0, 100.0
+# Headings that `Room.headings_with_way` tries, relative to those drawn [rad], and points on the way of each.
+_TURNS = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 120.0, -120.0, 150.0, -150.0, 180.0])
+_POINTS_ON_WAY = 4
 
 
 class Room:
@@ -54,6 +57,28 @@ class Room:
                 enough |= room > measure(poses[:, :2], poses[:, 3])
             free &= enough
         return free
+
+    def headings_with_way(self, scene: int, poses: Array, way_m: float) -> Array:
+        """Headings (G,) [rad] in which the bodies of a scene, at `poses` (G, 4), can drive `way_m` straight on.
+
+        Of twelve it is the one that is nearest to the pose's own, and this one itself where there is none.
+        """
+        rows = slice(scene * self._count, (scene + 1) * self._count)
+        all_poses = np.zeros((len(self._worlds) * self._count, 4))
+        elsewhere = np.ones(len(all_poses), bool)
+        elsewhere[rows], all_poses[rows] = False, poses
+        headings, is_open = poses[:, 3].copy(), np.zeros(len(poses), bool)
+        for turn in _TURNS:
+            yaw = all_poses[:, 3] + turn
+            ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+            free = np.ones(len(poses), bool)
+            for way in np.linspace(0.0, way_m, _POINTS_ON_WAY):
+                free &= self.is_free(all_poses[:, :2] + way * ahead, yaw, all_poses, elsewhere)[rows]
+            headings = np.where(free & ~is_open, yaw[rows], headings)
+            is_open |= free
+            if is_open.all():
+                break
+        return headings
 
     def _within_edges(self, xy: Array, yaw: Array) -> Array:
         """Distance [m], (N,), inside the border that bodies keep to the world's edge."""

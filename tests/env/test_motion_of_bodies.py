@@ -336,3 +336,30 @@ def test_go_to_goal_reaches_goals_all_round_a_vehicle(name: str) -> None:
         body.command(driver.act(state, state), body.motion)
         body.read()
     assert reached.all()
+
+
+def test_vehicles_start_towards_a_way_that_they_can_go() -> None:
+    # Only the third has the wall before it.
+    world = yard((6.0, 0.0, 0.0, 1.0, 30.0), half=30)
+    body = bodies("truck", (-15.0, 0.0, 1.0), (-15.0, 12.0, 0.0), (0.5, 0.0, 0.0), world=world)
+    poses = np.array([(-15.0, 0.0, 0.0, 1.0), (-15.0, 12.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0)])
+    faced = body.face_a_way(0, poses)
+    np.testing.assert_array_equal(faced[:2], poses[:2])
+    np.testing.assert_array_equal(faced[:, :3], poses[:, :3])
+    # Straight ahead and 30 degrees aside is the wall.
+    assert faced[2, 3] == pytest.approx(np.pi / 3)
+    body.place(0, faced)
+    body.read_start(np.ones(3, bool))
+    driven = drive(body, 2.0, 0.0, steps=60)
+    assert np.linalg.norm(driven[-1, 2, :2] - driven[0, 2, :2]) > 2.0
+    # Who turns on the spot needs none of it.
+    walker = bodies("person", (0.5, 0.0, 0.0), world=world)
+    assert walker.face_a_way(0, poses) is poses
+
+
+def test_a_vehicle_that_is_shut_in_faces_where_it_was_put() -> None:
+    walls: list[Box] = [(5.5, 0.0, 0.0, 1.0, 12.0), (-5.5, 0.0, 0.0, 1.0, 12.0)]
+    walls += [(0.0, 5.5, 0.0, 12.0, 1.0), (0.0, -5.5, 0.0, 12.0, 1.0)]
+    body = bodies("truck", (0.0, 0.0, 0.3), world=yard(*walls, half=30))
+    poses = np.array([(0.0, 0.0, 0.0, 0.3)])
+    np.testing.assert_array_equal(body.face_a_way(0, poses), poses)
