@@ -3,6 +3,7 @@
 import _thread
 import errno
 import logging
+import os
 import signal
 import sys
 import threading
@@ -205,7 +206,7 @@ def make_console() -> "Console":
     """A console for results: as wide as the terminal, and wide enough for a table elsewhere."""
     from rich.console import Console
 
-    return Console() if Console().is_terminal else Console(width=120)
+    return Console() if Console().is_terminal or "COLUMNS" in os.environ else Console(width=120)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -108,12 +108,9 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
 
 
 def _plan(conf: EvaluateConf) -> "EvaluationPlan":
-    from dune_rl.episode_sets import read_episode_set
-    from dune_rl.evaluation.policies import policy_sources
     from dune_rl.evaluation.running import EvaluationPlan
 
-    episode_set = None if conf.set is None else read_episode_set(conf.set)
-    return EvaluationPlan(conf, policy_sources(conf), episode_set)
+    return EvaluationPlan.of_settings(conf)
 
 
 def _evaluate(conf: EvaluateConf) -> None:

@@ -190,7 +190,7 @@ _TERMINATION_MEANINGS = {
 _METRIC_MEANINGS = {
     "termination": "name of the termination term",
     "reduce": "what makes one value of an episode's steps",
-    "initial": "the value where an episode has none",
+    "initial": "the value before the first step that has one",
     "groups": "names of the groups whose agents count; none: all others do",
     "kinds": "classes of what is touched: static, robot, person, vehicle, animal, drone, or one of one's own",
     "max_m": "the largest gap or clearance that counts [m]",

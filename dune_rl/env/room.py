@@ -59,7 +59,7 @@ class Room:
         return free
 
     def headings_with_way(self, scene: int, poses: Array, way_m: float) -> Array:
-        """Headings (G,) [rad] in which the bodies of a scene, at `poses` (G, 4), can drive `way_m` straight on.
+        """Headings (G,) [rad] in which bodies of a scene, at `poses` (G, 4), can drive `way_m` straight on.
 
         Of twelve it is the one that is nearest to the pose's own, and this one itself where there is none.
         """

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from dune_rl.episode_sets.generate import SetRecipe
 
 
+# Options of sets from settings.
+_OF_OWN_SETS = ("episodes", "sites", "farthest", "seed")
+
+
 def parse(words: Sequence[str]) -> Namespace:
     """The words of a command line: its `command`, the `names` of sets, and `settings` (key=value)."""
     parser = ArgumentParser(prog="python -m dune_rl.episode_sets", description=__doc__)
@@ -27,10 +31,10 @@ def parse(words: Sequence[str]) -> Namespace:
     make.add_argument("names", nargs="*", metavar="NAME", help="a set")
     make.add_argument("--out", type=Path, default=Path("episode_sets"), help="the folder to write to")
     own = make.add_argument_group("for a set of your own, beside settings (key=value)")
-    own.add_argument("--episodes", type=int, default=100, help="how many (default: 100)")
-    own.add_argument("--sites", type=int, default=1, help="of a generated world (default: 1, its world.seed)")
+    own.add_argument("--episodes", type=int, help="how many (default: 100)")
+    own.add_argument("--sites", type=int, help="of a generated world (default: 1, its world.seed)")
     own.add_argument("--farthest", type=float, metavar="M", help="largest distance of a goal from its start")
-    own.add_argument("--seed", type=int, default=0, help="of all that episodes draw (default: 0)")
+    own.add_argument("--seed", type=int, help="of all that episodes draw (default: 0)")
     check = commands.add_parser("check", help="start every episode of sets, and report what is not free")
     check.add_argument(
         "names",
@@ -101,18 +105,12 @@ def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
     if parsed.settings:
         if len(parsed.names) != 1:
             raise ConfigError(f"settings are for one set: make NAME {parsed.settings[0]} ...")
-        return [
-            own_recipe(
-                *(
-                    parsed.names[0],
-                    parsed.settings,
-                    parsed.episodes,
-                    parsed.sites,
-                    parsed.farthest,
-                    parsed.seed,
-                )
-            )
-        ]
+        chosen = {name: getattr(parsed, name) for name in _OF_OWN_SETS}
+        given = {name: value for name, value in chosen.items() if value is not None}
+        return [own_recipe(parsed.names[0], parsed.settings, **given)]
+    unused = [name for name in _OF_OWN_SETS if getattr(parsed, name) is not None]
+    if unused:
+        raise ConfigError(f"--{unused[0]} is for a set of your own; add its settings: +world=NAME")
     recipes = all_recipes()
     for name in parsed.names:
         if name not in recipes:

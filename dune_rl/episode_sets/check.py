@@ -17,7 +17,10 @@ _SETTLED_M = 0.2
 def faulty_episodes(
     episode_set: EpisodeSet, numbers: Sequence[int] | None = None, overrides: Sequence[str] = ()
 ) -> list[str]:
-    """Start episodes (None: all) and return a line for each that fails or touches something at its start.
+    """Start episodes (None: all) and return a line for each that is faulty.
+
+    It is if it does not start, if the robot touches something or settles away from its start, or if the goal
+    is at another distance than the set says.
 
     `overrides` are settings of the robot, where its name does not tell all of it.
     """

@@ -1,4 +1,7 @@
-"""How the package's episode sets are made: sampled starts and goals on sites that training never draws."""
+"""Samples the starts and goals of episode sets.
+
+The recipes of the package's sets are here too; their sites are such as training never draws.
+"""
 
 import shlex
 from collections.abc import Iterable
@@ -128,7 +131,7 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
     """All episodes of a recipe: as many on each site, site after site. Slow: it builds every site."""
     conf = recipe.settings
     if recipe.sites == 1 or not hasattr(conf.world, "seed"):
-        return tuple(_episodes_on_site(recipe, None, range(recipe.episodes)))
+        return tuple(generate_on_site(recipe, None, range(recipe.episodes)))
     each = recipe.episodes // recipe.sites
     found: list[SetEpisode] = []
     seed = FIRST_SITE
@@ -136,7 +139,7 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
         numbers = range(len(found), len(found) + each)
         try:
             _check_paths(recipe, conf, seed)
-            found += _episodes_on_site(recipe, seed, numbers)
+            found += generate_on_site(recipe, seed, numbers)
         except WorldError:
             # A site without room, such as one where no goal is far enough: the next one takes its place.
             if seed > FIRST_SITE + 2 * recipe.sites:
@@ -152,11 +155,7 @@ def _check_paths(recipe: SetRecipe, conf: EnvConf, world_seed: int) -> None:
 
 
 def generate_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
-    """The episodes of these numbers, if they are on the site of `world_seed`."""
-    return _episodes_on_site(recipe, world_seed, numbers)
-
-
-def _episodes_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
+    """The episodes of these numbers, on the site of `world_seed` (None: the world has no seed)."""
     conf = recipe.settings
     world_conf = conf.world if world_seed is None else conf.world.model_copy(update={"seed": world_seed})
     world = build_world(world_conf)

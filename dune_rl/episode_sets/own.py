@@ -11,11 +11,16 @@ from dune_rl.errors import ConfigError
 
 
 def own_recipe(
-    name: str, words: Sequence[str], episodes: int, sites: int, farthest_m: float | None, seed: int
+    name: str,
+    words: Sequence[str],
+    episodes: int = 100,
+    sites: int = 1,
+    farthest: float | None = None,
+    seed: int = 0,
 ) -> SetRecipe:
     """A recipe from settings such as +world=NAME and robot=NAME; raises ConfigError where it cannot be one.
 
-    Goals lie at least `task.spawn.min_goal_distance_m` from the start, and at most `farthest_m` (None: any).
+    Goals lie at least `task.spawn.min_goal_distance_m` from the start, and at most `farthest` [m].
     """
     _check_name(name)
     world = override_value(words, "world")
@@ -34,19 +39,19 @@ def own_recipe(
     if seed < 0:
         raise ConfigError(f"--seed must be at least 0 (got {seed})")
     nearest = conf.task.spawn.min_goal_distance_m
-    if farthest_m is not None and farthest_m <= nearest:
+    if farthest is not None and farthest <= nearest:
         raise ConfigError(
-            f"--farthest {farthest_m:g} must be more than task.spawn.min_goal_distance_m={nearest:g}"
+            f"--farthest {farthest:g} must be more than task.spawn.min_goal_distance_m={nearest:g}"
         )
-    distances = f"{nearest:g} m or more" if farthest_m is None else f"{nearest:g} to {farthest_m:g} m"
+    distances = f"{nearest:g} m or more" if farthest is None else f"{nearest:g} to {farthest:g} m"
     options = [f"--episodes={episodes}", f"--sites={sites}", f"--seed={seed}"]
-    options += [] if farthest_m is None else [f"--farthest={farthest_m:g}"]
+    options += [] if farthest is None else [f"--farthest={farthest:g}"]
     return SetRecipe(
         name,
         world,
         tuple(others),
         f"starts and goals {distances} apart",
-        (nearest, farthest_m),
+        (nearest, farthest),
         seed,
         episodes,
         sites,

@@ -53,6 +53,9 @@ _PLAIN_METRICS: dict[str, tuple[str, str]] = {
 }
 # Metrics whose column is a sum that their measure divides.
 _SUMS: dict[str, tuple[str, str]] = {
+    "duration": ("s", "time of the episode"),
+    "risk_seconds": ("s", "time near agents of the chosen groups, weighted by nearness"),
+    "seconds_at_risk": ("s", "time within the distance of risk, weighted by closeness"),
     "dune_code_successes": ("", "attempts that reach the goal, of those that the published code counts"),
     "dune_code_attempts": ("", "attempts that the published code counts"),
     "dune_code_goal_time": ("s", "sum of the times of attempts that reach the goal"),
@@ -90,5 +93,8 @@ def describe_columns(names: Sequence[str]) -> list[dict[str, str]]:
 
 
 def measured_columns(names: Sequence[str]) -> list[str]:
-    """The columns that measure the agent: without ids, places and what was drawn or earned."""
-    return [name for name in names if name not in _FIXED and "/" not in name]
+    """The columns that measure the agent: without ids, places and what was drawn or earned.
+
+    The steps are among them, by which sums over an episode are divided.
+    """
+    return [name for name in names if (name not in _FIXED or name == "steps") and "/" not in name]

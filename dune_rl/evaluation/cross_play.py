@@ -5,7 +5,6 @@ and all robots have the same episodes among all populations.
 """
 
 import csv
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -21,15 +20,14 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.config.migration import migrated
 from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
 from dune_rl.config.schema import EnvConf
-from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices
 from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
-from dune_rl.evaluation.policies import policy_sources
+from dune_rl.evaluation.policies import checkpoint_name
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
-from dune_rl.files import write_atomically
+from dune_rl.files import sha256_of, write_atomically
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.measures import write_csv
 from dune_rl.paths import conf_folder
@@ -105,15 +103,13 @@ def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
     if not any(one.is_external for one in actors):
         trained = ", ".join(sorted(content["groups"]))
         raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
-    name = path.resolve().name if path.is_dir() else path.parent.name or path.stem
     return ActorPopulation(
-        name, _CHECKPOINT, location, _sha256(file), {one.name: _plain(one, location) for one in actors}
+        checkpoint_name(path),
+        _CHECKPOINT,
+        location,
+        sha256_of(file),
+        {one.name: _plain(one, location) for one in actors},
     )
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 def _plain(group: ResolvedGroup, location: str) -> dict[str, Any]:
@@ -163,7 +159,7 @@ def begin_cross_play(
 ) -> None:
     """Make the folder of a cross-play and those of its populations, with nothing evaluated yet."""
     settings = [settings_among(conf, one, out / one.name) for one in populations]
-    plans = [_plan(each) for each in settings]
+    plans = [EvaluationPlan.of_settings(each) for each in settings]
     if out.is_dir():
         names = {RECORD, MATRIX, PICTURE, *(one.name for one in populations)}
         others = sorted(each.name for each in out.iterdir() if each.name not in names)
@@ -235,7 +231,7 @@ def _run_population(
     if provenance.get("complete"):
         return
     _check_unchanged(population)
-    plan = _plan(read_settings(path))
+    plan = EvaluationPlan.of_settings(read_settings(path))
     check_same_sources(plan, provenance, path)
     console.print(f"Among {population['name']}", highlight=False, markup=False)
     prepared = prepare_run(plan)
@@ -248,15 +244,10 @@ def _check_unchanged(population: Mapping[str, Any]) -> None:
     if population["kind"] != _CHECKPOINT:
         return
     file = find_checkpoint_file(Path(population["location"]), *POLICY_SOURCES)
-    if _sha256(file) != population["sha256"]:
+    if sha256_of(file) != population["sha256"]:
         raise ConfigError(
             f"{population['location']} has other weights than when the cross-play began; run it again"
         )
-
-
-def _plan(conf: EvaluateConf) -> EvaluationPlan:
-    episode_set = None if conf.set is None else read_episode_set(conf.set)
-    return EvaluationPlan(conf, policy_sources(conf), episode_set)
 
 
 def _summary(path: Path) -> list[dict[str, Any]]:

@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 
 from dune_rl.files import write_atomically
 from dune_rl.metrics.catalogue import CATALOGUE
+from dune_rl.metrics.number_text import format_value
 
 Row = Mapping[str, Any]
+_BY_NAME = {measure.name: measure for measure in CATALOGUE}
 _LONGEST_NAME = 22
 _LIGHT = 0.45
 # Obstacle clearance is measured up to this distance [m]: where nothing is nearer, it is no result of driving,
@@ -28,9 +30,12 @@ def describe_cell(row: Row, separator: str = " ") -> str:
     value, low, high = (float(row[key]) for key in ("value", "low", "high"))
     if np.isnan(value):
         return "-"
-    if row["measure"] == "SR":
-        return f"{100 * value:.0f} %{separator}({100 * low:.0f} to {100 * high:.0f})"
-    return f"{value:.2f}{separator}({low:.2f} to {high:.2f})"
+    measure = _BY_NAME[str(row["measure"])]
+    unit = " %" if measure.unit == "%" else ""
+    shown = f"{format_value(measure, value)}{unit}"
+    if np.isnan(low):
+        return shown
+    return f"{shown}{separator}({format_value(measure, low)} to {format_value(measure, high)})"
 
 
 def cells_of(rows: Sequence[Row], measure: str) -> dict[tuple[str, str, str], Row]:

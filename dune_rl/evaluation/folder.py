@@ -1,7 +1,6 @@
 """The folder of an evaluation: its settings, where it comes from, and rows that outlive an interruption."""
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.errors import CheckpointError, ConfigError
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.tables import write_columns, write_tables
-from dune_rl.files import write_atomically
+from dune_rl.files import sha256_of, write_atomically
 from dune_rl.learning.run.lock import RunLock
 
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
@@ -110,8 +109,9 @@ class ResultsFolder:
         found = []
         for policy in sorted({one.policy for one in ordered}):
             mine = [one for one in ordered if one.policy == policy]
-            for group in mine[0].rows:
-                found += [row for one in mine for row in one.rows[group]]
+            # Of a group whose agents come and go, nobody may have come in some episodes.
+            for group in dict.fromkeys(group for one in mine for group in one.rows):
+                found += [row for one in mine for row in one.rows.get(group, [])]
         return found
 
     def write(self) -> None:
@@ -139,7 +139,7 @@ class ResultsFolder:
             **self.provenance,
             "complete": complete,
             "finished": len(self.finished),
-            "files": {name: _sha256(self.path / name) for name in files},
+            "files": {name: sha256_of(self.path / name) for name in files},
         }
         with write_atomically(self.path / PROVENANCE) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -178,14 +178,15 @@ def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
     sums: Mapping[str, str] = provenance.get("files", {})
     # A name with a folder is of no file that the evaluation wrote.
     return [
-        name for name, sha256 in sums.items() if Path(name).name != name or _sha256(path / name) != sha256
+        name
+        for name, sha256 in sums.items()
+        if Path(name).name != name or _sha256_if_readable(path / name) != sha256
     ]
 
 
-def _sha256(file: Path) -> str | None:
+def _sha256_if_readable(file: Path) -> str | None:
     try:
-        with file.open("rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
+        return sha256_of(file)
     except OSError:
         return None
 

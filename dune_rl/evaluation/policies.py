@@ -1,6 +1,5 @@
 """The policies of an evaluation: checkpoints, built-in ones, files of other libraries, and own functions."""
 
-import hashlib
 import importlib
 import traceback
 from collections.abc import Callable, Mapping
@@ -18,6 +17,7 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.stable_baselines import read_stable_baselines
+from dune_rl.files import sha256_of
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
@@ -52,8 +52,7 @@ class PolicySource:
         Raises ConfigError if that cannot be read.
         """
         try:
-            with open(self.file, "rb") if self.file is not None else _Nothing() as file:
-                sha256 = None if file is None else hashlib.file_digest(file, "sha256").hexdigest()
+            sha256 = None if self.file is None else sha256_of(self.file)
         except OSError as error:
             raise ConfigError(f"{self.location} cannot be read: {error.strerror or error}") from None
         trained = None
@@ -81,18 +80,10 @@ class PolicySource:
                 return UserPolicy(self.name, _import_function(self.location), env)
 
 
-class _Nothing:
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-
 def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
     """The policies of an evaluation, with different names; raises ConfigError for one that is no policy."""
     found = [
-        PolicySource(_checkpoint_name(Path(location)), "checkpoint", location) for location in conf.checkpoint
+        PolicySource(checkpoint_name(Path(location)), "checkpoint", location) for location in conf.checkpoint
     ]
     for location in (*conf.policy, *conf.against):
         suffix = Path(location).suffix
@@ -112,7 +103,8 @@ def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
     )
 
 
-def _checkpoint_name(path: Path) -> str:
+def checkpoint_name(path: Path) -> str:
+    """What the policies of a run's folder, or of a file, are called."""
     # "." and ".." are folders without a name of their own.
     return path.resolve().name if path.is_dir() else path.parent.name or path.stem
 

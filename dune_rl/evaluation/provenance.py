@@ -29,7 +29,7 @@ def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
     used = plan.episode_set
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+        "command": ["python", "-m", "dune_rl.evaluate", *sys.argv[1:]],
         "set": None if used is None else {"name": used.name, "sha256": used.header.sha256},
         "world": plan.conf.world.name,
         "engine": plan.conf.physics.backend,

@@ -12,7 +12,7 @@ from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, sho
 from dune_rl.evaluation.protocols.runs_done import finished_runs
 from dune_rl.evaluation.recorder import START_COLUMNS
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.learning.measures import cluster_rows, estimate_metrics, write_csv
+from dune_rl.learning.measures import MetricsRow, cluster_rows, estimate_metrics, write_csv
 from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.run.progress import show_episodes
 from dune_rl.learning.statistics import Estimate
@@ -111,30 +111,47 @@ def _report(
             # Groups without metrics have no rows.
             continue
         numbers = {name: float(index) for index, name in enumerate(names)}
-        results = {
+        by_policy = {
             source.name: [
                 {**row, "agent": numbers[row["agent"]]} for row in of_group if row["policy"] == source.name
             ]
             for source in plan.sources
         }
+        # Among the actors of some policy nobody may have come.
+        results = {name: found for name, found in by_policy.items() if found}
         estimates = {name: estimate_metrics(_numeric(found)) for name, found in results.items()}
         title = f"{_title(plan)}, {group}" if len(agents) > 1 else _title(plan)
         count = "1 episode" if plan.episodes == 1 else f"{plan.episodes} episodes"
         title += f": {count} of seed {plan.conf.seed}"
-        clusters, kind = cluster_rows(of_group[: len(next(iter(results.values())))])
+        clusters, kind = cluster_rows(next(iter(results.values())))
         sites = int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
         notes = metric_notes(plan.conf.metrics, next(iter(estimates.values())))
         console.print(results_table(estimates, title, num_agents=len(names), sites=sites, notes=notes))
-        compared = compare_policies({name: _numeric(found) for name, found in results.items()})
-        if len(results) == _TWO and all("success" in found[0] for found in results.values()):
-            console.print(paired_line(*results.items()))
-        if len(results) > _TWO:
-            console.print(comparison_table(compared, "SR"))
+        paired = rows_in_common(results)
+        compared = compare_policies({name: _numeric(found) for name, found in paired.items()})
+        if compared and all("success" in found[0] for found in paired.values()):
+            if len(paired) == _TWO:
+                console.print(paired_line(*paired.items()))
+            else:
+                console.print(comparison_table(compared, "SR"))
         summary += _summary_rows(plan, group, estimates)
         comparisons += [{"group": group, **_comparison_row(one)} for one in compared]
     write_csv(folder.path / f"{SUMMARY}.csv", summary)
     if comparisons:
         write_csv(folder.path / f"{COMPARISON}.csv", comparisons)
+
+
+def rows_in_common(results: Mapping[str, Sequence[MetricsRow]]) -> dict[str, list[MetricsRow]]:
+    """The rows, by policy, of the episodes and agents that all policies have: those who come may differ."""
+    common = set.intersection(
+        *({(row["episode"], row["agent"]) for row in rows} for rows in results.values())
+    )
+    if not common:
+        return {}
+    return {
+        name: [row for row in rows if (row["episode"], row["agent"]) in common]
+        for name, rows in results.items()
+    }
 
 
 def _report_runs(

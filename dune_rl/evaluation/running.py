@@ -3,18 +3,18 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import torch
 from tensordict import TensorDictBase
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.episode_sets import EpisodeSet, plan_of_set
+from dune_rl.episode_sets import EpisodeSet, plan_of_set, read_episode_set
 from dune_rl.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.finished import FinishedEpisode
-from dune_rl.evaluation.policies import PolicySource, UserPolicy
+from dune_rl.evaluation.policies import PolicySource, UserPolicy, policy_sources
 from dune_rl.evaluation.protocols.attempts import AttemptRecorder
 from dune_rl.evaluation.protocols.run_observer import RunLength, RunObserver
 from dune_rl.evaluation.protocols.settings import EPISODES_PER_RUN
@@ -22,10 +22,8 @@ from dune_rl.evaluation.recorder import EpisodeRecorder
 from dune_rl.evaluation.tables import plain_number
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.measures import MetricsRow
+from dune_rl.learning.measures import WORLD_SEED, MetricsRow
 from dune_rl.learning.random_state import preserve_random_state
-
-_SEED_COLUMN = "randomisation/world_seed"
 
 
 @dataclass(frozen=True)
@@ -35,6 +33,12 @@ class EvaluationPlan:
     conf: EvaluateConf
     sources: tuple[PolicySource, ...]
     episode_set: EpisodeSet | None
+
+    @classmethod
+    def of_settings(cls, conf: EvaluateConf) -> Self:
+        """The plan of settings, whose set and policies are read; raises DuneError where they cannot be."""
+        episode_set = None if conf.set is None else read_episode_set(conf.set)
+        return cls(conf, policy_sources(conf), episode_set)
 
     @property
     def episodes(self) -> int:
@@ -127,7 +131,7 @@ class BlockRunner:
         plan = self.plan
         values = {key: plain_number(value) for key, value in row.items()}
         agent = self.agents[group][int(values.pop("agent"))]
-        world_seed = values.pop(_SEED_COLUMN, getattr(plan.conf.world, "seed", None))
+        world_seed = values.pop(WORLD_SEED, getattr(plan.conf.world, "seed", None))
         return {
             "policy": plan.sources[policy].name,
             "world": plan.conf.world.name,

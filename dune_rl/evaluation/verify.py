@@ -152,18 +152,20 @@ def _differences(stored: Mapping[str, str], row: Mapping[str, Any]) -> list[RowD
 def _describe(path: Path, differences: Sequence[RowDifference], rows: int) -> str:
     wrong = {(one.policy, one.episode, one.agent) for one in differences}
     lines = [f"{path}: {len(wrong)} of {rows} repeated rows differ. The largest differences:"]
-    for one in sorted(differences, key=_size, reverse=True)[:_SHOWN]:
+    for one in sorted(differences, key=difference_size, reverse=True)[:_SHOWN]:
         where = f"{one.policy}, episode {one.episode}, {one.column}"
         lines.append(f"  {where}: {one.stored} stored, {one.repeated} repeated")
     lines.append("Compare the versions and the hardware in provenance.json with those here.")
     return "\n".join(lines)
 
 
-def _size(one: RowDifference) -> float:
+def difference_size(one: RowDifference) -> float:
     """How much a cell differs, relative to it; text counts as all of it."""
     try:
         stored, repeated = float(one.stored), float(one.repeated)
     except ValueError:
+        return math.inf
+    if math.isnan(stored) or math.isnan(repeated):
         return math.inf
     scale = max(abs(stored), abs(repeated))
     return abs(stored - repeated) / scale if scale else 0.0

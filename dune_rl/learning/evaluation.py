@@ -52,10 +52,10 @@ def evaluate(
 
     A row has the metrics by name and "agent", the agent's number in its group.
     `env` is a batch of scenes with metrics (`EpisodeMetrics`), seeded anew here;
-    how many there are changes no row. The process's random states are left as they were. When `stop`
-    returns true, the rows finished by then are returned. `progress` is called
-    with the number of finished episodes. Groups without metrics are left out;
-    raises ConfigError if none has any.
+    how many there are changes no row by more than its last digits. The process's
+    random states are left as they were. When `stop` returns true, the rows finished
+    by then are returned. `progress` is called with the number of finished episodes.
+    Groups without metrics are left out; raises ConfigError if none has any.
     """
     finished: dict[str, dict[int, list[MetricsRow]]] = {group: {} for group in env.metric_names}
     if not finished:

@@ -19,6 +19,8 @@ CONFIDENCE = 0.95
 _FEW_EVENTS = 10
 
 _LEAST_UNITS = 2
+# Of fewer a bootstrap sees too little: its intervals of 95 % cover 51 % of means of two, 82 % of three.
+_LEAST_DRAWN = 4
 
 Array = NDArray[np.float64]
 
@@ -38,20 +40,25 @@ class Estimate:
 
 
 def estimate_proportion(successes: ArrayLike, clusters: ArrayLike | None = None) -> Estimate:
-    """The share of true entries, with Wilson's interval, which stays within [0, 1] and suits small n.
+    """The share of true entries among those that are not NaN, with Wilson's interval.
+
+    It stays within [0, 1] and suits small n.
 
     With `clusters` it is that of n / d entries, by the quantile of Student's t for the number of clusters.
     The design effect d, at least 1, is the variance between clusters by that of independent entries (Korn &
     Graubard 1998; Dean & Pagano 2015 on Wilson's form of it).
     """
-    hits = np.asarray(successes, bool)
+    seen = np.asarray(successes, float)
+    present = ~np.isnan(seen)
+    hits = seen[present] > 0.0
+    clusters = None if clusters is None else np.asarray(clusters)[present]
     count, share = len(hits), float(hits.mean()) if len(hits) else np.nan
     if clusters is None:
         if not count:
             return Estimate(np.nan, np.nan, np.nan, 0)
         interval = stats.binomtest(int(hits.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
         return Estimate(share, float(interval.low), float(interval.high), count, count)
-    units = len(np.unique(np.asarray(clusters)))
+    units = len(np.unique(clusters))
     if units < _LEAST_UNITS:
         return Estimate(share, np.nan, np.nan, count, units)
     effective = count / _design_effect(hits - share, share * (1 - share), clusters)
@@ -97,8 +104,9 @@ def estimate_ratio(
     are above 0, and more are 0, the interval is that of a weighted sum of Poisson variables (Fay & Feuer
     1997), as a bootstrap knows nothing of what was not seen. Without any event it reaches to 3.7 events in
     all, if numerators `are_counts` (the two-sided "rule of three", Hanley & Lippman-Hand 1983); else its
-    upper end cannot be told, and both are NaN. Entries of 0 and 0, and of NaN, have no share in it. One pair
-    gives an interval of NaN; equal ratios other than 0 give equal ends.
+    upper end cannot be told, and both are NaN. Entries of 0 and 0, and of NaN, have no share in it. A
+    bootstrap of fewer than four pairs, and anything of one, has an interval of NaN; equal ratios other than 0
+    have equal ends.
     """
     return _estimate(numerators, denominators, clusters, are_counts, signed=False)
 
@@ -127,6 +135,8 @@ def _estimate(
     events = int(np.count_nonzero(above))
     if events < min(_FEW_EVENTS, n - events):
         low, high = _rare_event_interval(above / below.sum(), 1.0 / below.sum(), are_counts, signed=signed)
+    elif n < _LEAST_DRAWN:
+        low, high = np.nan, np.nan
     else:
         low, high = studentised_interval(above, below, CONFIDENCE)
         # A ratio of what is nowhere below 0 is not below 0 either.

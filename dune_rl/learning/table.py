@@ -12,6 +12,7 @@ from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, measures_of
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.metrics.measure import Measure
+from dune_rl.metrics.number_text import MINUS, format_difference, format_value
 
 # With more policies, meanings are left out and intervals have lines of their own, for 80 columns.
 _WIDE_COLUMNS = 2
@@ -93,18 +94,16 @@ def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> T
     chosen = [one for one in comparisons if one.measure.name == measure]
     caption = "brackets: 95 % intervals; p by Holm's method over all pairs"
     if any(math.isnan(one.adjusted_p) for one in chosen):
-        caption += "\n-: not defined, as no episode has a value of both"
+        unit = "run" if measure.endswith(_OF_RUNS) else "episode"
+        caption += f"\n-: not defined, as no {unit} has a value of both"
     table = Table(title=f"{measure}, in pairs", caption=caption, caption_justify="left", title_justify="left")
     table.add_column("first - second")
     for name in ("difference", "p", "effect"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in chosen:
         unit = " %" if one.measure.unit == "%" else ""
-        scale, decimals = one.measure.scale, one.measure.decimals
-        difference = [
-            scale * each for each in (one.difference.value, one.difference.low, one.difference.high)
-        ]
-        value, low, high = (f"{each:+.{decimals}f}" for each in difference)
+        ends = (one.difference.value, one.difference.low, one.difference.high)
+        value, low, high = (format_difference(one.measure, end).replace(MINUS, "-") for end in ends)
         interval = "" if math.isnan(one.difference.low) else f" ({low} to {high})"
         table.add_row(
             Text(f"{one.first} - {one.second}"),
@@ -119,10 +118,7 @@ def _cell(measure: Measure, estimate: Estimate) -> str:
     if math.isnan(estimate.value):
         return "-"
 
-    def form(value: float) -> str:
-        return f"{value * measure.scale:.{measure.decimals}f}"
-
-    value = form(estimate.value) + (" %" if measure.unit == "%" else "")
+    value = format_value(measure, estimate.value) + (" %" if measure.unit == "%" else "")
     if math.isnan(estimate.low):
         return value
-    return f"{value} ({form(estimate.low)} to {form(estimate.high)})"
+    return f"{value} ({format_value(measure, estimate.low)} to {format_value(measure, estimate.high)})"

@@ -142,7 +142,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "gap to the nearest agent",
         "m",
         "higher",
-        "mean over time of min(gap, 12 m) between discs",
+        "mean over time of the gap between discs, from 0 to 12 m",
         "Francis et al. 2023",
     ),
     Measure(
@@ -151,7 +151,7 @@ CATALOGUE: tuple[Measure, ...] = (
         "smallest gap to an agent",
         "m",
         "higher",
-        "minimum over time of min(gap, 12 m)",
+        "minimum over time of the gap, from 0 to 12 m",
         "Francis et al. 2023",
     ),
     Measure(
@@ -332,7 +332,6 @@ _DETAILS = {
     "flipped",
     "out_of_world",
     "timeout",
-    "duration",
     # Those of the published code are sums, which only mean something when they are divided.
     *("dune_code_attempts", "dune_code_clearance_rows", "dune_code_rough_rows", "dune_code_rows"),
 }

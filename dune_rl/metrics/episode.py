@@ -142,7 +142,7 @@ def _reduce(reductions: Counts, new: Array, done: Flags, values: Array, sums: Ar
     """Reduce the values of a step, `new` (K, N), into those of the episodes, `values` (K, N).
 
     `reductions` (K,) are the indices in `_REDUCTIONS`. NaN is no value; agents that are `done` (N,) get none.
-    `sums` and `counts` (K, N) are those of means.
+    `sums` and `counts` (K, N) are those of the values so far.
     """
     rows, agents = new.shape
     for row in range(rows):
@@ -151,15 +151,15 @@ def _reduce(reductions: Counts, new: Array, done: Flags, values: Array, sums: Ar
             value, before = new[row, agent], values[row, agent]
             if done[agent] or np.isnan(value):
                 continue
+            counts[row, agent] += 1.0
             if how == _MEAN:
                 sums[row, agent] += value
-                counts[row, agent] += 1.0
                 values[row, agent] = sums[row, agent] / counts[row, agent]
             elif how == _SUM:
                 values[row, agent] = before + value
             elif (
                 how == _LAST
-                or np.isnan(before)
+                or counts[row, agent] == 1.0
                 or (how == _MIN and value < before)
                 or (how == _MAX and value > before)
             ):

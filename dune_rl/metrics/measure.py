@@ -10,7 +10,7 @@ PAPER = "Vice & Sukthankar 2025"
 class Measure:
     """A measure over episodes, and how it is made of their metrics.
 
-    `metric` is the metric whose mean over the episodes it is, or the share of them where it is a `share`.
+    `metric` is the metric whose mean over the episodes it is, or the share of them if it `is_share`.
     `per` names another metric where the measure is a ratio of sums; `are_counts` marks numbers of events.
     `formula` is of one episode, `better` the direction in which a policy is better, None where neither is.
     Tables multiply values by `scale`.

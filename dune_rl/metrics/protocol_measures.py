@@ -17,7 +17,7 @@ PROTOCOL_MEASURES: tuple[Measure, ...] = (
         "finished episodes with SR 1 / finished episodes",
         PAPER,
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "TR/run",
@@ -28,7 +28,7 @@ PROTOCOL_MEASURES: tuple[Measure, ...] = (
         "finished episodes that reach the goal / finished episodes",
         PAPER,
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "MTT/run",
@@ -79,7 +79,7 @@ PROTOCOL_MEASURES: tuple[Measure, ...] = (
         _CODE,
         per="dune_code_attempts",
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "code best SR",
@@ -91,7 +91,7 @@ PROTOCOL_MEASURES: tuple[Measure, ...] = (
         "attempts of all runs one after another",
         _CODE,
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "code best whole SR",
@@ -102,7 +102,7 @@ PROTOCOL_MEASURES: tuple[Measure, ...] = (
         "as code best SR, of windows that end within the log",
         "ours, as the log's last windows have few attempts",
         scale=100.0,
-        decimals=0,
+        decimals=1,
     ),
     Measure(
         "code time/goal",

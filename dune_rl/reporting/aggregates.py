@@ -2,9 +2,9 @@
 of the Statistical Precipice": interquartile mean, median, mean, optimality gap, performance profiles, and the
 probability of improvement.
 
-A method has a score for each of its units in each cases (the paper's task). Units are its runs (seeds of its
-training) or, where methods have one run each, the sites of the cases: these are what is independent.
-Intervals are those of 95 % of the percentile bootstrap, stratified: units are drawn anew within each cases.
+A method has a score for each of its units in each set of cases (the paper's task). Units are its runs (seeds
+of its training) or, where methods have one run each, the sites of the cases: these are what is independent.
+Intervals are those of 95 % of the percentile bootstrap, stratified: units are drawn anew within each set.
 All cases weigh the same, however many units they have. The values are those of the authors' library rliable,
 which is not used as it needs pandas, seaborn and arch besides.
 """
@@ -20,7 +20,7 @@ from dune_rl.reporting.runs import Row
 from dune_rl.seeding import stream
 
 Array = NDArray[np.float64]
-# The scores of a method: for each cases those of its units, (U,) each.
+# The scores of a method: for each set of cases those of its units, (U,) each.
 Scores = Mapping[str, Array]
 RESAMPLES = 2_000
 _TAIL = (1 - CONFIDENCE) / 2

@@ -252,7 +252,7 @@ def method_runs(comparison: Comparison) -> list[MethodRun]:
 
 
 def shared_results(comparisons: Sequence[Comparison]) -> Results:
-    """Results of the methods and the cases among which each method has each cases; the most of them."""
+    """The largest block of results without gaps: of methods that all have the same sets of cases."""
     cases_by_method: dict[str, list[str]] = {}
     for one in comparisons:
         for method in one.methods:

@@ -9,10 +9,10 @@ from pydantic import Field
 from dune_rl.errors import ConfigError
 from dune_rl.learning.paired_comparison import PairedComparison, holm_adjusted
 from dune_rl.metrics.measure import Measure
+from dune_rl.metrics.number_text import NOTHING, format_difference, format_p
 from dune_rl.reporting.block_sources import BlockSources, SourceConf
 from dune_rl.reporting.comparisons.comparison import Method, compare_methods
-from dune_rl.reporting.comparisons.estimates import estimate_rows, measure_of
-from dune_rl.reporting.number_text import NOTHING, format_difference, format_p
+from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows, measure_of
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, to_markdown
 from dune_rl.settings import Settings
 
@@ -72,9 +72,7 @@ def _methods_of(row: str, conf: GridConf, sources: BlockSources) -> dict[str, Me
 def _cell(measure: Measure, method: Method | None, conf: GridConf) -> Cell:
     if method is None:
         return Cell(_MISSING)
-    found = estimate_rows(method.rows).get(measure.name)
-    if found is None:
-        raise ConfigError(f"{method.runs[0].path} has no measure {measure.name}")
+    found = estimate_of(measure.name, str(method.runs[0].path), method.rows, estimate_rows(method.rows))
     unit = " %" if measure.unit == "%" else ""
     return estimate_cell(measure, found, unit=unit, decimals=conf.decimals)
 

@@ -176,7 +176,7 @@ def _sweeps(findings: Findings) -> list[Block]:
 
 
 def _files(sections: Sequence[Section]) -> list[Block]:
-    """Which files each table and figure was made from, and where it is beside the page."""
+    """The names of the files in tables/ and figures/, beside the page, and what they show."""
     blocks: list[Block] = []
     tables, figures = tables_of(sections), figures_of(sections)
     if tables:

@@ -28,13 +28,13 @@ from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
 from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_success
 from dune_rl.learning.statistics import Estimate
+from dune_rl.metrics.number_text import format_p, format_value
 from dune_rl.reporting import published
 from dune_rl.reporting.block_sources import BlockSources, SourceConf
 from dune_rl.reporting.comparisons.comparison import Method
-from dune_rl.reporting.comparisons.estimates import estimate_rows, measure_of
+from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows, measure_of
 from dune_rl.reporting.csv_rows import read_rows
 from dune_rl.reporting.grid_block import GridConf, make_grid
-from dune_rl.reporting.number_text import format_p, format_value
 from dune_rl.reporting.runs import Note
 from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, estimate_cell, to_markdown
 from dune_rl.settings import Settings
@@ -193,13 +193,15 @@ def _cell(
         return ", ".join(f"{method.episodes}" for method in methods)
     if name == "frames":
         return ", ".join(_frames(method) for method in methods)
-    if any(name not in found for found in estimates):
-        raise ConfigError(f"{methods[0].runs[0].path} has no measure {name}")
+    known = [
+        estimate_of(name, str(method.runs[0].path), method.rows, found)
+        for method, found in zip(methods, estimates, strict=True)
+    ]
     measure, decimals = measure_of(name), conf.decimals.get(name)
     unit = " %" if measure.unit == "%" else ""
-    if len(estimates) == 1 and conf.intervals:
-        return estimate_cell(measure, estimates[0][name], unit=unit, decimals=decimals).plain
-    values = ", ".join(format_value(measure, found[name].value, decimals) for found in estimates)
+    if len(known) == 1 and conf.intervals:
+        return estimate_cell(measure, known[0], unit=unit, decimals=decimals).plain
+    values = ", ".join(format_value(measure, found.value, decimals) for found in known)
     return f"{values}{unit}"
 
 

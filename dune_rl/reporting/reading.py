@@ -39,6 +39,8 @@ class _Found:
     skipped: list[Note] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     seen: set[Path] = field(default_factory=set)
+    # Whether the present path holds folders that are in `seen`.
+    again: bool = False
 
 
 def read_inputs(paths: Sequence[Path], show: Callable[[Path], None] = lambda path: None) -> ReportInputs:
@@ -48,7 +50,7 @@ def read_inputs(paths: Sequence[Path], show: Callable[[Path], None] = lambda pat
     """
     found = _Found()
     for path in paths:
-        before = len(found.seen)
+        before, found.again = len(found.seen), False
         if not path.exists():
             found.skipped.append(Note(path, "there is no such folder"))
         elif not path.is_dir():
@@ -58,7 +60,8 @@ def read_inputs(paths: Sequence[Path], show: Callable[[Path], None] = lambda pat
         else:
             _search(path, found, show, _DEPTH)
             if len(found.seen) == before:
-                found.skipped.append(Note(path, "holds no run, no evaluation and no sweep"))
+                reason = "was read already" if found.again else "holds no run, no evaluation and no sweep"
+                found.skipped.append(Note(path, reason))
     return ReportInputs(
         with_unique_names(found.training),
         with_unique_names(found.evaluations),
@@ -74,14 +77,13 @@ def _search(path: Path, found: _Found, show: Callable[[Path], None], depth: int)
     except OSError as error:
         found.skipped.append(Note(path, f"cannot be read ({error.strerror})"))
         return
-    if is_sweep(path):
+    if is_sweep(path) and path.resolve() not in found.seen:
         found.seen.add(path.resolve())
         show(path)
         _add_sweep(path, found)
-    if path.resolve() not in found.seen and names & {
-        *(CONFIG, _HISTORY, CHECKPOINT_FILE, PROVENANCE, PART),
-        f"{EPISODES}.csv",
-    }:
+    if path.resolve() in found.seen:
+        found.again = True
+    elif names & {CONFIG, _HISTORY, CHECKPOINT_FILE, PROVENANCE, PART, f"{EPISODES}.csv"}:
         _read_folder(path, names, found, show)
     if depth:
         for name in sorted(names):
@@ -92,7 +94,8 @@ def _search(path: Path, found: _Found, show: Callable[[Path], None], depth: int)
 
 
 def _read_folder(path: Path, names: set[str], found: _Found, show: Callable[[Path], None]) -> None:
-    config = _read_config(path, found)
+    readable = _read_config(path)
+    config = {} if readable is None else readable
     evaluated = bool(names & {PROVENANCE, PART, f"{EPISODES}.csv"})
     # An evaluation's settings have no number of frames.
     trained = bool(names & {_HISTORY, CHECKPOINT_FILE}) or "total_frames" in config
@@ -100,10 +103,13 @@ def _read_folder(path: Path, names: set[str], found: _Found, show: Callable[[Pat
         return
     found.seen.add(path.resolve())
     show(path)
+    left_out = len(found.skipped)
     if trained and (_HISTORY in names or not evaluated):
         _read(path, found, lambda: _add_training(path, config, found))
     if evaluated:
         _read(path, found, lambda: _add_evaluation(path, config, found))
+    if readable is None and len(found.skipped) == left_out:
+        found.notes.append(Note(path, f"{CONFIG} is damaged; its settings are not in the report"))
 
 
 def _read(path: Path, found: _Found, add: Callable[[], None]) -> None:
@@ -113,7 +119,8 @@ def _read(path: Path, found: _Found, add: Callable[[], None]) -> None:
         found.skipped.append(Note(path, str(error)))
 
 
-def _read_config(path: Path, found: _Found) -> dict[str, Any]:
+def _read_config(path: Path) -> dict[str, Any] | None:
+    """The settings in a folder, empty without a file; None if it is damaged."""
     file = path / CONFIG
     if not file.exists():
         return {}
@@ -123,8 +130,7 @@ def _read_config(path: Path, found: _Found) -> dict[str, Any]:
         content = None
     if isinstance(content, dict):
         return {str(key): value for key, value in content.items()}
-    found.notes.append(Note(path, f"{CONFIG} is damaged; its settings are not in the report"))
-    return {}
+    return None
 
 
 def _add_training(path: Path, config: dict[str, Any], found: _Found) -> None:
@@ -184,6 +190,7 @@ def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
     whole = EvaluationRun(path, "", config, provenance, episodes, steps)
     parts = _split_mixed(whole)
     if len(parts) > 1:
+        _check_worlds_of_sets(file, parts)
         kinds = ", ".join(part.episodes[0]["set"] or part.episodes[0]["world"] for part in parts)
         found.notes.append(Note(path, f"has several sets, worlds, engines or seeds ({kinds}): kept apart"))
     found.evaluations += parts
@@ -204,6 +211,11 @@ def _finished_episodes(path: Path, protocol: object, episodes: list[Row], found:
     finished = [row for row in episodes if row.get("finished", 1.0) > 0]
     if not finished:
         raise ConfigError("has no episode that ended within its run; take longer runs")
+    ended = {row["policy"] for row in finished}
+    for policy in dict.fromkeys(row["policy"] for row in episodes):
+        if policy not in ended:
+            reason = f"no episode of {policy} ended within its run: it is not in the report; take longer runs"
+            found.notes.append(Note(path, reason))
     found.notes.append(
         Note(
             path,
@@ -226,6 +238,17 @@ def _check_repeated(file: Path, episodes: list[Row]) -> None:
         if key in seen:
             raise ConfigError(f"{file.name} has episode {row['episode']} of {row['policy']} twice")
         seen.add(key)
+
+
+def _check_worlds_of_sets(file: Path, parts: Sequence[EvaluationRun]) -> None:
+    worlds: dict[str, list[str]] = {}
+    for part in parts:
+        of_set = worlds.setdefault(str(part.episodes[0]["set"]), [])
+        of_set.append(str(part.episodes[0]["world"]))
+    for name, found in worlds.items():
+        if name and len(set(found)) > 1:
+            places = ", ".join(dict.fromkeys(found))
+            raise ConfigError(f"{file.name} has rows of {name} in several worlds ({places}); evaluate again")
 
 
 def _split_mixed(run: EvaluationRun) -> list[EvaluationRun]:

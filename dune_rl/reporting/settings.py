@@ -38,10 +38,10 @@ def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
     conf = validate(ReportConf, values)
     if conf.into is None and not folders:
         raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")
-    if conf.into is not None and (folders or conf.out or conf.title):
-        other = folders[0] if folders else "out" if conf.out else "title"
+    others = [*folders, *(key for key in values if key != "into")]
+    if conf.into is not None and others:
         raise ConfigError(
-            f"into={conf.into} writes the tables that the file itself asks for; leave {other} out"
+            f"into={conf.into} writes the tables that the file itself asks for; leave {others[0]} out"
         )
     return [Path(word) for word in folders], conf
 

@@ -207,6 +207,7 @@ def test_the_command_makes_a_set_of_ones_own(
     ("words", "message"),
     [
         ("flat-v2", "there is no recipe 'flat-v2'; did you mean flat-v1? For one of your own give settings"),
+        ("flat-v1 --episodes 3", "--episodes is for a set of your own; add its settings: +world=NAME"),
         ("robot=leo_rover", "settings are for one set: make NAME robot=leo_rover"),
         ("mine-v1 robot=leo_rover", "the set mine-v1 needs a world: +world=NAME"),
         ("flat-v1 +world=flat", "flat-v1 is a set of the package; give yours another name"),

@@ -66,7 +66,7 @@ def test_what_the_battery_gives_is_told_where_it_was_measured() -> None:
 
 
 def test_a_narrow_table_folds_meanings_before_numbers() -> None:
-    estimate = estimate_mean([9.5, 18.25, 12.0])
+    estimate = estimate_mean([9.5, 18.25, 12.0, 11.0])
     results = {name: {"at risk/goal": estimate, "MTT": estimate} for name in ("go_to_goal", "inspection")}
     wide, narrow = (Console(record=True, width=width, file=io.StringIO()) for width in (200, 80))
     for console in (wide, narrow):

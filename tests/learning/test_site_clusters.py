@@ -141,7 +141,7 @@ def test_other_sites_are_other_episodes() -> None:
 def test_policies_that_do_the_same_are_shown_without_an_interval_that_nobody_knows() -> None:
     rows = rows_of([1, 1, 0], clearance=[1.0, 2.0, 3.0])
     table = comparison_table(compare_policies({"a": rows, "b": rows}), "OC")
-    assert list(table.columns[1].cells) == ["+0.00"]
+    assert list(table.columns[1].cells) == ["0.00"]
 
 
 def test_reports_keep_the_sites_of_rows() -> None:

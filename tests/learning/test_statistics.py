@@ -110,13 +110,34 @@ def test_agents_taken_for_independent_would_cover_too_seldom() -> None:
 
 
 def test_a_ratio_is_that_of_the_sums() -> None:
-    estimate = estimate_ratio([10.0, 30.0, 5.0], [1.0, 2.0, 0.0])
-    assert estimate.value == pytest.approx(45.0 / 3.0) and estimate.low < 15.0 < estimate.high
+    estimate = estimate_ratio([10.0, 30.0, 5.0, 15.0], [1.0, 2.0, 0.0, 1.0])
+    assert estimate.value == pytest.approx(60.0 / 4.0) and estimate.low < 15.0 < estimate.high
 
 
 def test_equal_ratios_have_equal_ends() -> None:
-    estimate = estimate_ratio([1.0, 2.0, 3.0], [2.0, 4.0, 6.0])
+    estimate = estimate_ratio([1.0, 2.0, 3.0, 4.0], [2.0, 4.0, 6.0, 8.0])
     assert (estimate.low, estimate.value, estimate.high) == pytest.approx((0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_few_values_have_no_bootstrap_interval(count: int) -> None:
+    values = [1.0, 2.0, 3.0][:count]
+    for found in (estimate_mean(values), estimate_difference(values), estimate_ratio(values, [1.0] * count)):
+        assert (
+            found.value == pytest.approx(np.mean(values)) and math.isnan(found.low) and math.isnan(found.high)
+        )
+    four = estimate_mean([1.0, 2.0, 3.0, 4.0])
+    assert four.low < 2.5 < four.high
+    # Events that are rare have intervals of a distribution.
+    assert not math.isnan(estimate_mean([0.0, 0.0, 1.0], are_counts=True).high)
+
+
+def test_what_is_unknown_is_no_success() -> None:
+    known, clusters = [1.0, 0.0, 1.0, 1.0], [0, 0, 1, 1]
+    with_unknown = [1.0, np.nan, 0.0, 1.0, np.nan, 1.0]
+    assert estimate_proportion(with_unknown) == estimate_proportion(known)
+    assert estimate_proportion(with_unknown, [0, 0, 0, 1, 2, 1]) == estimate_proportion(known, clusters)
+    assert math.isnan(estimate_proportion([np.nan]).value)
 
 
 def test_a_ratio_to_nothing_is_unknown() -> None:

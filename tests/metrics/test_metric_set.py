@@ -214,12 +214,13 @@ def test_reductions_are_of_the_steps_that_have_a_value(values: np.ndarray) -> No
 
 def test_initial_values_stand_until_there_is_one() -> None:
     nothing = [np.array([np.nan])]
-    initial = {"mean": 4.0, "min": 2.0, "max": 3.0, "last": 5.0}
+    initial = {"mean": 4.0, "min": 2.0, "max": 3.0, "last": 5.0, "first": 6.0}
     assert {name: reduced(nothing, initial)[name][0] for name in initial} == initial
     one = [*nothing, np.array([2.5])]
-    got = {name: reduced(one, initial)[name][0] for name in initial}
-    # Least and greatest count the initial value; a mean and the last do not.
-    assert got == {"mean": 2.5, "min": 2.0, "max": 3.0, "last": 2.5}
+    assert {name: reduced(one, initial)[name][0] for name in initial} == dict.fromkeys(initial, 2.5)
+    more = [*one, np.array([3.5]), np.array([1.5])]
+    got = {name: reduced(more, initial)[name][0] for name in initial}
+    assert got == {"mean": 2.5, "min": 1.5, "max": 3.5, "last": 1.5, "first": 2.5}
 
 
 # -- episodes of many agents -----------------------------------------------------------------------

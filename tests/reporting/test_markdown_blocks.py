@@ -87,6 +87,17 @@ def test_a_grid_has_columns_of_differences(file: Path) -> None:
             rewrite_text(f"{begin}{columns}differences: {{d: {pair}}}\n-->\n{END}\n", file)
 
 
+def test_a_measure_without_a_value_is_a_dash(file: Path) -> None:
+    rows = [*episode_rows("x", 4, share=1.0, time_to_goal=3.0), *episode_rows("y", 4, share=0.0)]
+    write_evaluation(file.parent / "d", rows)
+    table = "<!-- report: table\nmethods:\n  X: {folder: d, policy: x}\n  Y: {folder: d, policy: y}\n"
+    file.write_text(f"{table}measures: [MTT]\nintervals: false\n-->\n{END}\n")
+    rewrite_file(file)
+    assert file.read_text().splitlines()[-3:-1] == ["| X | 3.00 |", "| Y | \N{EN DASH} |"]
+    with pytest.raises(ConfigError, match=r"has no measure MTTT; did you mean MTT\?"):
+        rewrite_text(f"{table}measures: [MTTT]\n-->\n{END}\n", file)
+
+
 @pytest.mark.parametrize(
     ("measure", "folder", "policy", "words"),
     [("SR", "nowhere", "x", "no folder"), ("SR", "{row}", "z", "z"), ("SRR", "{row}", "x", "SRR")],

@@ -121,6 +121,38 @@ def test_a_run_given_twice_is_read_once(tmp_path: Path) -> None:
     assert len(inputs.evaluations) == 1 and "read once" in inputs.skipped[0].text
 
 
+def test_folders_given_twice_by_one_above_are_told_as_read(tmp_path: Path) -> None:
+    folder = write_evaluation(tmp_path / "all" / "a", episode_rows("x", 2))
+    for words in ([tmp_path / "all"] * 2, [folder, tmp_path / "all"]):
+        inputs = read_inputs(words)
+        assert len(inputs.evaluations) == 1
+        assert [note.text for note in inputs.skipped] == ["was read already"]
+
+
+def test_damaged_settings_are_told_once(tmp_path: Path) -> None:
+    left_out = write_evaluation(tmp_path / "a", episode_rows("x", 2), files={"config.yaml": "0"})
+    (left_out / "config.yaml").write_text("{")
+    inputs = read_inputs([left_out])
+    assert "checksum differs" in inputs.skipped[0].text and not inputs.notes
+    kept = write_evaluation(tmp_path / "b", episode_rows("x", 2))
+    (kept / "config.yaml").write_text("{")
+    inputs = read_inputs([kept])
+    assert not inputs.skipped and "config.yaml is damaged" in inputs.notes[-1].text
+
+
+def test_a_set_in_several_worlds_is_left_out(tmp_path: Path) -> None:
+    rows = [*episode_rows("x", 2, set="mine"), *episode_rows("y", 2, set="mine", world="island")]
+    (reason,) = reasons(write_evaluation(tmp_path / "a", rows))
+    assert "rows of mine in several worlds (flat, island)" in reason
+
+
+def test_other_rates_of_control_are_other_cases(tmp_path: Path) -> None:
+    for name, rate in (("a", 10), ("b", 20)):
+        config = {**CONFIG, "physics": {**CONFIG.get("physics", {}), "control_hz": rate}}
+        write_evaluation(tmp_path / name, episode_rows(name, 4), config=config)
+    assert len(collect_comparisons(read_inputs([tmp_path]).evaluations)) == 2
+
+
 def test_mixed_worlds_and_sets_are_kept_apart(tmp_path: Path) -> None:
     rows = [*episode_rows("x", 2), *episode_rows("x", 2, world="island"), *episode_rows("x", 2, set="mine")]
     inputs = read_inputs([write_evaluation(tmp_path / "a", rows)])

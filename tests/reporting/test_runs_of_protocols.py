@@ -31,6 +31,14 @@ def test_episodes_that_a_run_cut_off_are_no_failures(tmp_path: Path) -> None:
     assert "4 episodes are reported that ended within their run" in inputs.notes[0].text
 
 
+def test_a_method_without_a_finished_episode_is_named(tmp_path: Path) -> None:
+    rows = [*run_rows(), *({**row, "policy": "slow", "finished": 0} for row in run_rows())]
+    inputs = read_inputs([write_evaluation(tmp_path / "a", rows, config=PAPER)])
+    assert "no episode of slow ended within its run" in inputs.notes[0].text
+    (comparison,) = collect_comparisons(inputs.evaluations)
+    assert [method.name for method in comparison.methods] == ["x"]
+
+
 def test_runs_do_not_meet_sampled_episodes(tmp_path: Path) -> None:
     write_evaluation(tmp_path / "a", run_rows(), config=PAPER)
     write_evaluation(tmp_path / "b", episode_rows("x", 6))

@@ -65,8 +65,11 @@ def cases_of(run: EvaluationRun, group: str) -> Cases:
 
 
 def _decisive_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    task = config.get("task")
+    task, physics = config.get("task"), config.get("physics")
     parts = {name: config.get(name) for name in _DECISIVE}
+    if isinstance(physics, dict):
+        # A time limit is a number of control steps.
+        parts["physics.control_hz"] = physics.get("control_hz")
     if isinstance(task, dict):
         parts |= {f"task.{name}": task.get(name) for name in _DECISIVE_IN_TASK}
     return parts
@@ -117,7 +120,7 @@ def _tell_apart(comparisons: Sequence[Comparison]) -> None:
     for title in {title for title in titles if titles.count(title) > 1}:
         same = [one for one in comparisons if one.cases.title == title]
         note = (
-            f"{len(same)} kinds of cases are called {title}, and have numbers here: {_difference(same)}. "
+            f"{len(same)} sets of cases are called {title}, and have numbers here: {_difference(same)}. "
             "Methods on one of them met other episodes than methods on another, and do not compare with them."
         )
         for number, one in enumerate(same, 1):

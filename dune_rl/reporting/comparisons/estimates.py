@@ -1,14 +1,16 @@
 """Estimates of measures from the rows of episodes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from dune_rl.errors import ConfigError
 from dune_rl.evaluation.columns import measured_columns
 from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, estimate_metrics
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.runs import Row
+from dune_rl.suggestions import closest
 
 _BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
@@ -20,12 +22,24 @@ def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
     for measure in measures_of([name for name in column_names(rows) if name in names]):
         used = [measure.metric, *([measure.per] if measure.per else [])]
         numeric = numeric_rows(rows, used)
-        if measure.is_share:
-            numeric = [row for row in numeric if not math.isnan(row[measure.metric])]
         found |= {
             name: estimate for name, estimate in estimate_metrics(numeric).items() if name == measure.name
         }
     return found
+
+
+def estimate_of(name: str, method: str, rows: Sequence[Row], estimates: Mapping[str, Estimate]) -> Estimate:
+    """The estimate of a measure among those of the rows of a `method`; all NaN where no row has a value.
+
+    Raises ConfigError where the rows have no such measure.
+    """
+    if name in estimates:
+        return estimates[name]
+    measure = measure_of(name)
+    if measure.metric in column_names(rows) and measure.per in (None, *column_names(rows)):
+        return Estimate(math.nan, math.nan, math.nan, 0)
+    near = closest(name, estimates)
+    raise ConfigError(f"{method} has no measure {name}" + (f"; did you mean {near}?" if near else ""))
 
 
 def measure_of(name: str) -> Measure:

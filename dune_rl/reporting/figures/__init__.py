@@ -17,7 +17,7 @@ says why.
     aggregates.draw_profiles(scores) -> Figure
     aggregates.draw_improvements(scores) -> Figure                      probability of improvement, all pairs
     track_data.collect_tracks(methods, most_sites=3, most_episodes=4) -> list[TrackSite]
-    tracks.draw_tracks(sites) -> Figure                                 needs steps; for one cases a figure
+    tracks.draw_tracks(sites) -> Figure                                 needs steps; of one set of cases
     failures.collect_failures(methods, each=1, most=12, progress, simulate=True) -> FailureGallery
     failures.draw_failures(gallery) -> Figure                           gallery.left_out: what is not, and why
 """

@@ -1,4 +1,4 @@
-"""Distributions of a metric over episodes: a panel for each cases, a violin and points for each method."""
+"""Distributions of a metric over episodes: panels are sets of cases, violins and points methods."""
 
 from collections.abc import Mapping, Sequence
 

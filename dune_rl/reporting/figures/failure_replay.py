@@ -10,11 +10,10 @@ from tensordict import TensorDictBase
 
 from dune_rl.env.pictures import Moment, Pictures
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.episode_sets import read_episode_set
 from dune_rl.errors import DuneError
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.folder import read_provenance, read_settings
-from dune_rl.evaluation.policies import PolicySource, policy_sources
+from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.provenance import check_same_sources
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.learning.measures import MetricsRow
@@ -128,8 +127,7 @@ def _plan(method: MethodRun) -> tuple[EvaluationPlan, PolicySource]:
     conf = read_settings(method.run.path)
     if conf.protocol is not None:
         raise DuneError("its episodes are those of whole runs, which reports do not run again")
-    episode_set = None if conf.set is None else read_episode_set(conf.set)
-    plan = EvaluationPlan(conf, policy_sources(conf), episode_set)
+    plan = EvaluationPlan.of_settings(conf)
     source = next((each for each in plan.sources if each.name == method.policy), None)
     if source is None:
         raise DuneError("its policy is not among those of the settings")

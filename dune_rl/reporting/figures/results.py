@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.metrics.catalogue import CATALOGUE, Measure
-from dune_rl.reporting.number_text import format_range
+from dune_rl.metrics.number_text import format_range
 from dune_rl.reporting.runs import EvaluationRun, Row
 
 # Rows of episodes by the title of the cases (a set, or a world and a seed), and in that by method.
@@ -56,7 +56,7 @@ def axis_label(metric: str) -> str:
 
 
 def count_text(results: Results) -> str:
-    """How many episodes each method has on each cases, and on how many sites, in words."""
+    """How many episodes each method has on each set of cases, and on how many sites, in words."""
     episodes = sorted({_episodes(rows) for methods in results.values() for rows in methods.values()})
     sites = sorted({_sites(rows) for methods in results.values() for rows in methods.values()})
     text = f"{format_range(episodes)} episode" + ("" if episodes == [1] else "s")

@@ -124,7 +124,7 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
         return note_figure(f"no episode has {missing}: evaluate again with this version")
     values = column(all_rows, name)
     if np.nanmax(values) - np.nanmin(values) < _LEAST_RANGE:
-        return note_figure(f"all episodes have a {name} of {np.nanmax(values):.3g}")
+        return note_figure(f"{label}: {np.nanmax(values):.3g} in all episodes")
     styles = method_styles(method_names(shown))
     edges = round_edges(values, _LEAST_COUNT * len(styles))
     with rc_context(RC):

@@ -62,7 +62,7 @@ class TrackSite:
 def collect_tracks(
     methods: Sequence[MethodRun], most_sites: int = MOST_SITES, most_episodes: int = MOST_EPISODES
 ) -> list[TrackSite]:
-    """The tracks of methods with steps: of each cases the first `most_sites` sites, in the order of episodes.
+    """The tracks of methods with steps: of each set of cases the first `most_sites` sites, as episodes come.
 
     Of each site they are those of the first `most_episodes` episodes. Methods without steps are left out.
     """

@@ -44,8 +44,8 @@ def draw_tracks(sites: Sequence[TrackSite]) -> Figure:
     """The ways of all agents on maps: rows are sites, panels methods, colours the forward speed.
 
     A white dot is the start (with the number of the episode), a star the goal, filled where it was reached
-    without collision; crosses are collisions, and other marks how episodes failed. Walkers are faint dashes,
-    objects grey; the ground is lit from the north-west. All panels of a site show the same part of it.
+    without collision; crosses are collisions, and other marks how episodes failed. Ways of other actors are
+    thin lines, objects grey; the ground is lit from the north-west. All panels of a site show the same part.
     """
     sites = [site for site in sites if any(site.tracks.values())]
     if not sites:
@@ -75,7 +75,8 @@ def draw_tracks(sites: Sequence[TrackSite]) -> Figure:
             aspect=25, pad=0.01, extend="max",
         )  # fmt: skip
         bar.set_label("forward speed [m/s]")
-        _legend(figure, shown)
+        tracks = [track for site in sites for each in site.tracks.values() for track in each]
+        _legend(figure, shown, with_others=any(track.walkers for track in tracks))
     return figure
 
 
@@ -145,7 +146,8 @@ def _square(points: Array) -> Rectangle:
 
 def _draw_track(axes: Axes, track: EpisodeTrack, norm: Normalize, shown: dict[str, Ending]) -> None:
     for way in track.walkers:
-        axes.plot(*way[:, :2].T, color=FAINT, linewidth=0.6, linestyle=(0, (3, 2)), alpha=0.55, zorder=2)
+        # Who goes there and back would fill the gaps of dashes.
+        axes.plot(*way[:, :2].T, color=FAINT, linewidth=0.6, alpha=0.55, zorder=2)
     if len(track.points) > 1:
         axes.plot(*track.points.T, color=INK, linewidth=2.0, zorder=3, solid_capstyle="round")
         pieces = np.stack([track.points[:-1], track.points[1:]], axis=1)
@@ -190,7 +192,7 @@ def _pair(place: Array) -> tuple[float, float]:
     return x, y
 
 
-def _legend(figure: Figure, shown: dict[str, Ending]) -> None:
+def _legend(figure: Figure, shown: dict[str, Ending], *, with_others: bool) -> None:
     def mark(shape: str, face: str, edge: str, label: str) -> Line2D:
         return Line2D(
             [], [], linestyle="", marker=shape, color=face, markeredgecolor=edge, markersize=5, label=label
@@ -205,6 +207,8 @@ def _legend(figure: Figure, shown: dict[str, Ending]) -> None:
         handles.append(mark(COLLISION.mark, COLLISION.colour, COLLISION.colour, COLLISION.name))
     failed = [one for one in FAILURES.values() if one.name in shown]
     handles += [mark(one.mark, one.colour, "white", one.name) for one in failed]
+    if with_others:
+        handles.append(Line2D([], [], color=FAINT, linewidth=1.0, alpha=0.55, label="other actors"))
     across = min(len(handles), 7 if figure.get_figwidth() > 5 else 4)
     figure.legend(
         handles=handles, loc="outside upper center", ncols=across, frameon=False, handletextpad=0.1,

@@ -6,12 +6,7 @@ from collections.abc import Mapping, Sequence
 from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
-from dune_rl.reporting import published
-from dune_rl.reporting.comparisons.comparison import Comparison
-from dune_rl.reporting.comparisons.estimates import measure_of
-from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.figures.endings import COLLISION, FAILURES
-from dune_rl.reporting.number_text import (
+from dune_rl.metrics.number_text import (
     MINUS,
     NOTHING,
     format_difference,
@@ -20,6 +15,11 @@ from dune_rl.reporting.number_text import (
     format_range,
     format_value,
 )
+from dune_rl.reporting import published
+from dune_rl.reporting.comparisons.comparison import Comparison
+from dune_rl.reporting.comparisons.estimates import measure_of
+from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.figures.endings import COLLISION, FAILURES
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, measure_title
 
 PAPER_MEASURES = ("SR", "TR", "TC", "MTT", "OC", "VR", "VORT", "TSR")
@@ -167,7 +167,7 @@ def paired_table(
 
 
 def overview_table(comparisons: Sequence[Comparison], estimates: Sequence[Estimates], measure: str) -> Table:
-    """One measure of all methods on all cases: a row for each method, a column for each kind of cases."""
+    """One measure of all methods on all cases: a row for each method, a column for each set of cases."""
     one = measure_of(measure)
     methods = list(dict.fromkeys(method.name for each in comparisons for method in each.methods))
     rows = [

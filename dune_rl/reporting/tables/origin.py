@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dune_rl.metrics.number_text import NOTHING, format_range
 from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.number_text import NOTHING, format_range
 from dune_rl.reporting.origins import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row
 from dune_rl.reporting.tables.table import Cell, Table
@@ -17,7 +17,7 @@ _SHOWN = 12
 
 
 def cases_table(comparisons: Sequence[Comparison]) -> Table:
-    """What each kind of cases is: set and checksum, sites, episodes, engine, thresholds."""
+    """What each set of cases is: episode set and checksum, sites, episodes, engine, thresholds."""
     data: list[Mapping[str, object]] = []
     for one in comparisons:
         rows = [row for method in one.methods for row in method.rows]

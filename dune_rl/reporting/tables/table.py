@@ -10,7 +10,7 @@ from pathlib import Path
 
 from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
-from dune_rl.reporting.number_text import MINUS, NOTHING, format_value
+from dune_rl.metrics.number_text import MINUS, NOTHING, format_value
 
 _LATEX = {
     "\\": r"\textbackslash{}",

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.errors import ConfigError
+from dune_rl.files import sha256_of
 from dune_rl.paths import assets_folder, cache_folder, package_folder
 from dune_rl.worlds.appearance import is_appearance_cached
 from dune_rl.worlds.cache.background_builder import BackgroundBuilder
@@ -229,8 +230,7 @@ def _digest(path: Path) -> str | None:
     try:
         if not path.is_file():
             return None
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError:
         return None
 

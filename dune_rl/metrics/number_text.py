@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from dune_rl.metrics.catalogue import Measure
+from dune_rl.metrics.measure import Measure
 
 NOTHING, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
 
