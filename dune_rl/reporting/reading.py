@@ -21,6 +21,7 @@ from dune_rl.reporting.runs import (
     TrainingRun,
     with_unique_names,
 )
+from dune_rl.reporting.step_table import StepTable
 from dune_rl.reporting.sweeps import is_sweep, read_sweep
 
 _HISTORY = "metrics.csv"
@@ -186,7 +187,8 @@ def _add_evaluation(path: Path, config: dict[str, Any], found: _Found) -> None:
     _check_repeated(file, episodes)
     found.notes += notes_on_origin(path, provenance)
     episodes = _finished_episodes(path, config.get("protocol"), episodes, found)
-    steps = read_rows(path / f"{STEPS}.csv", empty=float("nan")) if (path / f"{STEPS}.csv").exists() else []
+    recorded = path / f"{STEPS}.csv"
+    steps = StepTable.read(recorded) if recorded.exists() else StepTable.of_rows([])
     whole = EvaluationRun(path, "", config, provenance, episodes, steps)
     parts = _split_mixed(whole)
     if len(parts) > 1:
@@ -258,4 +260,4 @@ def _split_mixed(run: EvaluationRun) -> list[EvaluationRun]:
     if len(parts) == 1:
         return [run]
     # Steps do not say which world they were made in.
-    return [replace(run, episodes=rows, steps=[]) for rows in parts.values()]
+    return [replace(run, episodes=rows, steps=StepTable.of_rows([])) for rows in parts.values()]

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-Row = dict[str, Any]
+from dune_rl.reporting.step_table import Row, StepTable
+
 _SEED = re.compile(r"(seed_?)?\d+")
 
 
@@ -28,8 +29,8 @@ class TrainingRun:
 class EvaluationRun:
     """The folder of an evaluation, or of a published study, which has no provenance.
 
-    `episodes` and `steps` have the rows of the tables, with numbers as floats and NaN for empty cells;
-    "policy", "set", "world", "engine" and "agent" stay text. `steps` is empty unless steps were recorded.
+    `episodes` has the rows of the table, with numbers as floats and NaN for empty cells; "policy", "set",
+    "world", "engine" and "agent" stay text. `steps` is empty unless steps were recorded.
     `name` is unique in a report.
     """
 
@@ -38,7 +39,7 @@ class EvaluationRun:
     config: Mapping[str, Any]
     provenance: Mapping[str, Any]
     episodes: list[Row]
-    steps: list[Row]
+    steps: StepTable
 
 
 @dataclass(frozen=True)

@@ -140,9 +140,8 @@ def _world(config: Mapping[str, Any], row: Row) -> tuple[World | None, str]:
 def _tracks(method: MethodRun, site: int | None, episodes: Sequence[float]) -> list[EpisodeTrack]:
     chosen = {row["episode"]: None for row in method.rows if row["episode"] in episodes}
     steps: dict[tuple[float, str], list[Row]] = {}
-    for step in method.run.steps:
-        if step["policy"] == method.policy and step["episode"] in chosen:
-            steps.setdefault((step["episode"], str(step["agent"])), []).append(step)
+    for step in method.run.steps.of(method.policy, chosen):
+        steps.setdefault((step["episode"], str(step["agent"])), []).append(step)
     agents = {str(row["agent"]) for row in method.rows}
     found = []
     for row in method.rows:

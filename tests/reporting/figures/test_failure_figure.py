@@ -22,6 +22,7 @@ from dune_rl.reporting.figures.failures import (
 )
 from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.runs import EvaluationRun
+from dune_rl.reporting.step_table import StepTable
 
 TEXT = {"policy", "set", "world", "engine", "agent"}
 
@@ -32,7 +33,9 @@ def make_method(make_rows: Callable, name: str, **ends: list[int]) -> MethodRun:
         {**row, "collisions": 0.0} | {kind: float(index in numbers) for kind, numbers in ends.items()}
         for index, row in enumerate(make_rows(10, 0))
     ]
-    return MethodRun("a", name, name, EvaluationRun(Path("none"), "none", {}, {}, rows, []), rows)
+    return MethodRun(
+        "a", name, name, EvaluationRun(Path("none"), "none", {}, {}, rows, StepTable.of_rows([])), rows
+    )
 
 
 def read_table(file: Path) -> list[dict[str, Any]]:
@@ -49,7 +52,7 @@ def read_evaluation(path: Path) -> EvaluationRun:
     steps = path / "steps.csv"
     return EvaluationRun(
         path, path.name, config, provenance, read_table(path / "episodes.csv"),
-        read_table(steps) if steps.exists() else [],
+        StepTable.read(steps) if steps.exists() else StepTable.of_rows([]),
     )  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """Tracks on maps: the ways, speeds, collisions and endings that the recorded steps have."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from dune_rl.reporting.figures.site_ground import SiteGround
 from dune_rl.reporting.figures.track_data import collect_tracks, until_failure
 from dune_rl.reporting.figures.tracks import draw_tracks, view_of
 from dune_rl.reporting.runs import EvaluationRun
+from dune_rl.reporting.step_table import StepTable
 
 FLAT = {"world": {"name": "flat", "size_m": 40.0, "region_size_m": 8.0}}
 
@@ -49,7 +51,9 @@ def make_evaluation(
                 steps.append({**common, "agent": "rover_0", **pose, "collisions_so_far": float(step >= 2)})
                 walker = {**pose, "y_m": 9.0, "collisions_so_far": np.nan}
                 steps.append({**common, "agent": "walker_0", **walker})
-    return EvaluationRun(Path("e"), "e", FLAT if config is None else config, {}, rows, steps)
+    return EvaluationRun(
+        Path("e"), "e", FLAT if config is None else config, {}, rows, StepTable.of_rows(steps)
+    )
 
 
 def ways(axes: Any) -> list[LineCollection]:
@@ -145,7 +149,9 @@ def test_the_map_is_white_beyond_the_world_and_shows_its_objects() -> None:
 
 def test_steps_that_are_not_finite_are_left_out(make_rows: Callable) -> None:
     evaluation = make_evaluation(make_rows, ["planner"], episodes=1)
-    evaluation.steps[2]["x_m"] = np.nan
+    steps = evaluation.steps.of("planner", [0.0])
+    steps[2]["x_m"] = np.nan
+    evaluation = replace(evaluation, steps=StepTable.of_rows(steps))
     (site,) = collect_tracks(methods_of(evaluation))
     np.testing.assert_allclose(site.tracks["planner"][0].points[:, 0], [0, 1, 3])
 
@@ -156,7 +162,7 @@ def test_twelve_methods_go_on_in_further_rows_and_none_is_told(make_rows: Callab
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
     assert titles == [f"{i}: 1 of 1 succeed" for i in range(12)]
     assert "no evaluation has steps" in draw_tracks([]).texts[0].get_text()
-    without = EvaluationRun(Path("e"), "e", FLAT, {}, twelve.episodes, [])
+    without = EvaluationRun(Path("e"), "e", FLAT, {}, twelve.episodes, StepTable.of_rows([]))
     assert collect_tracks(methods_of(without)) == []
 
 
