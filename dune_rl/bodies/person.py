@@ -103,15 +103,13 @@ class PersonConf(BodySettings):
         )
 
     def picture(self, phase: float) -> ColouredMesh:
-        """The person at a phase of its stride; a pillar looks the same at each."""
-        if self.looks == "pillar":
-            return _capsule_in_clothes(self.radius_m, self.height_m)
+        """The person at a phase of its stride, in the first outfit."""
         return self.look(0, phase)
 
     def look(self, number: int, phase: float) -> ColouredMesh:
-        """The person in an outfit, at a phase of its stride."""
+        """The person in an outfit, at a phase of its stride; a pillar looks the same at each."""
         if self.looks == "pillar":
-            return self.picture(phase)
+            return _capsule_in_clothes(self.radius_m, self.height_m)
         from dune_rl.bodies.meshes.person import draw_person
 
         return draw_person(self, phase, number)

@@ -128,8 +128,8 @@ class KinematicBody:
         self._put(rows, scene, self._standing(poses, np.array([scene])))
         self._travelled_m[rows] = self.conf.stride_m * (_STRIDES_APART * np.arange(self.count) % 1.0)
 
-    def face_a_way(self, scene: int, poses: Array) -> Array:
-        """Start `poses` (G, 4) of a scene, turned so that vehicles can drive on from where they start."""
+    def turned_to_free_way(self, scene: int, poses: Array) -> Array:
+        """The start poses (G, 4: x, y, z [m], yaw [rad]) of a scene, turned so that vehicles can drive on."""
         way_m = self.limits.turning_radius_m
         if way_m == 0.0:
             return poses
@@ -141,7 +141,7 @@ class KinematicBody:
         scene, agent = divmod(row, self.count)
         poses = self.poses[scene * self.count : (scene + 1) * self.count, :4].copy()
         poses[agent] = pose
-        standing = self._standing(self.face_a_way(scene, poses), np.array([scene]))
+        standing = self._standing(self.turned_to_free_way(scene, poses), np.array([scene]))
         self.poses = self.poses.copy()
         self._put(slice(row, row + 1), scene, standing[agent : agent + 1])
 

@@ -98,7 +98,7 @@ class VectorSimulation:
         self._first_world = world
         self._engines: dict[str, list[PhysicsRobot]] = {}
         self._ending = [group for group in self.groups if group.ends_episodes]
-        self._nobody = self._resting = np.zeros(num_scenes, bool)
+        self._nobody = self.resting = np.zeros(num_scenes, bool)
         self.steps = np.zeros(num_scenes, np.int64)
         self._ends = np.cumsum([group.count * group.action_size for group in self.external]).tolist()
         self._log = ActionLog(num_scenes, self._ends[-1] if self._ends else 0)
@@ -166,7 +166,7 @@ class VectorSimulation:
         if self._refusal and not mask.all():
             raise RuntimeError("the first reset must be of all scenes")
         self._refusal = _NOT_BEGUN
-        self._resting = self._resting & ~mask
+        self.resting = self.resting & ~mask
         for group in self.groups:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)
@@ -186,11 +186,11 @@ class VectorSimulation:
         self._refusal = ""
 
     def rest(self, mask: Flags) -> None:
-        """Leave the scenes in `mask` (M,) out of the physics until they are reset.
+        """Leave the scenes in `mask` (M,) out of the physics until they are reset: they are `resting` (M,).
 
         `step` reads from their robots what it read last; whether their episodes end says nothing any more.
         """
-        self._resting = self._resting | mask
+        self.resting = self.resting | mask
 
     def _request(self, scene: int, episode: int) -> EpisodeRequest:
         """The planned starts and goals of an episode, and those that the caller of `reset` asked for."""
@@ -217,7 +217,7 @@ class VectorSimulation:
         self._turnover.remove()
         for group in self.groups:
             group.act(commands.get(group.name), before, self._engines[group.name])
-        self._starter.hold_back(self.scenes.step(self._starter.kinematic_poses(), self._resting))
+        self._starter.hold_back(self.scenes.step(self._starter.kinematic_poses(), self.resting))
         self.steps = self.steps + 1
         contacts = {group.name: group.read(self._engines[group.name]) for group in self.groups}
         arrived = self._turnover.admit(self.seed, self.episodes, self.steps)

@@ -12,11 +12,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from dune_rl.files import write_atomically
-from dune_rl.metrics.catalogue import CATALOGUE
+from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.number_text import format_value
 
 Row = Mapping[str, Any]
-_BY_NAME = {measure.name: measure for measure in CATALOGUE}
 _LONGEST_NAME = 22
 _LIGHT = 0.45
 # Obstacle clearance is measured up to this distance [m]: where nothing is nearer, it is no result of driving,
@@ -30,7 +29,7 @@ def describe_cell(row: Row, separator: str = " ") -> str:
     value, low, high = (float(row[key]) for key in ("value", "low", "high"))
     if np.isnan(value):
         return "-"
-    measure = _BY_NAME[str(row["measure"])]
+    measure = measure_of(str(row["measure"]))
     unit = " %" if measure.unit == "%" else ""
     shown = f"{format_value(measure, value)}{unit}"
     if np.isnan(low):
@@ -73,7 +72,7 @@ def _draw(
     robots: Sequence[tuple[str, str]],
     populations: Sequence[str],
 ) -> None:
-    about = next(one for one in CATALOGUE if one.name == measure)
+    about = measure_of(measure)
     values = np.array(
         [
             [

@@ -76,7 +76,8 @@ class EpisodeRecorder:
         if not self._every:
             return
         over = after["next", "done"].reshape(-1).numpy()
-        due = (self._simulation.steps % self._every == 0) | over
+        # Nobody asks for more of scenes whose last episode has ended.
+        due = ((self._simulation.steps % self._every == 0) | over) & ~self._simulation.resting
         for group in self._groups:
             state = self._simulation.state.groups[group.name]
             # An agent's own last step is kept as well, while its scene goes on.

@@ -109,7 +109,7 @@ def _finished_rows(
     env: EnvBase, after: TensorDictBase, done: torch.Tensor
 ) -> dict[int, dict[str, list[MetricsRow]]]:
     """The rows by episode and group of the scenes that are `done` (M,)."""
-    ids = env.episode_keys()[1][done.numpy()].tolist()
+    ids = _episode_ids(env)[done].tolist()
     # Nobody may have come of the groups that are measured.
     found: dict[int, dict[str, list[MetricsRow]]] = {episode: {} for episode in ids}
     for group, names in env.metric_names.items():

@@ -9,7 +9,7 @@ from rich.text import Text
 from dune_rl.learning.measures import MetricsRow, cluster_rows, compare_success
 from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
-from dune_rl.metrics.catalogue import CATALOGUE, measures_of
+from dune_rl.metrics.catalogue import measure_of, measures_of
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.metrics.measure import Measure
 from dune_rl.metrics.number_text import MINUS, format_difference, format_value
@@ -17,7 +17,6 @@ from dune_rl.metrics.number_text import MINUS, format_difference, format_value
 # With more policies, meanings are left out and intervals have lines of their own, for 80 columns.
 _WIDE_COLUMNS = 2
 _OF_RUNS = "/run"
-_BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
 def notes_by_measure(conf: MetricsConf) -> dict[str, str]:
@@ -66,7 +65,7 @@ def results_table(
     for name in dict.fromkeys(name for estimates in results.values() for name in estimates):
         if not all(name in estimates for estimates in results.values()):
             continue
-        measure = _BY_NAME.get(name, Measure(name, name))
+        measure = measure_of(name)
         unit = f" [{measure.unit}]" if measure.unit not in ("", "%") else ""
         # As Text: in a string, rich takes brackets for markup.
         label = Text("  ".join(filter(None, (name, "" if many else measure.meaning))) + unit)

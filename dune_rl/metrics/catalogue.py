@@ -7,7 +7,7 @@ from dune_rl.metrics.measure import PAPER as _PAPER
 from dune_rl.metrics.measure import Measure
 from dune_rl.metrics.protocol_measures import PROTOCOL_MEASURES
 
-__all__ = ["CATALOGUE", "Measure", "measures_of"]
+__all__ = ["CATALOGUE", "Measure", "measure_of", "measures_of"]
 
 CATALOGUE: tuple[Measure, ...] = (
     Measure(
@@ -316,6 +316,14 @@ CATALOGUE: tuple[Measure, ...] = (
     Measure("range", "range_km", "with a full battery", "km", "higher", "path / share of the battery"),
     *PROTOCOL_MEASURES,
 )
+
+_BY_NAME = {measure.name: measure for measure in CATALOGUE}
+
+
+def measure_of(name: str) -> Measure:
+    """The measure of a name; users' own have none but the name."""
+    return _BY_NAME.get(name, Measure(name, name))
+
 
 # Metrics of which no measure is made: ids, and details that the CSV has.
 _DETAILS = {

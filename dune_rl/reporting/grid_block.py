@@ -8,11 +8,12 @@ from pydantic import Field
 
 from dune_rl.errors import ConfigError
 from dune_rl.learning.paired_comparison import PairedComparison, holm_adjusted
+from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.measure import Measure
 from dune_rl.metrics.number_text import NOTHING, format_difference, format_p
 from dune_rl.reporting.block_sources import BlockSources, SourceConf
 from dune_rl.reporting.comparisons.comparison import Method, compare_methods
-from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows, measure_of
+from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, to_markdown
 from dune_rl.settings import Settings
 

@@ -28,11 +28,12 @@ from dune_rl.errors import ConfigError
 from dune_rl.files import write_atomically
 from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_success
 from dune_rl.learning.statistics import Estimate
+from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.number_text import format_p, format_value
 from dune_rl.reporting import published
 from dune_rl.reporting.block_sources import BlockSources, SourceConf
 from dune_rl.reporting.comparisons.comparison import Method
-from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows, measure_of
+from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows
 from dune_rl.reporting.csv_rows import read_rows
 from dune_rl.reporting.grid_block import GridConf, make_grid
 from dune_rl.reporting.runs import Note

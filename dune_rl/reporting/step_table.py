@@ -15,7 +15,7 @@ _NUMBERS = ("episode", "x_m", "y_m", "speed_mps", "time_s", "collisions_so_far")
 class StepTable:
     """Steps of all policies, agents and episodes, with what figures need of them.
 
-    It is false without steps. As rows, they would take forty times the memory.
+    It is false without steps. Rows of all of them would take gigabytes.
     """
 
     def __init__(self, table: Any) -> None:
@@ -37,7 +37,7 @@ class StepTable:
             return cls(csv.read_csv(file, convert_options=options))
         except (arrow.ArrowException, OSError) as error:
             reason = str(error).splitlines()[0]
-            raise ConfigError(f"{file.name} cannot be read ({reason})") from None
+            raise ConfigError(f"{file.name} cannot be read ({reason}); evaluate again") from None
 
     @classmethod
     def of_rows(cls, rows: Sequence[Row]) -> Self:

@@ -79,7 +79,7 @@ class EvaluationTracks:
     def step(self, after: TensorDictBase) -> None:
         """Add where all agents are, while an episode that will be drawn goes on."""
         assert self._recorder is not None
-        if (self._simulation.episodes < self._count).any():
+        if ((self._simulation.episodes < self._count) & ~self._simulation.resting).any():
             self._recorder.update()
 
     def finish(self, rows: Mapping[str, list[dict[str, float]]]) -> None:

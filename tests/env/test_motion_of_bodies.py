@@ -343,7 +343,7 @@ def test_vehicles_start_towards_a_way_that_they_can_go() -> None:
     world = yard((6.0, 0.0, 0.0, 1.0, 30.0), half=30)
     body = bodies("truck", (-15.0, 0.0, 1.0), (-15.0, 12.0, 0.0), (0.5, 0.0, 0.0), world=world)
     poses = np.array([(-15.0, 0.0, 0.0, 1.0), (-15.0, 12.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0)])
-    faced = body.face_a_way(0, poses)
+    faced = body.turned_to_free_way(0, poses)
     np.testing.assert_array_equal(faced[:2], poses[:2])
     np.testing.assert_array_equal(faced[:, :3], poses[:, :3])
     # Straight ahead and 30 degrees aside is the wall.
@@ -354,7 +354,7 @@ def test_vehicles_start_towards_a_way_that_they_can_go() -> None:
     assert np.linalg.norm(driven[-1, 2, :2] - driven[0, 2, :2]) > 2.0
     # Who turns on the spot needs none of it.
     walker = bodies("person", (0.5, 0.0, 0.0), world=world)
-    assert walker.face_a_way(0, poses) is poses
+    assert walker.turned_to_free_way(0, poses) is poses
 
 
 def test_a_vehicle_that_is_shut_in_faces_where_it_was_put() -> None:
@@ -362,4 +362,4 @@ def test_a_vehicle_that_is_shut_in_faces_where_it_was_put() -> None:
     walls += [(0.0, 5.5, 0.0, 12.0, 1.0), (0.0, -5.5, 0.0, 12.0, 1.0)]
     body = bodies("truck", (0.0, 0.0, 0.3), world=yard(*walls, half=30))
     poses = np.array([(0.0, 0.0, 0.0, 0.3)])
-    np.testing.assert_array_equal(body.face_a_way(0, poses), poses)
+    np.testing.assert_array_equal(body.turned_to_free_way(0, poses), poses)

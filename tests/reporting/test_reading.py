@@ -1,6 +1,7 @@
 """Reports read what can be used, and name what cannot, with the reason."""
 
 import json
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -127,6 +128,18 @@ def test_folders_given_twice_by_one_above_are_told_as_read(tmp_path: Path) -> No
         inputs = read_inputs(words)
         assert len(inputs.evaluations) == 1
         assert [note.text for note in inputs.skipped] == ["was read already"]
+
+
+def test_damaged_steps_leave_an_evaluation_out(tmp_path: Path) -> None:
+    folder = write_evaluation(tmp_path / "a", episode_rows("x", 2))
+    for text in ("", "policy,agent,episode\nx,rover_0,0\nx,rov", "policy,agent,episode\nx,rover_0,first\n"):
+        (folder / "steps.csv").write_text(text)
+        (reason,) = reasons(folder)
+        assert "steps.csv cannot be read" in reason and reason.endswith("evaluate again")
+    (folder / "steps.csv").write_text("policy,agent,episode,x_m\nx,rover_0,0,1.5\nx,rover_0,1,\n")
+    (run,) = read_inputs([folder]).evaluations
+    assert len(run.steps) == 2 and run.steps.of("x", [0.0])[0]["x_m"] == 1.5
+    assert math.isnan(run.steps.of("x", [1.0])[0]["x_m"]) and run.steps.of("y", [0.0]) == []
 
 
 def test_damaged_settings_are_told_once(tmp_path: Path) -> None:

@@ -183,7 +183,7 @@ class EpisodeStart:
             poses = np.zeros((group.count, 4))
             poses[agents] = np.array([(one.x, one.y, 0.0, one.yaw) for one in placed]).reshape(-1, 4)
             poses[:, 2] = self._scenes.worlds.worlds[scene].terrain.height(poses[:, :2])
-            group.body.place(scene, group.body.face_a_way(scene, poses))
+            group.body.place(scene, group.body.turned_to_free_way(scene, poses))
             park_absent(group, scene)
             points.append(group.body.outline_points(scene))
         return np.concatenate(points)

@@ -7,12 +7,10 @@ from dune_rl.errors import ConfigError
 from dune_rl.evaluation.columns import measured_columns
 from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, estimate_metrics
 from dune_rl.learning.statistics import Estimate
-from dune_rl.metrics.catalogue import CATALOGUE, Measure, measures_of
+from dune_rl.metrics.catalogue import measure_of, measures_of
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.runs import Row
 from dune_rl.suggestions import closest
-
-_BY_NAME = {measure.name: measure for measure in CATALOGUE}
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
@@ -40,11 +38,6 @@ def estimate_of(name: str, method: str, rows: Sequence[Row], estimates: Mapping[
         return Estimate(math.nan, math.nan, math.nan, 0)
     near = closest(name, estimates)
     raise ConfigError(f"{method} has no measure {name}" + (f"; did you mean {near}?" if near else ""))
-
-
-def measure_of(name: str) -> Measure:
-    """The measure of a name; users' own have none but the name."""
-    return _BY_NAME.get(name, Measure(name, name))
 
 
 def column_names(rows: Sequence[Row]) -> list[str]:

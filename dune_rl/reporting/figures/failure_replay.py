@@ -172,7 +172,7 @@ class _Watcher:
 
     def _look(self, watched: _Watched) -> None:
         episode, agent = watched.wanted.key
-        scenes = np.flatnonzero(self._simulation.episodes == episode)
+        scenes = np.flatnonzero((self._simulation.episodes == episode) & ~self._simulation.resting)
         if not len(scenes):
             return
         scene = int(scenes[0])

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from dune_rl.learning.paired_comparison import PairedComparison
 from dune_rl.learning.statistics import Estimate
-from dune_rl.metrics.catalogue import Measure
+from dune_rl.metrics.catalogue import Measure, measure_of
 from dune_rl.metrics.number_text import (
     MINUS,
     NOTHING,
@@ -17,7 +17,6 @@ from dune_rl.metrics.number_text import (
 )
 from dune_rl.reporting import published
 from dune_rl.reporting.comparisons.comparison import Comparison
-from dune_rl.reporting.comparisons.estimates import measure_of
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.figures.endings import COLLISION, FAILURES
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, measure_title

@@ -4,9 +4,8 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 
-from dune_rl.metrics.catalogue import CATALOGUE
+from dune_rl.metrics.catalogue import CATALOGUE, measure_of
 from dune_rl.metrics.number_text import NOTHING, format_value
-from dune_rl.reporting.comparisons.estimates import measure_of
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.runs import Row, Sweep, TrainingRun
 from dune_rl.reporting.tables.methods import PAPER_MEASURES
