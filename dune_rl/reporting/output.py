@@ -50,6 +50,8 @@ def _write_figure(folder: Path, block: FigureBlock) -> bytes:
     (folder / f"{block.name}.png").write_bytes(picture)
     document = save_figure(block.figure, "pdf", {"CreationDate": None, "Producer": None, "Creator": None})
     (folder / f"{block.name}.pdf").write_bytes(document)
+    # What was drawn for it stays in memory as long as its parts do.
+    block.figure.clear()
     return picture
 
 

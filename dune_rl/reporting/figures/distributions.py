@@ -43,6 +43,8 @@ DEFAULT_METRICS = (
 )
 _MOST_ACROSS = 3
 _ROW_IN = 0.27
+# Above the shapes (1), below the bars (2).
+_POINTS_ZORDER = 1.5
 _HALF_VIOLIN, _JITTER = 0.36, 0.13
 _MOST_POINTS = 200
 _GRID = 200
@@ -118,9 +120,11 @@ def _draw_method(axes: Axes, seen: Array, place: int, style: MethodStyle, name: 
     draws = stream(0, "jitter", place)
     shown = seen if len(seen) <= _MOST_POINTS else draws.choice(seen, _MOST_POINTS, replace=False)
     offset = draws.uniform(-_JITTER, _JITTER, len(shown))
+    # In a PDF the points of a panel are one picture, as nothing else is drawn between them; each picture takes
+    # the memory of the whole figure.
     axes.scatter(
         shown, place + offset, s=5, marker=style.mark, color=style.colour, alpha=0.55, linewidths=0,
-        label=name, rasterized=True,
+        label=name, rasterized=True, zorder=_POINTS_ZORDER,
     )  # fmt: skip
     low, middle, high = np.quantile(seen, [0.25, 0.5, 0.75])
     axes.plot([low, high], [place, place], color=INK, linewidth=2.2, solid_capstyle="butt")
