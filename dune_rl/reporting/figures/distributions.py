@@ -120,8 +120,8 @@ def _draw_method(axes: Axes, seen: Array, place: int, style: MethodStyle, name: 
     draws = stream(0, "jitter", place)
     shown = seen if len(seen) <= _MOST_POINTS else draws.choice(seen, _MOST_POINTS, replace=False)
     offset = draws.uniform(-_JITTER, _JITTER, len(shown))
-    # In a PDF the points of a panel are one picture, as nothing else is drawn between them; each picture takes
-    # the memory of the whole figure.
+    # As nothing is drawn between them, the points of a panel are one picture in a PDF; each picture takes the
+    # memory of the whole figure.
     axes.scatter(
         shown, place + offset, s=5, marker=style.mark, color=style.colour, alpha=0.55, linewidths=0,
         label=name, rasterized=True, zorder=_POINTS_ZORDER,
