@@ -46,4 +46,6 @@ def _estimate(rows: Iterable[Mapping[str, str]]) -> dict[str, Estimate]:
 def _interval(estimate: Estimate) -> str:
     if estimate.value != estimate.value:
         return "-"
+    if estimate.low != estimate.low:  # too few episodes for an interval
+        return f"{estimate.value:.2f}"
     return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"

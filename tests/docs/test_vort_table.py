@@ -28,7 +28,12 @@ def test_the_study_shows_the_table_of_its_episodes() -> None:
 
 
 def test_the_table_is_of_the_file(folder: Path) -> None:
-    speeds = [{"vort_2": 0.5, "vort": 0.5}, {"vort_2": 0.7, "vort": 0.9}, {"vort_2": 0.3, "vort": NAN}]
+    speeds = [
+        {"vort_2": 0.5, "vort": 0.5},
+        {"vort_2": 0.7, "vort": 0.9},
+        {"vort_2": 0.3, "vort": NAN},
+        {"vort_2": 0.5, "vort": NAN},
+    ]
     rows = [
         {"policy": "p", "set": "s", "world": "w", "world_seed": 1, "episode": number}
         | {**speed, "vort_10": 0.25, "vort_15": NAN, **TIMES}
@@ -37,9 +42,10 @@ def test_the_table_is_of_the_file(folder: Path) -> None:
     write_csv(folder / "episodes.csv", rows)
     lines = vort_table(folder / "episodes.csv").splitlines()
     assert lines[0] == "| threshold | p: VORT [m/s] | p: episodes, mean time |"
-    assert lines[2].startswith("| 2° | 0.50 (") and lines[2].endswith("| 3, 4.0 s |")
-    assert lines[3].startswith("| 5° | 0.70 (") and lines[3].endswith("| 2, 3.0 s |")
-    assert lines[4] == "| 10° | 0.25 (0.25 to 0.25) | 3, 2.0 s |"
+    assert lines[2].startswith("| 2° | 0.50 (") and lines[2].endswith("| 4, 4.0 s |")
+    assert lines[3].startswith("| 5° | 0.70 |"), "two episodes have no interval"
+    assert lines[3].endswith("| 2, 3.0 s |")
+    assert lines[4] == "| 10° | 0.25 (0.25 to 0.25) | 4, 2.0 s |"
     assert lines[5] == "| 15° | - | 0, 1.0 s |"
 
 
