@@ -1,4 +1,4 @@
-"""Tables in Markdown files of one measure: a row for each set, a column for each method."""
+"""Tables in Markdown files of one measure, such as with a row for each set and a column for each method."""
 
 import math
 from collections.abc import Mapping
@@ -21,10 +21,11 @@ _MISSING = "not run"
 
 
 class GridConf(Settings):
-    """One `measure` of several methods on several sets.
+    """One `measure` of several methods on several sets, or among several populations.
 
-    `rows` are titles, such as names of sets. `columns` are the methods by their titles; in the folder of
-    each, `{row}` stands for the title of the row. Where that folder is missing, the cell says so.
+    `rows` are titles, such as names of sets or of policies. `columns` are the sources of the cells by their
+    titles; in the folder and in the policy of each, `{row}` stands for the title of the row. Where that
+    folder is missing, the cell says so.
     `differences` are further columns by their titles: the first minus the second of two columns on the same
     episodes, with its interval and p-value, adjusted by Holm's method over the rows.
     """
@@ -65,8 +66,9 @@ def _methods_of(row: str, conf: GridConf, sources: BlockSources) -> dict[str, Me
     found = {}
     for title, source in conf.columns.items():
         path = source.folder.replace("{row}", row)
+        policy = None if source.policy is None else source.policy.replace("{row}", row)
         if (sources.beside / path).exists():
-            found[title] = sources.find_method(SourceConf(folder=path, policy=source.policy))
+            found[title] = sources.find_method(SourceConf(folder=path, policy=policy))
     return found
 
 

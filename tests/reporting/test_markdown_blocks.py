@@ -87,6 +87,20 @@ def test_a_grid_has_columns_of_differences(file: Path) -> None:
             rewrite_text(f"{begin}{columns}differences: {{d: {pair}}}\n-->\n{END}\n", file)
 
 
+def test_a_grid_has_a_row_for_each_policy(file: Path) -> None:
+    write_evaluation(file.parent / "b", [*episode_rows("x", 4, share=0.5), *episode_rows("y", 4, share=0.25)])
+    file.write_text(
+        "<!-- report: grid\nmeasure: SR\ncorner: robot\nrows: [x, y]\ndecimals: 1\n"
+        "columns:\n  A: {folder: a, policy: '{row}'}\n  B: {folder: b, policy: '{row}'}\n"
+        f"differences: {{B - A: [B, A]}}\n-->\n{END}\n"
+    )
+    rewrite_file(file)
+    header, _, first, second = file.read_text().splitlines()[10:-1]
+    assert header == "| robot | A | B | B - A |"
+    assert first.startswith("| x | 75.0 % (30.1 to 95.4) | 50.0 % (15.0 to 85.0) | \N{MINUS SIGN}25.0 (")
+    assert second.startswith("| y | 25.0 % (4.6 to 69.9) | 25.0 % (4.6 to 69.9) | 0.0 (")
+
+
 def test_a_measure_without_a_value_is_a_dash(file: Path) -> None:
     rows = [*episode_rows("x", 4, share=1.0, time_to_goal=3.0), *episode_rows("y", 4, share=0.0)]
     write_evaluation(file.parent / "d", rows)
