@@ -51,6 +51,10 @@ class ActorPopulation:
     sha256: str | None
     groups: Mapping[str, Any]
 
+    def plain(self) -> dict[str, Any]:
+        """What identifies it, as plain data: all but the settings of its groups."""
+        return {key: value for key, value in asdict(self).items() if key != "groups"}
+
 
 def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tuple[ActorPopulation, ...]:
     """The populations that `conf` names; `ConfigError` names every one that is none."""
@@ -168,14 +172,13 @@ def begin_cross_play(
     for one in populations:
         check_free(out / one.name, overwrite=overwrite)
     for one, plan in zip(populations, plans, strict=True):
-        with ResultsFolder.create(out / one.name, plan.conf, describe_provenance(plan), overwrite=overwrite):
+        provenance = {**describe_provenance(plan), "population": one.plain()}
+        with ResultsFolder.create(out / one.name, plan.conf, provenance, overwrite=overwrite):
             pass
     for old in (MATRIX, PICTURE):
         (out / old).unlink(missing_ok=True)
     record = {
-        "populations": [
-            {key: value for key, value in asdict(one).items() if key != "groups"} for one in populations
-        ],
+        "populations": [one.plain() for one in populations],
         "robots": [source.plain() for source in plans[0].sources],
     }
     with write_atomically(out / RECORD) as temporary:

@@ -32,6 +32,8 @@ from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import build_learner
 from dune_rl.learning.run.folder import RunFolder
+from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.reading import read_inputs
 
 TINY = ["+world=flat", "+experiment=multi_agent", "learning.hidden=[8]", "learning.precision=float32"]
 SHORT = "task.terminations.time_limit.max_steps=6"
@@ -93,6 +95,10 @@ def test_every_policy_meets_every_population(run: Path, tmp_path: Path) -> None:
             file.seek(0)
             starts.append([[row[key] for key in kept] for row in csv.DictReader(file)])
     assert starts[0] == starts[1] == starts[2] and len(starts[0]) == 6
+    # Reports do not take one population for another.
+    comparisons = collect_comparisons(read_inputs([out]).evaluations)
+    assert sorted(one.cases.title.split(" among ")[1] for one in comparisons) == ["foes", "none", "walkers"]
+    assert all(len(one.methods) == 2 for one in comparisons)
     # What is complete is not run again, and a population that is not is.
     before = (out / "cross_play.csv").read_bytes()
     provenance = read_provenance(out / "foes")

@@ -187,6 +187,23 @@ def test_a_set_with_another_checksum_is_kept_apart(tmp_path: Path) -> None:
     assert first.cases.title == "flat-v1 (cases 1)" and len(first.methods) == len(second.methods) == 1
 
 
+def test_populations_of_a_cross_play_are_kept_apart(tmp_path: Path) -> None:
+    used = {"set": {"name": "s", "sha256": "a"}}
+    write_evaluation(tmp_path / "standard", episode_rows("x", 4, set="s"), **used)
+    for name, weights in (("walkers", None), ("foes", "1"), ("others", "2")):
+        population = {"name": name, "kind": "option", "location": name, "sha256": weights}
+        actors = {"walker": {"count": 2}} if name == "walkers" else {"foe": {"controller": "checkpoint"}}
+        write_evaluation(
+            tmp_path / name,
+            episode_rows("x", 4, set="s"),
+            config={**CONFIG, "actors": actors},
+            population=population,
+            **used,
+        )
+    titles = [one.cases.title for one in collect_comparisons(read_inputs([tmp_path]).evaluations)]
+    assert sorted(titles) == ["s", "s among foes", "s among others", "s among walkers"]
+
+
 def test_another_version_is_named(tmp_path: Path) -> None:
     folder = write_evaluation(tmp_path / "a", episode_rows("x", 2), packages={"dune_rl": "0.0.1"})
     (note,) = read_inputs([folder]).notes

@@ -55,6 +55,11 @@ def cases_of(run: EvaluationRun, group: str) -> Cases:
     else:
         decisive = [world, seed, _decisive_settings(run.config)]
         title = world if seed is None else f"{world}, seed {seed}"
+    population = run.provenance.get("population")
+    if isinstance(population, dict):
+        # Of a cross-play: other actors than those of the set, or by other weights.
+        decisive = [decisive, population.get("sha256"), _decisive_settings(run.config)["actors"]]
+        title += f" among {population.get('name')}"
     text = json.dumps([decisive, engine, group], sort_keys=True, default=str)
     key = hashlib.sha256(text.encode()).hexdigest()
     protocol = run.config.get("protocol")
