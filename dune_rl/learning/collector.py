@@ -79,8 +79,7 @@ class TransitionCollector:
     """Collects batches (scenes, steps) with policies of all groups, whose weights are sent now and then.
 
     `policies` (by group) must be on the CPU; they are this object's own copies.
-    Until `random_frames` more frames are in, actions are drawn uniformly. In
-    the mode `serial`, `state` restores the scenes in the middle of their
+    In the mode `serial`, `state` restores the scenes in the middle of their
     episodes, bit for bit; in the other modes a resumed run begins new episodes.
     Each `stage` of a serial run has episodes of its own. With a `population` the policies are joined by its
     snapshots, which act in a share of the episodes.
@@ -94,7 +93,6 @@ class TransitionCollector:
         seed: int,
         *,
         frames: int = 0,
-        random_frames: int = 0,
         state: Mapping[str, Any] | None = None,
         threads: int = 1,
         stage: int = 0,
@@ -106,16 +104,13 @@ class TransitionCollector:
             policies = population.join(policies)
             make_env = partial(_env_with_draws, make_env, population.num_groups)
         self._policies = dict(policies)
-        self._fill()
+        self.fill_places()
         self._policy = JointPolicy(self._policies.values())
         self._env: EnvBase | None = None
-        # A whole number of batches; otherwise TorchRL rounds up too, with a warning.
-        rounded = -(-max(0, random_frames) // conf.frames_per_batch) * conf.frames_per_batch
         common: dict[str, Any] = {
             "policy": self._policy,
             "frames_per_batch": conf.frames_per_batch,
             "total_frames": -1,
-            "init_random_frames": rounded,
             "auto_register_policy_transforms": False,
         }
         if conf.mode == "serial":
@@ -149,11 +144,7 @@ class TransitionCollector:
 
     @torch.no_grad()
     def send(self, policies: Mapping[str, TensorDictModuleBase]) -> None:
-        """Act by the weights and statistics of `policies`, on whatever device, from the next batch on.
-
-        So do episodes that begin by the snapshots that the population has now.
-        """
-        self._fill()
+        """Act by the weights and statistics of `policies`, on whatever device, from the next batch on."""
         for group, policy in policies.items():
             ours, theirs = self._policies[group].state_dict(keep_vars=True), policy.state_dict()
             for key, value in theirs.items():
@@ -163,7 +154,8 @@ class TransitionCollector:
             # The workers confirm what they got.
             self._watch.wait(partial(self._collector.update_policy_weights_, self._policy))
 
-    def _fill(self) -> None:
+    def fill_places(self) -> None:
+        """Act by the snapshots that the population has now, from the next `send` on."""
         for policy in self._with_past:
             assert self._population is not None
             policy.fill(self._population.snapshots[policy.group])

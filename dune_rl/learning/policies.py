@@ -1,6 +1,7 @@
 """Built-in policies: references to compare with, and the one that acts before a learner does."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -109,6 +110,24 @@ class WarmupPolicy(TensorDictModuleBase):
         at_random = torch.rand_like(action[..., :1]) < _WARMUP_RANDOM_SHARE
         chosen = torch.where(at_random, random, noisy).clamp(self._low, self._high)
         return observation.set((self._group, "action"), chosen)
+
+
+class RandomWarmup(TensorDictModuleBase):
+    """Draws every action of `group` uniformly within its bounds: a learner's first experience."""
+
+    def __init__(self, group: str, spec: PolicySpec) -> None:
+        super().__init__()
+        self.in_keys: list[Any] = [(group, "observation", key) for key in spec.keys[:1]]
+        self.out_keys = [(group, "action")]
+        self._group = group
+        self.register_buffer("_low", torch.tensor(spec.low))
+        self.register_buffer("_width", torch.tensor(spec.high) - torch.tensor(spec.low))
+
+    @torch.no_grad()
+    def forward(self, observation: TensorDictBase) -> TensorDictBase:
+        """Writes (group, "action"), drawn with torch's global generator."""
+        shape = (*observation.get(self._group).batch_size, len(self._low))
+        return observation.set((self._group, "action"), self._low + self._width * torch.rand(shape))
 
 
 class UniformRandom:

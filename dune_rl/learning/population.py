@@ -117,8 +117,9 @@ class PopulationPolicy(GroupPolicy):
         return {"draws": self._draws, "chosen": self._chosen}
 
     def resume_episodes(self, saved: Mapping[str, Tensor]) -> None:
-        """The inverse of `episodes`."""
-        self._draws, self._chosen = saved["draws"], saved["chosen"]
+        """The inverse of `episodes`; places that are empty now, as of another size than then, act no more."""
+        self._draws, chosen = saved["draws"], saved["chosen"]
+        self._chosen = torch.where(chosen < self.filled, chosen, -1)
 
     def fill(self, snapshots: list[Mapping[str, Tensor]]) -> None:
         """Put the weights of past policies into the first places."""

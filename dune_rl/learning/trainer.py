@@ -156,12 +156,13 @@ class Trainer:
             collector = self._make_collector()
             torch.set_num_threads(self._threads)
             try:
-                if self.frames < end:
+                while self.frames < end:
                     self._loop(collector, end, stop)
-                if self._warmup.scripted and self.frames < end and not stop():
-                    collector.close()
-                    collector = self._make_collector()
-                    self._loop(collector, end, stop)
+                    if not self._warmup.groups or stop():
+                        break
+                    if self.frames < end:
+                        collector.close()
+                        collector = self._make_collector()
                 finished = self.frames >= self._total_frames
                 if finished and not self._evaluation.is_done(self.frames) and not stop():
                     self._evaluate(stop)
@@ -199,7 +200,8 @@ class Trainer:
         for batch in collector:
             self._learn(batch)
             if self._population is not None and not self._warmup.goes_on(self.frames):
-                self._population.take_if_due(self.frames)
+                if self._population.take_if_due(self.frames):
+                    collector.fill_places()
                 self._log.scalars(None, {"population/snapshots": len(self._population)}, self.frames)
             collector.send(self._warmup.learners_policies())
             self._report()
@@ -230,23 +232,22 @@ class Trainer:
         policies: dict[str, TensorDictModuleBase] = {
             group: learner.make_policy() for group, learner in self._learners.items()
         }
-        scripted = self._warmup.begin_phase(self.frames)
+        first = self._warmup.begin_phase(self.frames)
         conf = self._conf.collector
-        if scripted:
+        if first:
             conf = conf.model_copy(update={"mode": "serial"})
         # New networks and first resets must not advance the random state: a resumed run repeats them.
         before = random_state() if self._saved is None else self._saved["random"]
         collector = TransitionCollector(
             conf,
             self._make_env,
-            {**policies, **scripted},
+            {**policies, **first},
             self._seed,
             frames=self.frames,
-            random_frames=self._warmup.random_frames(self.frames),
             state=self._scenes_to_resume(),
             threads=self._threads,
-            stage=1 if scripted else 0,
-            population=None if scripted else self._population,
+            stage=self._warmup.stage,
+            population=None if first else self._population,
         )
         collector.send(self._warmup.learners_policies())
         set_random_state(before)
@@ -290,7 +291,7 @@ class Trainer:
             "collector": {
                 "mode": conf.mode,
                 "scenes": conf.scenes,
-                "warming": bool(self._warmup.scripted),
+                "warming": self._warmup.stage,
                 "state": collector.state(),
             },
             "log": self._log.state(),
@@ -302,8 +303,9 @@ class Trainer:
         if self._saved is None:
             return None
         then, now = self._saved["collector"], self._conf.collector
-        here = (now.mode, now.scenes, bool(self._warmup.scripted))
-        state = then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None
+        here = (now.mode, now.scenes, self._warmup.stage)
+        # Runs of earlier versions say whether they were in the warm-up.
+        state = then["state"] if here == (then["mode"], then["scenes"], int(then["warming"])) else None
         # Runs of earlier versions have the scenes alone; and opponents that were others are drawn anew.
         if state is not None and "scenes" not in state:
             state = {"scenes": state, "opponents": {}}

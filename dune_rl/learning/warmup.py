@@ -6,54 +6,57 @@ from tensordict.nn import TensorDictModuleBase
 
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.group_policy import GroupPolicy
+from dune_rl.learning.policies import RandomWarmup
 
 
 class WarmUp:
     """The warm-up of each group of agents: a scripted policy, or random actions, for some frames.
 
-    `scripted` are the groups that have a scripted policy in the present phase.
+    `groups` are those that are warmed up in the present phase. The phase ends with the warm-up of any of
+    them, as groups that warm up for fewer frames then act by their learner's policy beside the others.
     """
 
     def __init__(self, learners: Mapping[str, Algorithm]) -> None:
         self._learners = learners
-        self.scripted: frozenset[str] = frozenset()
+        self._is_random = False
+        self.groups: frozenset[str] = frozenset()
 
     def goes_on(self, frames: int) -> bool:
-        """Whether a scripted policy or random actions drive after `frames`, at least in one group."""
-        return any(frames < learner.warmup_frames for learner in self._learners.values())
+        """Whether another than the learners' policies drives after `frames`, at least in one group."""
+        return bool(self._warmed_up(frames))
 
     def is_over(self, frames: int) -> bool:
-        """Whether this is a phase of scripted policies, of which none drives after `frames` any more."""
-        return bool(self.scripted) and not self._policies(frames)
+        """Whether the present phase of the warm-up is over after `frames`."""
+        return self._warmed_up(frames) != self.groups
+
+    @property
+    def stage(self) -> int:
+        """The number of the present phase, from 1 on; 0 where the learners' policies alone drive."""
+        if not self.groups:
+            return 0
+        return 1 + sum(learner.warmup_frames > 0 for learner in self._learners.values()) - len(self.groups)
 
     def begin_phase(self, frames: int) -> dict[str, TensorDictModuleBase]:
-        """The scripted policies that drive after `frames`, by group; none where their phase is over."""
-        policies = self._policies(frames)
-        self.scripted = frozenset(policies)
-        return policies
-
-    def random_frames(self, frames: int) -> int:
-        """How many frames of random actions come after `frames`; none while scripted policies drive."""
-        if self.scripted:
-            return 0
-        return max(learner.warmup_frames for learner in self._learners.values()) - frames
+        """The policies of the warm-up that drive after `frames`, by group; none where it is over."""
+        self.groups = self._warmed_up(frames)
+        found: dict[str, TensorDictModuleBase] = {}
+        for group in sorted(self.groups):
+            learner = self._learners[group]
+            found[group] = learner.warmup_policy() or RandomWarmup(group, learner.context.spec)
+        self._is_random = all(isinstance(policy, RandomWarmup) for policy in found.values())
+        return found
 
     def learners_policies(self) -> dict[str, GroupPolicy]:
-        """The learners' policies of the groups without a scripted one."""
+        """The learners' policies of the groups that are not warmed up in the present phase."""
         return {
-            group: learner.policy for group, learner in self._learners.items() if group not in self.scripted
+            group: learner.policy for group, learner in self._learners.items() if group not in self.groups
         }
 
     def describe(self, frames: int) -> str | None:
         """Who drives after `frames`: "scripted" or "random"; None where the learners' policies do."""
         if not self.goes_on(frames):
             return None
-        return "scripted" if self.scripted else "random"
+        return "random" if self._is_random else "scripted"
 
-    def _policies(self, frames: int) -> dict[str, TensorDictModuleBase]:
-        policies = {
-            group: learner.warmup_policy()
-            for group, learner in self._learners.items()
-            if frames < learner.warmup_frames
-        }
-        return {group: policy for group, policy in policies.items() if policy is not None}
+    def _warmed_up(self, frames: int) -> frozenset[str]:
+        return frozenset(group for group, learner in self._learners.items() if frames < learner.warmup_frames)

@@ -166,6 +166,18 @@ def test_halves_with_a_population_make_a_whole(tmp_path: Path) -> None:
             assert all(torch.equal(value, other[key]) for key, value in one.items())
 
 
+def test_who_acted_by_a_pool_of_another_size_acts_as_at_present(population) -> None:
+    chosen = {"draws": torch.rand(4, 4), "chosen": torch.tensor([-1, 0, 1, 4])}
+    for size, expected in ((2, [-1, 0, 1, -1]), (1, [-1, -1, -1, -1])):
+        other = Population(ALWAYS.model_copy(update={"size": size}), population._learners)
+        other.restore(population.state())
+        policies = {group: learner.make_policy() for group, learner in population._learners.items()}
+        policy = other.join(policies)["rover"]
+        policy.fill(other.snapshots["rover"])
+        policy.resume_episodes(chosen)
+        assert policy.episodes()["chosen"].tolist() == expected
+
+
 @pytest.mark.slow
 def test_worker_processes_get_the_snapshots(tmp_path: Path) -> None:
     population = PopulationConf(probability=1.0, every_frames=128, size=2)
