@@ -146,7 +146,8 @@ def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -
 
 
 def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:
-    from dune_rl.evaluation.cross_play import begin_cross_play, find_populations, run_cross_play
+    from dune_rl.evaluation.actor_populations import find_populations
+    from dune_rl.evaluation.cross_play import begin_cross_play, run_cross_play
 
     populations = find_populations(conf, config_dirs)
     out = Path(conf.out) if conf.out else default_folder(_plan(conf))

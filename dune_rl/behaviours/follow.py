@@ -67,7 +67,7 @@ class Follow(SteeredBehaviour):
         goal = np.where((self._next < self._laid)[:, None], self._trail[rows, self._next % _TRAIL], leader)
         gap = np.hypot(*(leader - here).T) - self._distance_m
         speed = np.clip(gap / _RELAXATION_S, 0.0, self._speed_mps)
-        self.face(np.ones(self._num_rows, bool), leader, group)
+        self.face(np.hypot(*(leader - here).T) > 0.0, leader, group)
         return unit_vectors(goal - here)[0] * speed[:, None]
 
     def _choose_leaders(self, state: State, group: GroupState) -> None:

@@ -124,7 +124,10 @@ class SteeredBehaviour(ABC):
 
 
 def draws_of(name: str, group: GroupState, row: int) -> np.random.Generator:
-    """The random draws of an agent at its present step: equal whatever is beside its scene."""
+    """The random draws of an agent at its present step: equal whatever is beside its scene.
+
+    Two calls with the same `name` in one step return generators of the same numbers.
+    """
     episode = group.episode
     return stream(episode.seed, name, int(episode.streams[row]), int(episode.steps[row]))
 

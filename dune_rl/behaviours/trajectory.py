@@ -21,6 +21,8 @@ SamplePoints = Callable[[np.random.Generator, int, float], Array]
 
 # Added to the times of agent k, k times, so that one sorted array holds the times of all.
 _APART_S = 4e6
+# Squared: what moves less in a control step stands [m²].
+_NO_WAY_M2 = 1e-12
 
 
 class TrajectoryBank(NamedTuple):
@@ -146,6 +148,8 @@ class TrajectoryFollower:
         # The bodies have views of the targets.
         self._targets = self._targets.copy()
         self._targets[scene] = poses
+        # States that were handed out keep theirs.
+        self.goals_w = self.goals_w.copy()
         self.goals_w[scene * self.count : (scene + 1) * self.count] = bank.poses[bank.ends - 1, :2]
         return poses
 
@@ -166,8 +170,10 @@ class TrajectoryFollower:
         """Set the agents of `scenes` (S,) to `poses` (S, G, 4), to which robots limited them."""
         way = self._targets[scenes, :, :2] - self._before[scenes, :, :2]
         reached = poses[..., :2] - self._before[scenes, :, :2]
-        length = np.maximum((way**2).sum(axis=2), 1e-12)
-        missing = 1.0 - np.clip((reached * way).sum(axis=2) / length, 0.0, 1.0)
+        length = (way**2).sum(axis=2)
+        share = np.clip((reached * way).sum(axis=2) / np.maximum(length, _NO_WAY_M2), 0.0, 1.0)
+        # In a pause nothing is missing.
+        missing = np.where(length > _NO_WAY_M2, 1.0 - share, 0.0)
         blocked = np.abs(poses[..., :2] - self._targets[scenes, :, :2]).max(axis=2) > 1e-9
         clock_s = self._clock_s.copy()
         clock_s[scenes] -= np.where(blocked, missing, 0.0) * self._step_s

@@ -48,7 +48,7 @@ class AgentGroupConf(Settings):
 
     `body` is a robot, or a person, vehicle, animal or drone (`BODIES`).
     `controller` is `external` (a user or a learner gives its actions), `path`
-    (there and back along a path), `trajectory` (the one of the world's file),
+    (moved along a path, `path.mode`), `trajectory` (the one of the world's file),
     `{trajectory: FILE}` (those of another file), a behaviour, or a checkpoint of
     a trained policy. `path` has the paths on which persons start, and between
     whose ends they go; other bodies have none unless it is given, and start and

@@ -20,7 +20,8 @@ class ResolvedGroup:
     """An agent group with all that it is made of.
 
     A group without `task` has no goal of its own, earns nothing and never ends an episode; one without
-    `sensors` observes nothing. `path` is set for persons, and only for them.
+    `sensors` observes nothing. `path` is set for those that start on paths: persons, and others if they are
+    given one.
     """
 
     name: str

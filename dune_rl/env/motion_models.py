@@ -97,10 +97,11 @@ def _holonomic(limits: MotionLimits, poses: Array, velocity: Array, actions: Arr
 
 def _turn(limits: MotionLimits, actions: Array, step_s: float) -> Array:
     """Angles (N,) [rad] by which bodies turn: the relative headings, as far as `max_turn_radps` lets them."""
+    heading = np.where(np.abs(actions[:, 1]) > np.pi, wrap_angle(actions[:, 1]), actions[:, 1])
     if limits.max_turn_radps is None:
-        return actions[:, 1]
+        return heading
     most = limits.max_turn_radps * step_s
-    turn: Array = np.clip(actions[:, 1], -most, most)
+    turn: Array = np.clip(heading, -most, most)
     return turn
 
 

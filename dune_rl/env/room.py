@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.compiled import compile_function
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import query_grouped
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage, roof_height
@@ -78,7 +79,7 @@ class Room:
             is_open |= free
             if is_open.all():
                 break
-        return headings
+        return np.where(np.abs(headings) > np.pi, wrap_angle(headings), headings)
 
     def _within_edges(self, xy: Array, yaw: Array) -> Array:
         """Distance [m], (N,), inside the border that bodies keep to the world's edge."""

@@ -134,13 +134,15 @@ class Turnover:
     ) -> Array | None:
         """A pose (4: x, y, z, yaw) for an agent that comes, apart from those `taken`; None without room now.
 
-        Agents on paths keep their distance from robots and from bodies that are not on paths.
+        Agents on paths keep their distance from robots and from bodies that are not on paths; those who steer
+        have room beside the others, too.
         """
         source, world = group.goals.source, self._scenes.worlds.worlds[scene]
         if isinstance(source, PathGoals):
             assert isinstance(source.follower, PathFollower), "trajectories have times of their own"
             draws = stream(seed, f"arrival {group.name}_{agent}", episode)
-            return source.follower.place_agent(scene, agent, draws, self._points(scene))
+            discs = None if group.setup.is_scripted else self._discs_on_paths(scene)
+            return source.follower.place_agent(scene, agent, draws, self._points(scene), discs, group.reach_m)
         assert isinstance(source, RegionGoals)
         try:
             one = source.place_agent(scene, seed, episode, agent, taken)
@@ -166,6 +168,17 @@ class Turnover:
             elif isinstance(group.body, KinematicBody) and isinstance(group.goals.source, RegionGoals):
                 points.append(group.body.outline_points(scene))
         return np.concatenate(points)
+
+    def _discs_on_paths(self, scene: int) -> Array:
+        """Discs (K, 3: x, y, radius) [m] that hold the bodies of a scene that started on paths."""
+        on_paths = [group for group in self._groups if isinstance(group.goals.source, PathGoals)]
+        return np.concatenate([discs_of(group, scene) for group in on_paths])
+
+
+def discs_of(group: AgentGroup, scene: int) -> Array:
+    """Discs (G, 3: x, y, radius) [m] that hold the bodies of a group in a scene."""
+    rows = slice(scene * group.count, (scene + 1) * group.count)
+    return np.column_stack([group.body.poses[rows, :2], np.full(group.count, group.reach_m)])
 
 
 def park_absent(group: AgentGroup, scene: int) -> None:

@@ -7,7 +7,6 @@ and all robots have the same episodes among all populations.
 import csv
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,122 +15,20 @@ from rich.table import Table
 
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.config.compose import compose_environment
-from dune_rl.config.migration import migrated
-from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
-from dune_rl.config.schema import EnvConf
 from dune_rl.errors import ConfigError, DuneError
+from dune_rl.evaluation.actor_populations import CHECKPOINT, ActorPopulation
 from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices
 from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
-from dune_rl.evaluation.policies import checkpoint_name
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.files import sha256_of, write_atomically
-from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file
 from dune_rl.learning.measures import write_csv
-from dune_rl.paths import conf_folder
 from dune_rl.robots.settings import RobotSettings
 
 RECORD, MATRIX, PICTURE = "cross_play.json", "cross_play.csv", "cross_play.png"
 MEASURES = ("SR", "TC", "OC")
-_OPTION, _CHECKPOINT = "option", "checkpoint"
-
-
-@dataclass(frozen=True)
-class ActorPopulation:
-    """Actors that robots are tested among: an option of `actors`, or those of a run, by its checkpoint.
-
-    `groups` are the agent groups as plain data; `sha256` is that of the checkpoint.
-    """
-
-    name: str
-    kind: str
-    location: str
-    sha256: str | None
-    groups: Mapping[str, Any]
-
-    def plain(self) -> dict[str, Any]:
-        """What identifies it, as plain data: all but the settings of its groups."""
-        return {key: value for key, value in asdict(self).items() if key != "groups"}
-
-
-def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tuple[ActorPopulation, ...]:
-    """The populations that `conf` names; `ConfigError` names every one that is none."""
-    found, faults = [], []
-    for location in conf.populations:
-        try:
-            found.append(_population(location, config_dirs))
-        except DuneError as error:
-            faults.append(f"populations: {error}")
-    if faults:
-        raise ConfigError("\n".join(faults))
-    names = [one.name for one in found]
-    named = tuple(
-        one if names.count(one.name) == 1 else replace(one, name=one.location.strip("/").replace("/", "_"))
-        for one in found
-    )
-    # Each has a folder of its name.
-    names = [one.name for one in named]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"populations: {twice} is there twice; leave one of them out")
-    return named
-
-
-def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
-    options = [
-        file.stem
-        for folder in (conf_folder(), *map(Path, config_dirs))
-        for file in sorted((folder / "actors").glob("*.yaml"))
-    ]
-    if location in options:
-        option = compose_environment("flat", (), {"actors": location}, config_dirs=config_dirs).actors
-        external = [name for name, group in option.items() if group.controller == "external"]
-        if external:
-            raise ConfigError(
-                f"nobody drives {external[0]} of actors={location}; give a run that trained it in its place"
-            )
-        groups = {name: group.model_dump(mode="json") for name, group in option.items()}
-        return ActorPopulation(location, _OPTION, location, None, groups)
-    path = Path(location)
-    if not path.exists():
-        raise ConfigError(
-            f"{location} is no option of actors ({', '.join(sorted(options))}), and no run or policy file"
-        )
-    file = find_checkpoint_file(path, *POLICY_SOURCES)
-    content = read_checkpoint_file(file, "policy", "checkpoint")
-    config = migrated(content["config"])
-    saved = {name: config[name] for name in EnvConf.model_fields if name in config}
-    actors = [one for one in validate(EnvConf, saved).groups if not isinstance(one.body, RobotSettings)]
-    if not any(one.is_external for one in actors):
-        trained = ", ".join(sorted(content["groups"]))
-        raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
-    return ActorPopulation(
-        checkpoint_name(path),
-        _CHECKPOINT,
-        location,
-        sha256_of(file),
-        {one.name: _plain(one, location) for one in actors},
-    )
-
-
-def _plain(group: ResolvedGroup, location: str) -> dict[str, Any]:
-    """A group of a run as plain data, which acts by the run's policy where it learned there."""
-    return {
-        "body": group.body.model_dump(mode="json"),
-        "count": group.count,
-        "controller": {"checkpoint": location} if group.is_external else _controller(group),
-        "path": None if group.path is None else group.path.model_dump(mode="json"),
-        "sensors": None if group.sensors is None else group.sensors.model_dump(mode="json"),
-        # Its goals, and no rewards, which nobody reads.
-        "task": None if group.task is None else roaming_task(group.task).model_dump(mode="json"),
-    }
-
-
-def _controller(group: ResolvedGroup) -> Any:
-    conf = group.controller
-    return conf if isinstance(conf, str) else conf.model_dump(mode="json")
 
 
 def settings_among(conf: EvaluateConf, population: ActorPopulation, out: Path) -> EvaluateConf:
@@ -161,7 +58,10 @@ def settings_among(conf: EvaluateConf, population: ActorPopulation, out: Path) -
 def begin_cross_play(
     conf: EvaluateConf, populations: Sequence[ActorPopulation], out: Path, *, overwrite: bool
 ) -> None:
-    """Make the folder of a cross-play and those of its populations, with nothing evaluated yet."""
+    """Make the folder of a cross-play and those of its populations, with nothing evaluated yet.
+
+    Raises ConfigError, and makes nothing, if the robots cannot be tested among one of them.
+    """
     settings = [settings_among(conf, one, out / one.name) for one in populations]
     plans = [EvaluationPlan.of_settings(each) for each in settings]
     if out.is_dir():
@@ -171,6 +71,7 @@ def begin_cross_play(
             raise ConfigError(f"out={out} holds other files ({others[0]}); choose another folder")
     for one in populations:
         check_free(out / one.name, overwrite=overwrite)
+    _check_startable(populations, plans)
     for one, plan in zip(populations, plans, strict=True):
         provenance = {**describe_provenance(plan), "population": one.plain()}
         with ResultsFolder.create(out / one.name, plan.conf, provenance, overwrite=overwrite):
@@ -183,6 +84,18 @@ def begin_cross_play(
     }
     with write_atomically(out / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def _check_startable(populations: Sequence[ActorPopulation], plans: Sequence[EvaluationPlan]) -> None:
+    """Raise ConfigError, which names every population at fault, unless all plans can begin."""
+    faults = []
+    for one, plan in zip(populations, plans, strict=True):
+        try:
+            prepare_run(plan).close()
+        except DuneError as error:
+            faults.append(f"populations: {one.location}: {error}")
+    if faults:
+        raise ConfigError("\n".join(faults))
 
 
 def run_cross_play(out: Path, console: Console, processes: int | None = None) -> None:
@@ -205,7 +118,8 @@ def run_cross_play(out: Path, console: Console, processes: int | None = None) ->
         for row in _summary(out / one["name"])
     ]
     write_csv(out / MATRIX, rows)
-    draw_matrices(rows, MEASURES, out / PICTURE)
+    if rows:
+        draw_matrices(rows, MEASURES, out / PICTURE)
     _show(rows, console)
     console.print(f"Results: {out}", highlight=False, soft_wrap=True)
 
@@ -244,13 +158,12 @@ def _run_population(
 
 
 def _check_unchanged(population: Mapping[str, Any]) -> None:
-    if population["kind"] != _CHECKPOINT:
+    if population["kind"] != CHECKPOINT:
         return
-    file = find_checkpoint_file(Path(population["location"]), *POLICY_SOURCES)
+    # Records of earlier versions name the run alone.
+    file = find_checkpoint_file(Path(population.get("weights") or population["location"]), *POLICY_SOURCES)
     if sha256_of(file) != population["sha256"]:
-        raise ConfigError(
-            f"{population['location']} has other weights than when the cross-play began; run it again"
-        )
+        raise ConfigError(f"{file} has other weights than when the cross-play began; run it again")
 
 
 def _summary(path: Path) -> list[dict[str, Any]]:

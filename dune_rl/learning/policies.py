@@ -1,5 +1,6 @@
 """Built-in policies: references to compare with, and the one that acts before a learner does."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +17,10 @@ from dune_rl.learning.policy_spec import PolicySpec
 
 DRIVERS = ("mppi", "planner")
 _SPEED_AND_HEADING = 2
+# Of the top speed, at which bodies that cannot turn on the spot turn.
+_TURNING_SHARE = 0.5
+# Where they turn again: at this distance from the middle of their tightest curve, over its radius.
+_OUTSIDE = 1.1
 _WARMUP_NOISE = 0.1
 _WARMUP_RANDOM_SHARE = 0.3
 
@@ -60,6 +65,9 @@ class AllGroups:
 class GoToGoal:
     """Turns the agents of `group` towards their goals and drives straight at them, through obstacles.
 
+    Bodies that cannot turn on the spot keep moving, and drive straight on while the goal lies inside their
+    tightest curve, which they would circle for ever (Dubins 1957).
+
     Raises ConfigError where the group observes no goal, or its action is no speed and heading.
     """
 
@@ -72,11 +80,18 @@ class GoToGoal:
             )
         self._group = group
         self._top_speed = spec.high[0]
+        self._turning = spec.turning
+        self._least_share = _TURNING_SHARE if self._turning else 0.0
 
     def action(self, observation: TensorDictBase) -> Tensor:
         """Action (..., G, 2): the goal's heading, and the part of the top speed that points at the goal."""
-        heading = observation.get((self._group, "observation", "goal"))[..., 1]
-        speed = self._top_speed * heading.cos().clamp(min=0)
+        distance, heading = observation.get((self._group, "observation", "goal"))[..., :2].unbind(-1)
+        speed = self._top_speed * heading.cos().clamp(min=self._least_share)
+        if self._turning is not None:
+            radius, rear = self._turning
+            ahead, aside = distance * heading.cos() + rear, distance * heading.sin().abs() - radius
+            inside = torch.hypot(ahead, aside) < _OUTSIDE * math.hypot(radius, rear)
+            heading = torch.where(inside, 0.0, heading)
         return torch.stack([speed, heading], -1)
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from dune_rl.bodies.turning_circle import TurningCircle
 from dune_rl.errors import CheckpointError
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class PolicySpec:
     parts whose values are positive throughout, such as a LiDAR's: of those
     it is the ratio that matters, 0.3 m to 0.6 m as much as 3 m to 6 m. `sizes`
     are of the vectors; `images` follow them in the same way. All agents of a
-    group have the same spec.
+    group have the same spec. `turning` is of bodies that cannot turn on the spot.
     """
 
     sizes: Mapping[str, int]
@@ -57,6 +58,7 @@ class PolicySpec:
     high: tuple[float, ...]
     ranges: tuple[str, ...] = ()
     images: Mapping[str, ImageSpec] = field(default_factory=dict)
+    turning: TurningCircle | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, env: "EnvBase", group: str) -> "PolicySpec":
@@ -67,7 +69,9 @@ class PolicySpec:
             key: (spec.space.low[0, 0].numpy(), spec.space.high[0, 0].numpy())
             for key, spec in env.observation_spec[group, "observation"].items()
         }
-        return cls.of_bounds(observation, (action.low[0, 0].numpy(), action.high[0, 0].numpy()))
+        found = cls.of_bounds(observation, (action.low[0, 0].numpy(), action.high[0, 0].numpy()))
+        # Environments of others have no such bodies.
+        return replace(found, turning=getattr(env, "turning_circles", {}).get(group))
 
     @classmethod
     def of_bounds(

@@ -125,7 +125,8 @@ class RanIntoRobot:
 
     Of the two, the agent is the one that moves into the other if its speed towards the nearest robot exceeds
     both `min_speed_mps` and the robot's speed towards the agent. Both are the larger of this step's and the
-    last one's, as a contact slows what moves.
+    last one's, as a contact slows what moves. With `groups` it earns nothing where the nearest robot is of
+    none of them.
     """
 
     def __init__(
@@ -147,7 +148,7 @@ class RanIntoRobot:
 
     def __call__(self, state: State, group: GroupState) -> Array:
         """Values (N,); to be called once a control step."""
-        robots = robots_of(state, group, self._groups)
+        robots, counts = self._robots_of(state, group)
         rows, count = len(group.done), robots.active.shape[1]
         if not count:
             return np.zeros(rows)
@@ -165,7 +166,19 @@ class RanIntoRobot:
         chosen = np.arange(rows), nearest.reshape(-1)
         mine, theirs = most_own[chosen], most_theirs[chosen]
         value = np.where(group.contacts.new > 0, 1.0, self._pushing)
-        return np.where(touching & (mine > theirs) & (mine > self._min_speed_mps), value, 0.0)
+        touches = touching & counts[nearest.reshape(-1)]
+        return np.where(touches & (mine > theirs) & (mine > self._min_speed_mps), value, 0.0)
+
+    def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
+        """All robots, of which an agent may touch any, and flags (R,) of those that count."""
+        robots_of(state, group, self._groups)
+        names = [
+            name
+            for name, other in state.groups.items()
+            if name != group.name and (other.kind == "robot" or name in self._groups)
+        ]
+        counts = [[not self._groups or name in self._groups] * state.groups[name].count for name in names]
+        return robots_of(state, group, tuple(names)), np.array([one for each in counts for one in each], bool)
 
 
 def _directions(offset: Array) -> tuple[Array, Array]:

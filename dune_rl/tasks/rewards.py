@@ -83,7 +83,8 @@ def near_miss(
     """Closeness to the nearest agent of another group: 0 beyond `comfort_m`, growing to 1 on contact.
 
     With `own_group` the other agents of the own group count too. Distances are from surface to surface, of
-    circles of each group's `radius_m`, seen from above.
+    circles of each group's `radius_m`, seen from above: those of vehicles and animals leave out the ends of
+    what is longer than it is wide.
     """
     own = group.by_scene(group.motion.position_w[:, :2])[:, :, None]
     closeness = np.zeros(own.shape[:2])

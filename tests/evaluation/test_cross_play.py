@@ -13,14 +13,15 @@ import torch
 from PIL import Image
 from rich.console import Console
 
+from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.errors import ConfigError
+from dune_rl.evaluation.actor_populations import find_populations
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.cross_play import (
     begin_cross_play,
-    find_populations,
     is_cross_play,
     run_cross_play,
     settings_among,
@@ -28,7 +29,9 @@ from dune_rl.evaluation.cross_play import (
 from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices
 from dune_rl.evaluation.folder import read_provenance
 from dune_rl.evaluation.running import BlockRunner
+from dune_rl.files import sha256_of
 from dune_rl.learning.algorithm import LearnerContext
+from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import build_learner
 from dune_rl.learning.run.folder import RunFolder
@@ -121,6 +124,32 @@ def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
     assert list(walker.sensors.enabled) == ["goal", "neighbours", "lidar", "velocity"]
     assert not walker.task.rewards and walker.task.terminations["goal_reached"].renew
     assert not conf.cross_play and conf.populations == ()
+
+
+def test_actors_of_a_run_are_as_in_the_run_and_act_by_its_last_policy(tmp_path: Path) -> None:
+    presence = "actors.walker.presence={arrive_s: [0, 2], stay_s: [3, 4]}"
+    conf = compose([*TINY, "actors.walker.count=2", presence, SHORT])
+    source = tmp_path / "visitors"
+    source.mkdir()
+    for name in ("policy_best.pt", "policy_last.pt"):
+        content = {"config": conf.model_dump(mode="json"), "groups": {}, "name": name}
+        write_checkpoint_file(source / name, "policy", content)
+    (population,) = find_populations(settings(f"populations=[{source}]"))
+    group = population.groups["walker"]
+    assert group.keys() == AgentGroupConf.model_fields.keys()
+    assert group["presence"] == {"arrive_s": [0.0, 2.0], "stay_s": [3.0, 4.0]}
+    assert group["controller"] == {"checkpoint": str(source / "policy_last.pt")}
+    assert population.sha256 == sha256_of(source / "policy_last.pt")
+
+
+def test_populations_without_room_are_told_before_anything_is_made(tmp_path: Path) -> None:
+    words = ["+world=construction", "policy=go_to_goal", "cross_play=true", "scenes=1"]
+    conf = compose_evaluation([*words, "populations=[none,trucks,tractor]"])
+    conf = conf.model_copy(update={"episodes": 1})
+    out = tmp_path / "matrix"
+    with pytest.raises(ConfigError, match=r"populations: trucks: [^$]*\npopulations: tractor: "):
+        begin_cross_play(conf, find_populations(conf), out, overwrite=False)
+    assert not out.exists()
 
 
 def test_an_interruption_says_once_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

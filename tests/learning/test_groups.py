@@ -10,11 +10,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchrl.envs.utils import check_env_specs
 from training import assert_halves_make_a_whole, make_sac, small, trainer, weights
 
+from dune_rl.config.build import make_learning_env
+from dune_rl.config.compose import compose_environment
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, read_checkpoint_file
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_batch import agent_sequences, select_group
+from dune_rl.learning.measures import average_metrics
 from dune_rl.learning.policies import GoToGoal, WarmupPolicy, built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import load_group_policy, load_policy
@@ -171,3 +174,12 @@ def test_go_to_goal_drives_each_agent_to_its_own_goal() -> None:
     bearing = now["rover", "observation", "goal"][..., 1]
     action = GoToGoal("rover", PolicySpec.of(env, "rover"))(now)["rover", "action"]
     assert torch.equal(action[..., 1], bearing) and bearing.unique().numel() == 3
+
+
+def test_go_to_goal_brings_cars_to_goals_wherever_they_are() -> None:
+    # A car cannot turn on the spot.
+    conf = compose_environment("flat", ["agents={car: {body: car, controller: external}}"])
+    env = make_learning_env(conf, 8, seed=1)
+    rows = evaluate(built_in_policy("go_to_goal", env), env, 8, seed=1)["car"]
+    env.close()
+    assert average_metrics(rows)["TR"] >= 0.75

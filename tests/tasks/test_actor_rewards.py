@@ -156,6 +156,16 @@ def test_it_is_the_nearest_robot_that_was_touched() -> None:
     assert value(RanIntoRobot(1), group, robots) == [0.0]
 
 
+def test_a_touched_robot_of_another_group_charges_nobody() -> None:
+    group = walkers(position=(0.5, 0.0, 0.0), velocity_w=(1.0, 0.0, 0.0), new=1, touching=True)
+    rover, leo = agents(position=(8.0, 0.0, 0.0)), agents(name="leo")
+    assert value(RanIntoRobot(1, groups=("rover",)), group, rover, leo) == [0.0]
+    # It walks at the rover, and touches that.
+    near = agents(position=(1.0, 0.0, 0.0))
+    away = agents(name="leo", position=(-8.0, 0.0, 0.0))
+    assert value(RanIntoRobot(1, groups=("rover",)), group, near, away) == [1.0]
+
+
 # -- keeping clear ---------------------------------------------------------------------------------
 
 

@@ -35,6 +35,10 @@ _BANK_SIZE = 128
 _MIN_PATHS = 8
 _MAX_PATHS = 64
 _START_TRIES = 50
+# Between bodies that are placed beside each other [m].
+_BETWEEN_M = 0.1
+_LEAST_M = 1e-9
+_NO_DISCS = np.zeros((0, 3))
 
 
 class PathConf(Settings):
@@ -186,35 +190,64 @@ class PathFollower:
         """Start poses (G, 4: x, y, z, yaw) of a scene's agents, each on a path drawn with `rng`.
 
         They are `start_distance_m` away from the points `avoid_xy` (R, 2); if no sampled point of an agent's
-        paths is that far away, the farthest one is used.
+        paths is that far away, the farthest one is used. They may overlap: agents on paths go through each
+        other.
         """
-        return np.array([self._start(scene, agent, rng, avoid_xy)[0] for agent in range(self.count)])
+        return np.array(
+            [self._start(scene, agent, rng, avoid_xy, _NO_DISCS)[0] for agent in range(self.count)]
+        )
 
-    def place_agent(self, scene: int, agent: int, rng: np.random.Generator, avoid_xy: Array) -> Array | None:
-        """As `reset`, of one agent; None where none of its paths begins far enough away."""
-        pose, apart = self._start(scene, agent, rng, avoid_xy)
-        return pose if apart >= self.conf.start_distance_m else None
+    def reset_apart(
+        self, scene: int, rng: np.random.Generator, avoid_xy: Array, discs: Array, radius_m: float
+    ) -> Array:
+        """As `reset`, of agents of `radius_m`, which keep off `discs` (K, 3: x, y, radius) and each other."""
+        found = []
+        for agent in range(self.count):
+            pose, _ = self._start(scene, agent, rng, avoid_xy, _grown(discs, radius_m))
+            found.append(pose)
+            discs = np.concatenate([discs, [[*pose[:2], radius_m]]])
+        return np.array(found)
+
+    def place_agent(
+        self,
+        scene: int,
+        agent: int,
+        rng: np.random.Generator,
+        avoid_xy: Array,
+        discs: Array | None = None,
+        radius_m: float = 0.0,
+    ) -> Array | None:
+        """As `reset` or, with `discs`, `reset_apart`, of one agent; None where it has no room."""
+        grown = _NO_DISCS if discs is None else _grown(discs, radius_m)
+        pose, apart = self._start(scene, agent, rng, avoid_xy, grown)
+        return pose if apart >= 1.0 else None
 
     def _start(
-        self, scene: int, agent: int, rng: np.random.Generator, avoid_xy: Array
+        self, scene: int, agent: int, rng: np.random.Generator, avoid_xy: Array, discs: Array
     ) -> tuple[Array, float]:
-        """Start an agent on one of its paths: its pose (4), and its distance [m] from `avoid_xy` (R, 2)."""
+        """Start an agent on one of its paths: its pose (4), and how far it is from the others.
+
+        That is the least of its distances from the points `avoid_xy` (R, 2) and from the middles of `discs`
+        (K, 3), each over the distance that is to be kept: 1 or more where there is room.
+        """
         bank, choices, stops = self._paths[self._worlds[scene]]
         is_once, row = self.conf.mode == "once", scene * self.count + agent
         farthest, found = -1.0, np.zeros(4)
+        keeps_m = max(self.conf.start_distance_m, _LEAST_M)
         # States that were handed out keep theirs.
         self.goals_w = self.goals_w.copy()
         for _ in range(_START_TRIES):
             loop = rng.choice(choices[agent])
             travelled = 0.0 if is_once else rng.uniform(0.0, bank.lengths[loop]) * SPACING_M
             pose = bank.pose(loop, np.asarray(travelled))
-            apart = float(np.hypot(*(pose[:2] - avoid_xy).T).min(initial=np.inf))
+            apart = float(np.hypot(*(pose[:2] - avoid_xy).T).min(initial=np.inf)) / keeps_m
+            apart = float((np.hypot(*(pose[:2] - discs[:, :2]).T) / discs[:, 2]).min(initial=apart))
             if apart > farthest:
                 farthest, found = apart, pose
                 self._loop[scene, agent] = loop
                 self._travelled[scene, agent] = travelled
                 self.goals_w[row] = bank.far_end(loop)[:2]
-            if apart >= self.conf.start_distance_m:
+            if apart >= 1.0:
                 break
         drawn = self._loop[scene, agent], self._travelled[scene, agent]
         self._stops.reset(scene, agent, float(drawn[1]), int(drawn[0]), stops)
@@ -272,3 +305,8 @@ class PathFollower:
 
 def _height(world: World, xy: Array) -> Array:
     return world.terrain.height(xy)
+
+
+def _grown(discs: Array, radius_m: float) -> Array:
+    """Discs (K, 3: x, y, radius) outside of which the middle of a body of `radius_m` has room."""
+    return discs + np.array([0.0, 0.0, radius_m + _BETWEEN_M])

@@ -17,7 +17,7 @@ from dune_rl.env.goals import PLACING_ATTEMPTS, PathGoals, RegionGoals, place_gr
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.scene_spec import standing_pose
-from dune_rl.env.turnover import park_absent
+from dune_rl.env.turnover import discs_of, park_absent
 from dune_rl.errors import WorldError
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.seeding import stream
@@ -113,17 +113,31 @@ class EpisodeStart:
         starts, taken = self._place_robots(scene, world, seed, episode, request)
         avoid = np.array([position[:2] for poses in starts for position, _ in poses]).reshape(-1, 2)
         avoid = np.concatenate([avoid, self._place_roaming(scene, seed, episode, taken)])
-        draws = stream(seed, "actors", episode)
-        for index, group in enumerate(self._on_paths()):
-            assert isinstance(group.goals.source, PathGoals)
-            assert isinstance(group.body, KinematicBody)
-            if index:
-                draws = stream(seed, f"actors {group.name}", episode)
-            group.body.place(scene, group.goals.source.follower.reset(scene, draws, avoid))
-            park_absent(group, scene)
+        self._place_on_paths(scene, seed, episode, avoid)
         scenes.reset(scene, self.kinematic_poses()[scene])
         self._reset_contacts(scene, world, starts)
         scenes.settle(scene)
+
+    def _place_on_paths(self, scene: int, seed: int, episode: int, avoid: Array) -> None:
+        """Place the agents that start on paths, away from the points `avoid` (R, 2).
+
+        Those who steer start beside each other and beside those who are moved along their paths, who may
+        overlap.
+        """
+        numbered = list(enumerate(self._on_paths()))
+        discs = np.zeros((0, 3))
+        for index, group in sorted(numbered, key=lambda one: not one[1].setup.is_scripted):
+            assert isinstance(group.goals.source, PathGoals)
+            assert isinstance(group.body, KinematicBody)
+            draws = stream(seed, f"actors {group.name}" if index else "actors", episode)
+            follower = group.goals.source.follower
+            if isinstance(follower, TrajectoryFollower) or group.setup.is_scripted:
+                poses = follower.reset(scene, draws, avoid)
+            else:
+                poses = follower.reset_apart(scene, draws, avoid, discs, group.reach_m)
+            group.body.place(scene, poses)
+            park_absent(group, scene)
+            discs = np.concatenate([discs, discs_of(group, scene)])
 
     def _place_robots(
         self, scene: int, world: World, seed: int, episode: int, request: EpisodeRequest

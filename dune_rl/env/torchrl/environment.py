@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from dune_rl.bodies.turning_circle import TurningCircle
 from dune_rl.env.agent_group import AgentGroup, GroupStep
 from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.observation_layout import ObservationLayout
@@ -95,6 +96,15 @@ class DuneEnv(CopiedByReplay, EnvBase):
             group.name: self._simulation.metric_names(group.name)
             for group in self._groups
             if group.metric_names
+        }
+
+    @property
+    def turning_circles(self) -> dict[str, TurningCircle]:
+        """The tightest curves of the groups whose bodies cannot turn on the spot."""
+        return {
+            group.name: TurningCircle(group.body.turning_radius_m, group.body.rear_axle_m)
+            for group in self._groups
+            if group.body.turning_radius_m
         }
 
     # -- EnvBase interface ------------------------------------------------------------------------

@@ -1,0 +1,127 @@
+"""Actors that a cross-play tests robots among: options of `actors`, and those that runs trained."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from dune_rl.config.agents import AgentGroupConf
+from dune_rl.config.checks import validate
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose_environment
+from dune_rl.config.migration import migrated
+from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
+from dune_rl.config.schema import EnvConf
+from dune_rl.errors import ConfigError, DuneError
+from dune_rl.evaluation.policies import checkpoint_name
+from dune_rl.files import sha256_of
+from dune_rl.learning.checkpoint import (
+    LAST_POLICY_FILE,
+    POLICY_SOURCES,
+    find_checkpoint_file,
+    read_checkpoint_file,
+)
+from dune_rl.paths import conf_folder
+from dune_rl.robots.settings import RobotSettings
+
+OPTION, CHECKPOINT = "option", "checkpoint"
+# Of a run the last policy: its best is that of the robots, among which adversaries may do worst.
+_SOURCES = (LAST_POLICY_FILE, *POLICY_SOURCES)
+
+
+@dataclass(frozen=True)
+class ActorPopulation:
+    """Actors that robots are tested among: an option of `actors`, or those of a run, by its weights.
+
+    `kind` is "option" or "checkpoint". `groups` are the agent groups as plain data; `weights` is the file by
+    which they act, and `sha256` its checksum.
+    """
+
+    name: str
+    kind: str
+    location: str
+    weights: str | None
+    sha256: str | None
+    groups: Mapping[str, Any]
+
+    def plain(self) -> dict[str, Any]:
+        """What identifies it, as plain data: all but the settings of its groups."""
+        return {key: value for key, value in asdict(self).items() if key != "groups"}
+
+
+def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tuple[ActorPopulation, ...]:
+    """The populations that `conf` names; `ConfigError` names every one that is none."""
+    found, faults = [], []
+    for location in conf.populations:
+        try:
+            found.append(_population(location, config_dirs))
+        except DuneError as error:
+            faults.append(f"populations: {error}")
+    if faults:
+        raise ConfigError("\n".join(faults))
+    names = [one.name for one in found]
+    named = tuple(
+        one if names.count(one.name) == 1 else replace(one, name=one.location.strip("/").replace("/", "_"))
+        for one in found
+    )
+    # Each has a folder of its name.
+    names = [one.name for one in named]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"populations: {twice} is there twice; leave one of them out")
+    return named
+
+
+def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
+    options = [
+        file.stem
+        for folder in (conf_folder(), *map(Path, config_dirs))
+        for file in sorted((folder / "actors").glob("*.yaml"))
+    ]
+    if location in options:
+        option = compose_environment("flat", (), {"actors": location}, config_dirs=config_dirs).actors
+        external = [name for name, group in option.items() if group.controller == "external"]
+        if external:
+            raise ConfigError(
+                f"nobody drives {external[0]} of actors={location}; give a run that trained it in its place"
+            )
+        groups = {name: group.model_dump(mode="json") for name, group in option.items()}
+        return ActorPopulation(location, OPTION, location, None, None, groups)
+    path = Path(location)
+    if not path.exists():
+        raise ConfigError(
+            f"{location} is no option of actors ({', '.join(sorted(options))}), and no run or policy file"
+        )
+    file = find_checkpoint_file(path, *_SOURCES)
+    content = read_checkpoint_file(file, "policy", "checkpoint")
+    config = migrated(content["config"])
+    saved = {name: config[name] for name in EnvConf.model_fields if name in config}
+    actors = [one for one in validate(EnvConf, saved).groups if not isinstance(one.body, RobotSettings)]
+    if not any(one.is_external for one in actors):
+        trained = ", ".join(sorted(content["groups"]))
+        raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
+    return ActorPopulation(
+        checkpoint_name(path),
+        CHECKPOINT,
+        location,
+        str(file),
+        sha256_of(file),
+        {one.name: _plain(one, str(file)) for one in actors},
+    )
+
+
+def _plain(group: ResolvedGroup, weights: str) -> dict[str, Any]:
+    """A group of a run as plain data, which acts by the file `weights` where it learned in that run."""
+    values = {name: getattr(group, name) for name in AgentGroupConf.model_fields}
+    values |= {
+        "controller": {"checkpoint": weights} if group.is_external else group.controller,
+        # Its goals, and no rewards, which nobody reads.
+        "task": None if group.task is None else roaming_task(group.task),
+        "metrics": None,
+    }
+    return {
+        name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+        for name, value in values.items()
+    }
