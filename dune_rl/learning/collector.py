@@ -129,6 +129,9 @@ class TransitionCollector:
             for worker in range(conf.workers)
         ]
         kind = MultiAsyncCollector if conf.mode == "async" else MultiSyncCollector
+        if conf.mode == "sync":
+            # The scenes of all workers side by side.
+            common["cat_results"] = 0
         with _blocked_signals():
             self._collector = kind(factories, num_threads=threads, num_sub_threads=1, **common)
         self._watch = WorkerWatch(self._collector.procs)

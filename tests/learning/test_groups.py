@@ -183,3 +183,10 @@ def test_go_to_goal_brings_cars_to_goals_wherever_they_are() -> None:
     rows = evaluate(built_in_policy("go_to_goal", env), env, 8, seed=1)["car"]
     env.close()
     assert average_metrics(rows)["TR"] >= 0.75
+
+
+def test_two_workers_in_step_hand_over_the_scenes_of_both(tmp_path: Path) -> None:
+    conf = CollectorConf(mode="sync", workers=2, scenes=4, steps=8)
+    learning = small(learning_starts=64, warm_up="go_to_goal", hidden=(8,), collector=conf)
+    result = trainer(tmp_path / "run", learning, make_env=make_two_groups, total_frames=512).train()
+    assert result.frames == 512 and result.updates > 0

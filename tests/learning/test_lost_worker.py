@@ -37,7 +37,8 @@ def kill_a_worker_after(trained: Trainer, frames: int) -> None:
 
 @pytest.mark.parametrize("mode", ["async", "sync"])
 def test_a_killed_worker_ends_the_run_with_all_saved(mode: str, tmp_path: Path) -> None:
-    conf = small(collector=CollectorConf(mode=mode, workers=1, scenes=4, steps=4))
+    # Without a warm-up, which has no workers.
+    conf = small(learning_starts=0, collector=CollectorConf(mode=mode, workers=1, scenes=4, steps=4))
     endless = trainer(tmp_path / "run", conf, total_frames=10**9)
     kill_a_worker_after(endless, 256)
     before = signal.getsignal(signal.SIGURG)
