@@ -47,10 +47,11 @@ class WorkerWatch:
 
     def wait(self, action: Callable[[], T]) -> T:
         """The result of `action()`, which waits for the processes."""
+        # Before an interruption may come: one in the middle of it would lose the exit code.
+        self._check()
         try:
             try:
                 self._waits = True
-                self._check()
                 return action()
             finally:
                 self._waits = False
