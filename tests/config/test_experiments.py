@@ -18,9 +18,15 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 README = EXPERIMENTS.parent / "README.md"
 SPEED_PAGE = EXPERIMENTS.parent / "docs" / "concepts" / "speed.md"
 POLICIES = sorted(EXPERIMENTS.rglob("policy.pt"))
+# Of the study of actors one seed, and no robot among adversaries, who are there to keep it from its goals.
+DRIVING = [
+    file
+    for file in POLICIES
+    if file.parents[1].name != "actors" or file.parent.name in ("walkers_1", "social_1")
+]
 
 
-@pytest.mark.parametrize("file", POLICIES, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
+@pytest.mark.parametrize("file", DRIVING, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
 def test_the_weights_of_a_study_still_drive(file: Path) -> None:
     conf = compose_evaluation([f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
     env = make_learning_env(conf, 8, seed=3)

@@ -1,0 +1,56 @@
+"""The study of actors: its policies are those of the commands that its page gives."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from documents import commands
+
+from dune_rl.config.compose import compose
+from dune_rl.learning.checkpoint import read_checkpoint_file
+
+STUDY = Path(__file__).parents[2] / "experiments" / "actors"
+NAMES = ("walkers", "adversaries", "both", "social")
+# What the machine decides, and what is not in the settings of a run.
+_NOT_SET = ("device",)
+
+
+def train_words() -> dict[str, list[str]]:
+    """The words of the training commands of the page, by the name of their run, without its seed."""
+    found = {}
+    for line in commands(STUDY / "README.md"):
+        words = shlex.split(line)
+        if "dune_rl.train" in words:
+            folder = next(word for word in words if word.startswith("run_dir="))
+            name = folder.removeprefix("run_dir=runs/").removesuffix("_1")
+            found[name] = words[words.index("dune_rl.train") + 1 :]
+    return found
+
+
+def test_the_page_gives_the_command_of_every_policy() -> None:
+    assert tuple(train_words()) == NAMES
+    folders = {path.parent.name for path in STUDY.glob("*/policy.pt")}
+    assert folders == {f"{name}_{seed}" for name in NAMES for seed in (1, 2)}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_policy_was_trained_with_the_settings_of_its_command(
+    name: str, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(STUDY.parents[1])
+    words = [word.replace("_1", f"_{seed}") for word in train_words()[name]]
+    words = [f"seed={seed}" if word == "seed=1" else word for word in words]
+    expected = compose(words).model_dump(mode="json")
+    saved: dict[str, Any] = yaml.safe_load((STUDY / f"{name}_{seed}" / "config.yaml").read_text())
+    used = read_checkpoint_file(STUDY / f"{name}_{seed}" / "policy.pt", "policy")["config"]
+    for config in (saved, used):
+        # `auto` is stored as what it was.
+        assert config["learning"].pop("precision") in ("float32", "bfloat16")
+        learning = {**expected["learning"]}
+        learning.pop("precision")
+        assert config["learning"] == learning
+        rest = {key: value for key, value in expected.items() if key not in ("learning", *_NOT_SET)}
+        assert {key: config[key] for key in rest} == rest
