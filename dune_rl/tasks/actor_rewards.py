@@ -171,6 +171,7 @@ class RanIntoRobot:
 
     def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
         """All robots, of which an agent may touch any, and flags (R,) of those that count."""
+        # For its error alone: a group that is not there.
         robots_of(state, group, self._groups)
         names = [
             name

@@ -13,7 +13,7 @@ from dune_rl.learning.checkpoint import read_checkpoint_file
 
 STUDY = Path(__file__).parents[2] / "experiments" / "actors"
 NAMES = ("walkers", "adversaries", "both", "social")
-# What the machine decides, and what is not in the settings of a run.
+# What the machine decides.
 _NOT_SET = ("device",)
 
 
