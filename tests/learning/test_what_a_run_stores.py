@@ -5,6 +5,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+import torch
 from training import small, trainer
 
 from dune_rl.errors import DuneWarning
@@ -25,14 +26,14 @@ PUBLISHED = sorted(EXPERIMENTS.rglob("policy.pt"))
 
 
 @pytest.fixture(params=[True, False], ids=["with bfloat16", "without"])
-def has_bfloat16(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
-    """Whether this processor says that it has bfloat16."""
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: request.param)
+def has_fast_bfloat16(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Whether this processor says that it is fast at bfloat16."""
+    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: request.param)
     return bool(request.param)
 
 
-def test_automatic_precision_is_stored_as_what_was_used(has_bfloat16: bool, tmp_path: Path) -> None:
-    used = "bfloat16" if has_bfloat16 else "float32"
+def test_automatic_precision_is_stored_as_what_was_used(has_fast_bfloat16: bool, tmp_path: Path) -> None:
+    used = "bfloat16" if has_fast_bfloat16 else "float32"
     run = trainer(tmp_path / "run", small(precision="auto", hidden=(8,)), total_frames=256)
     assert run.config["learning"]["precision"] == used
     run.train()
@@ -41,23 +42,33 @@ def test_automatic_precision_is_stored_as_what_was_used(has_bfloat16: bool, tmp_
         assert saved["config"]["learning"]["precision"] == used
 
 
-def test_a_choice_of_the_user_stays(has_bfloat16: bool) -> None:
+@pytest.mark.parametrize(
+    ("instructions", "fast"), [(["avx512_bf16"], False), (["avx512_bf16", "amx_bf16"], True)]
+)
+def test_processors_without_matrix_tiles_are_not_fast_at_bfloat16(
+    instructions: list[str], fast: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: dict.fromkeys(instructions, True))
+    assert precision.has_fast_bfloat16("cpu") == fast
+
+
+def test_a_choice_of_the_user_stays(has_fast_bfloat16: bool) -> None:
     for chosen in ("float32", "bfloat16"):
         assert SacConf(precision=chosen).resolved("cpu").precision == chosen
 
 
 def test_going_on_with_another_precision_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     learning = small(precision="auto", hidden=(8,))
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: True)
     trainer(tmp_path / "run", learning, total_frames=256).train()
     resume = {"resume": tmp_path / "run", "total_frames": 384}
 
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
+    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: False)
     with pytest.warns(DuneWarning, match="goes on with learning.precision=float32; before, it was bfloat16"):
         trainer(tmp_path / "run", learning, **resume)._folder.release()
-    with pytest.warns(DuneWarning, match="bfloat16, which this processor has not built in"):
+    with pytest.warns(DuneWarning, match="bfloat16, at which this processor is slower"):
         trainer(tmp_path / "run", small(precision="bfloat16", hidden=(8,)), **resume)._folder.release()
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         trainer(tmp_path / "run", learning, **resume)._folder.release()

@@ -1,10 +1,14 @@
-"""Which precisions a processor has built in."""
+"""Which precisions a processor is fast at."""
 
 import torch
 
 
-def has_bfloat16(device: torch.device | str) -> bool:
-    """Whether `device` multiplies bfloat16 matrices itself, which halves the time of an update."""
+def has_fast_bfloat16(device: torch.device | str) -> bool:
+    """Whether an update is faster in bfloat16 than in float32 on `device`.
+
+    Of processors those with tile matrix multiplication (AMX) are. Vector instructions for bfloat16 alone
+    (AVX-512 BF16) gain less than the conversions take: an update of a rover took 52 ms instead of 38 ms.
+    """
     if torch.device(device).type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
+    return bool(torch.cpu.get_capabilities().get("amx_bf16", False))

@@ -46,7 +46,7 @@ class SacConf(LearningConf):
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto",
-        description="of the networks' products; auto: bfloat16 where the processor has it built in",
+        description="of the networks' products; auto: bfloat16 where the processor is faster at it",
     )
     replay: ReplayConf = ReplayConf()
 
@@ -54,7 +54,7 @@ class SacConf(LearningConf):
         """These settings with the `precision` that `auto` comes to on `device` of this machine."""
         if self.precision != "auto":
             return self
-        precision = "bfloat16" if _has_bfloat16(device) else "float32"
+        precision = "bfloat16" if _has_fast_bfloat16(device) else "float32"
         return self.model_copy(update={"precision": precision})
 
     def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
@@ -62,10 +62,10 @@ class SacConf(LearningConf):
         before = saved.get("precision", "auto")
         if before not in ("auto", self.precision):
             return [f"the run goes on with learning.precision={self.precision}; before, it was {before}"]
-        if self.precision == "bfloat16" and not _has_bfloat16(device):
+        if self.precision == "bfloat16" and not _has_fast_bfloat16(device):
             return [
-                "the run began with learning.precision=bfloat16, which this processor has not built in: "
-                "it goes on so, but slowly; learning.precision=auto or float32 changes it"
+                "the run began with learning.precision=bfloat16, at which this processor is slower than "
+                "at float32: it goes on so; learning.precision=auto or float32 changes it"
             ]
         return []
 
@@ -79,8 +79,8 @@ class SacConf(LearningConf):
         return self
 
 
-def _has_bfloat16(device: str) -> bool:
+def _has_fast_bfloat16(device: str) -> bool:
     # Imported here: the command lines import this module, and many of them do not need PyTorch.
-    from dune_rl.learning.sac.precision import has_bfloat16
+    from dune_rl.learning.sac.precision import has_fast_bfloat16
 
-    return has_bfloat16(device)
+    return has_fast_bfloat16(device)
