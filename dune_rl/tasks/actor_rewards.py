@@ -118,40 +118,31 @@ def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] =
     return np.where(present, progress, 0.0).reshape(-1)
 
 
-class RanIntoRobot:
-    """1 in a step in which a contact with a robot begins that the agent itself brought about.
+class _Approaches:
+    """Speeds at which agents and the robots nearest to them went at each other, of which contacts are judged.
 
-    It is `pushing` in each further step of a contact in which the agent goes on to move into the robot.
-
-    Of the two, the agent is the one that moves into the other if its speed towards the nearest robot exceeds
-    both `min_speed_mps` and the robot's speed towards the agent. Both are the larger of this step's and the
-    last one's, as a contact slows what moves. With `groups` it earns nothing where the nearest robot is of
-    none of them.
+    Both are the larger of this step's and the last one's, as a contact slows what moves.
     """
 
-    def __init__(
-        self,
-        num_rows: int,
-        *,
-        groups: tuple[str, ...] = (),
-        min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
-        pushing: Annotated[float, Field(ge=0.0)] = 0.1,
-    ) -> None:
-        self._groups, self._min_speed_mps, self._pushing = groups, min_speed_mps, pushing
+    def __init__(self, num_rows: int, groups: tuple[str, ...]) -> None:
+        self._groups = groups
         self._own = np.zeros((num_rows, 1))
         self._theirs = np.zeros((num_rows, 1))
 
-    def reset(self, mask: Flags, group: GroupState) -> None:
+    def reset(self, mask: Flags) -> None:
         """Nothing has moved in the episodes of the agents in `mask` (N,)."""
         self._own[mask] = 0.0
         self._theirs[mask] = 0.0
 
-    def __call__(self, state: State, group: GroupState) -> Array:
-        """Values (N,); to be called once a control step."""
+    def measure(self, state: State, group: GroupState) -> tuple[Array, Array, Flags] | None:
+        """Speeds (N,) [m/s] of the agents and of the nearest robots, and which agents touch one that counts.
+
+        None where nobody touches any robot; to be called once a control step.
+        """
         robots, counts = self._robots_of(state, group)
         rows, count = len(group.done), robots.active.shape[1]
         if not count:
-            return np.zeros(rows)
+            return None
         position = group.by_scene(group.motion.position_w[:, :2])
         towards, _ = _directions(robots.position_w[:, None] - position[:, :, None])
         velocity = group.by_scene(group.motion.velocity_w[:, :2])[:, :, None]
@@ -161,13 +152,10 @@ class RanIntoRobot:
         self._own, self._theirs = own, theirs
         touching = group.contacts.touching
         if not touching.any():
-            return np.zeros(rows)
+            return None
         nearest, _ = _nearest(position, robots._replace(active=np.ones_like(robots.active)))
         chosen = np.arange(rows), nearest.reshape(-1)
-        mine, theirs = most_own[chosen], most_theirs[chosen]
-        value = np.where(group.contacts.new > 0, 1.0, self._pushing)
-        touches = touching & counts[nearest.reshape(-1)]
-        return np.where(touches & (mine > theirs) & (mine > self._min_speed_mps), value, 0.0)
+        return most_own[chosen], most_theirs[chosen], touching & counts[nearest.reshape(-1)]
 
     def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
         """All robots, of which an agent may touch any, and flags (R,) of those that count."""
@@ -180,6 +168,73 @@ class RanIntoRobot:
         ]
         counts = [[not self._groups or name in self._groups] * state.groups[name].count for name in names]
         return robots_of(state, group, tuple(names)), np.array([one for each in counts for one in each], bool)
+
+
+class RanIntoRobot:
+    """1 in a step in which a contact with a robot begins that the agent itself brought about.
+
+    It is `pushing` in each further step of a contact in which the agent goes on to move into the robot.
+
+    Of the two, the agent is the one that moves into the other if its speed towards the nearest robot exceeds
+    both `min_speed_mps` and the robot's speed towards the agent, in this step or the last. With `groups` it
+    earns nothing where the nearest robot is of none of them.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        groups: tuple[str, ...] = (),
+        min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
+        pushing: Annotated[float, Field(ge=0.0)] = 0.1,
+    ) -> None:
+        self._approaches = _Approaches(num_rows, groups)
+        self._min_speed_mps, self._pushing = min_speed_mps, pushing
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has moved in the episodes of the agents in `mask` (N,)."""
+        self._approaches.reset(mask)
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Values (N,); to be called once a control step."""
+        measured = self._approaches.measure(state, group)
+        if measured is None:
+            return np.zeros(len(group.done))
+        mine, theirs, touches = measured
+        value = np.where(group.contacts.new > 0, 1.0, self._pushing)
+        return np.where(touches & (mine > theirs) & (mine > self._min_speed_mps), value, 0.0)
+
+
+class HitByRobot:
+    """1 in a step in which a contact with a robot begins that the robot alone brought about.
+
+    The robot did if its speed towards the agent exceeds `min_speed_mps` and the agent's towards it does not,
+    in this step and the last: the agent stood in its way, crossed it or walked ahead of it. With `groups` it
+    earns nothing where the nearest robot is of none of them.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        groups: tuple[str, ...] = (),
+        min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
+    ) -> None:
+        self._approaches, self._min_speed_mps = _Approaches(num_rows, groups), min_speed_mps
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has moved in the episodes of the agents in `mask` (N,)."""
+        self._approaches.reset(mask)
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Values (N,); to be called once a control step."""
+        measured = self._approaches.measure(state, group)
+        if measured is None:
+            return np.zeros(len(group.done))
+        mine, theirs, touches = measured
+        least = self._min_speed_mps
+        hit = touches & (group.contacts.new > 0) & (theirs > least) & (mine <= least)
+        return np.where(hit, 1.0, 0.0)
 
 
 def _directions(offset: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ _OWN_REWARDS = (
 _OWN_ACTOR_REWARDS = {
     "blocking": "blocking",
     "closing_in": "closing_in",
+    "hit_by_robot": "HitByRobot",
     "ran_into_robot": "RanIntoRobot",
     "robot_progress": "robot_progress",
 }

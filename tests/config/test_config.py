@@ -304,6 +304,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
                 "blocking": {"weight": 0.2, "ahead_m": 4.0, "width_m": 1.0},
                 "robot_progress": {"weight": -1.0},
                 "ran_into_robot": {"weight": -10.0, "min_speed_mps": 0.05, "pushing": 0.1},
+                "hit_by_robot": {"weight": 10.0, "min_speed_mps": 0.05},
             },
             "terminations": TO_AND_FRO,
         }

@@ -11,7 +11,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.errors import ConfigError
 from dune_rl.state import GroupState
 from dune_rl.tasks import rewards
-from dune_rl.tasks.actor_rewards import RanIntoRobot, blocking, closing_in, robot_progress
+from dune_rl.tasks.actor_rewards import HitByRobot, RanIntoRobot, blocking, closing_in, robot_progress
 from dune_rl.tasks.registry import REWARDS
 
 walkers = partial(agents, name="walker", kind="person", radius_m=0.25)
@@ -96,7 +96,7 @@ def test_groups_are_chosen_by_name_and_may_be_none() -> None:
     group = walkers(position=(2.0, 0.0, 0.0))
     assert value(robot_progress, group, ROBOT, scout) == pytest.approx([0.7])
     assert value(robot_progress, group, ROBOT, scout, groups=("rover",)) == pytest.approx([0.3])
-    for term in (blocking, closing_in, robot_progress, RanIntoRobot(1)):
+    for term in (blocking, closing_in, robot_progress, RanIntoRobot(1), HitByRobot(1)):
         assert value(term, group) == [0.0]
     with pytest.raises(ConfigError, match="no group 'dog' of agents; choose walker or rover"):
         value(blocking, group, ROBOT, groups=("dog",))
@@ -105,9 +105,11 @@ def test_groups_are_chosen_by_name_and_may_be_none() -> None:
 # -- who touched whom ------------------------------------------------------------------------------
 
 
-def collision(own: float, robot: float, *, in_its_step: tuple[float, float] = (0.0, 0.0)) -> float:
+def collision(
+    own: float, robot: float, *, in_its_step: tuple[float, float] = (0.0, 0.0), make_term=RanIntoRobot
+) -> float:
     """The term where a walker east of the robot went at it with `own` m/s, and the robot with `robot`."""
-    term = RanIntoRobot(1)
+    term = make_term(1)
     first = walkers(position=(0.6, 0.0, 0.0), velocity_w=(-own, 0.0, 0.0))
     term.reset(np.ones(1, bool), first)
     assert value(term, first, agents(velocity_w=(robot, 0.0, 0.0))) == [0.0]
@@ -125,6 +127,32 @@ def test_the_one_that_moved_into_the_other_is_charged() -> None:
     # What begins to move in the very step counts, and a robot that was stopped by the contact did move.
     assert collision(own=0.0, robot=0.0, in_its_step=(1.0, 0.0)) == 1.0
     assert collision(own=0.5, robot=0.8, in_its_step=(0.5, 0.0)) == 0.0
+
+
+def test_a_robot_that_alone_moved_into_the_actor_hit_it() -> None:
+    hit = partial(collision, make_term=HitByRobot)
+    assert hit(own=0.0, robot=0.3) == 1.0
+    # Across its way, or ahead of it.
+    assert hit(own=-0.5, robot=0.8) == 1.0
+    # Stopped by the contact.
+    assert hit(own=0.0, robot=0.8, in_its_step=(0.0, 0.0)) == 1.0
+    # Both went at each other, or neither; or the actor began to in the very step.
+    assert hit(own=0.3, robot=1.0) == 0.0
+    assert hit(own=0.0, robot=0.02) == 0.0
+    assert hit(own=0.0, robot=0.3, in_its_step=(0.3, 0.3)) == 0.0
+
+
+def test_a_hit_counts_once() -> None:
+    term = HitByRobot(1)
+    robot, touched = (
+        agents(velocity_w=(0.5, 0.0, 0.0)),
+        partial(walkers, position=(0.5, 0.0, 0.0), touching=True),
+    )
+    assert value(term, touched(new=1), robot) == [1.0]
+    assert value(term, touched(), robot) == [0.0]
+    assert value(
+        HitByRobot(1, groups=("leo",)), touched(new=1), robot, agents(name="leo", position=(8.0, 0.0, 0.0))
+    ) == [0.0]
 
 
 def test_who_goes_on_to_push_pays_in_each_step() -> None:
@@ -187,7 +215,7 @@ def test_a_near_miss_of_the_own_group_counts_if_told_so() -> None:
     [
         ("cooperative", ["progress", "near_miss", "goal", "contact"]),
         ("indifferent", ["progress", "goal"]),
-        ("adversarial", ["closing_in", "blocking", "robot_progress", "ran_into_robot"]),
+        ("adversarial", ["closing_in", "blocking", "robot_progress", "ran_into_robot", "hit_by_robot"]),
     ],
 )
 def test_the_tasks_are_options_of_external_actors(task: str, terms: list[str]) -> None:
