@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.behaviours.steering import SteeredBehaviour, draws_of, unit_vectors
+from dune_rl.behaviours.steering import SteeredBehaviour, draws_of
+from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state import GroupState, State
 from dune_rl.surroundings import EDGE_M
 

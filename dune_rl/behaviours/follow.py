@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.behaviours.ranges import Speed, Who
-from dune_rl.behaviours.steering import Array, SteeredBehaviour, nearest_of, unit_vectors
+from dune_rl.behaviours.steering import Array, SteeredBehaviour, nearest_of
+from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state import GroupState, State
 
 # Points of the trail, their spacing [m], and how near a follower has to come to one [m].

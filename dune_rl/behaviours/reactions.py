@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.behaviours.steering import nearest_of, unit_vectors
-from dune_rl.geometry.frames import wrap_angle
+from dune_rl.behaviours.steering import nearest_of
+from dune_rl.geometry.frames import unit_vectors, wrap_angle
 from dune_rl.state import GroupState, State
 
 Array = NDArray[np.float64]

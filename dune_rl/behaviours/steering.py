@@ -132,12 +132,6 @@ def draws_of(name: str, group: GroupState, row: int) -> np.random.Generator:
     return stream(episode.seed, name, int(episode.streams[row]), int(episode.steps[row]))
 
 
-def unit_vectors(offset: Array) -> tuple[Array, Array]:
-    """Directions (..., 2) of offsets (..., 2), zero for those of no length, and their lengths (...)."""
-    length = np.linalg.norm(offset, axis=-1)
-    return offset / np.where(length > 1e-9, length, np.inf)[..., None], length
-
-
 def nearest_of(state: State, group: GroupState, who: str) -> tuple[Array, Array, Array, Array]:
     """The nearest of the bodies called `who` to each agent of a group, but for itself.
 

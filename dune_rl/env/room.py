@@ -11,6 +11,7 @@ from dune_rl.bodies.settings import BodySettings
 from dune_rl.compiled import compile_function
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import query_grouped
+from dune_rl.surroundings import EDGE_M
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage, roof_height
 from dune_rl.worlds.world import World
@@ -18,8 +19,6 @@ from dune_rl.worlds.world import World
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Agents keep this far from the world's edge [m].
-_EDGE_M = 1.0
 _LEVEL, _ANY_DEPTH = 90.0, 100.0
 # Headings that `Room.headings_with_way` tries, relative to those drawn [rad], and points on the way of each.
 _TURNS = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 120.0, -120.0, 150.0, -150.0, 180.0])
@@ -36,7 +35,7 @@ class Room:
     def __init__(self, conf: BodySettings, worlds: BatchedWorlds, count: int) -> None:
         self._worlds, self._count = worlds, count
         self._along, self._radius_m = conf.discs_b()
-        self._edge_m = max(_EDGE_M, self._radius_m)
+        self._edge_m = max(EDGE_M, self._radius_m)
         self._limits = ground_limits(conf)
         self._clearance = _clearance_of(conf)
         self._checks: list[Callable[[Array, Array], Array]] = [self._within_edges]

@@ -26,6 +26,12 @@ def clip(value: Array, low: Array | float, high: Array | float) -> Array:
     return np.minimum(np.maximum(value, low), high)
 
 
+def unit_vectors(offset: Array) -> tuple[Array, Array]:
+    """Directions (..., 2) of offsets (..., 2), zero for those of no length, and their lengths (...)."""
+    length = np.linalg.norm(offset, axis=-1)
+    return offset / np.where(length > 1e-9, length, np.inf)[..., None], length
+
+
 def rotation_matrices(quaternion: Array) -> Array:
     """Body-to-world rotation, shape (..., 3, 3), of unit quaternions xyzw, shape (..., 4)."""
     quaternion = np.ascontiguousarray(quaternion, np.float64)

@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.errors import ConfigError
+from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state import Array, Flags, GroupState, State
 from dune_rl.suggestions import one_of
 
 Metres = Annotated[float, Field(gt=0.0)]
-_NEAREST_M = 1e-6
 
 
 class Robots(NamedTuple):
@@ -72,12 +72,12 @@ def closing_in(
     robots = robots_of(state, group, groups)
     if not robots.active.shape[1]:
         return np.zeros(len(group.done))
-    along, length = _directions(robots.goal_w - robots.position_w)
+    along, length = unit_vectors(robots.goal_w - robots.position_w)
     places = robots.position_w + np.minimum(length, ahead_m)[..., None] * along
     own = group.by_scene(group.motion.position_w[:, :2])
     nearest, present = _nearest(own, robots)
     place = np.take_along_axis(places, nearest[..., None], axis=1)
-    towards, _ = _directions(place - own)
+    towards, _ = unit_vectors(place - own)
     velocity = group.by_scene(group.motion.velocity_w[:, :2])
     moved = (velocity * towards).sum(axis=-1) * group.episode.step_s
     return np.where(present, moved, 0.0).reshape(-1)
@@ -98,7 +98,7 @@ def blocking(
     robots = robots_of(state, group, groups)
     if not robots.active.shape[1]:
         return np.zeros(len(group.done))
-    along, length = _directions(robots.goal_w - robots.position_w)
+    along, length = unit_vectors(robots.goal_w - robots.position_w)
     offset = group.by_scene(group.motion.position_w[:, :2])[:, :, None] - robots.position_w[:, None]
     ahead = (offset * along[:, None]).sum(axis=-1)
     beside = np.abs(offset[..., 0] * along[:, None, :, 1] - offset[..., 1] * along[:, None, :, 0])
@@ -144,7 +144,7 @@ class _Approaches:
         if not count:
             return None
         position = group.by_scene(group.motion.position_w[:, :2])
-        towards, _ = _directions(robots.position_w[:, None] - position[:, :, None])
+        towards, _ = unit_vectors(robots.position_w[:, None] - position[:, :, None])
         velocity = group.by_scene(group.motion.velocity_w[:, :2])[:, :, None]
         own = (velocity * towards).sum(axis=-1).reshape(rows, count)
         theirs = -(robots.velocity_w[:, None] * towards).sum(axis=-1).reshape(rows, count)
@@ -235,12 +235,6 @@ class HitByRobot:
         least = self._min_speed_mps
         hit = touches & (group.contacts.new > 0) & (theirs > least) & (mine <= least)
         return np.where(hit, 1.0, 0.0)
-
-
-def _directions(offset: Array) -> tuple[Array, Array]:
-    """Unit vectors (..., 2) of offsets (..., 2), zero for those without length, and the lengths (...)."""
-    length = np.hypot(offset[..., 0], offset[..., 1])
-    return offset / np.maximum(length, _NEAREST_M)[..., None], length
 
 
 def _nearest(own: Array, robots: Robots) -> tuple[np.ndarray, Flags]:
