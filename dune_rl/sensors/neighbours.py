@@ -10,37 +10,46 @@ from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
 
-_VALUES = 7
+# Of each neighbour, without and with the goals of robots.
+_VALUES, _VALUES_WITH_GOAL = 7, 9
 
 
 class NeighboursConf(Settings):
-    """How many agents are listed, and which groups are looked at; none named: all, the own one included."""
+    """How many agents are listed, and which groups are looked at; none named: all, the own one included.
+
+    With `goals` it is known where robots are going.
+    """
 
     number: int = Field(4, ge=1, le=64, description="agents listed, the nearest first")
     range_m: float = Field(10.0, gt=0.0, le=1_000.0, description="who is farther is not listed [m]")
     groups: tuple[str, ...] = ()
+    goals: bool = False
 
 
 class Neighbours:
-    """The reading `name`, (N, 7 k), of the k nearest other agents within `range_m`, the nearest first.
+    """The reading `name`, of the k nearest other agents within `range_m`, the nearest first.
 
-    Of each it has 1 for present, the place forward and to the left of the own origin [m], the velocity
-    relative to the own, forward and left [m/s], each component at most `max_closing_mps` either way, the
-    radius in plan view [m], and 1 for a robot. Directions are in the frame of the own heading, distances
-    horizontal, from origin to origin. Where there are fewer agents, the rest is 0.
+    It is (N, 7 k), or (N, 9 k) with `goals`. Of each agent it has 1 for present, the place forward and to the
+    left of the own origin [m], the velocity relative to the own, forward and left [m/s], each component at
+    most `max_closing_mps` either way, the radius in plan view [m], and 1 for a robot. With `goals` there
+    follows the place of a robot's goal, forward and left [m], each component at most `range_m` either way,
+    and 0 for others. Directions are in the frame of the own heading, distances horizontal, from origin to
+    origin. Where there are fewer agents, the rest is 0.
     """
 
     def __init__(
         self, conf: NeighboursConf, num_rows: int, max_closing_mps: float, name: str = "neighbours"
     ) -> None:
         self._conf, self._name, self._max_closing_mps = conf, name, max_closing_mps
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, conf.number * _VALUES), np.float32)
+        self._values = _VALUES_WITH_GOAL if conf.goals else _VALUES
+        self._reading: NDArray[np.float32] = np.zeros((num_rows, conf.number * self._values), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Places within the range, closing speeds, and radii up to the range."""
         far, fast = self._conf.range_m, self._max_closing_mps
-        low = np.tile([0.0, -far, -far, -fast, -fast, 0.0, 0.0], self._conf.number)
-        high = np.tile([1.0, far, far, fast, fast, far, 1.0], self._conf.number)
+        goal = [far] * (self._values - _VALUES)
+        low = np.tile([0.0, -far, -far, -fast, -fast, 0.0, 0.0, *np.negative(goal)], self._conf.number)
+        high = np.tile([1.0, far, far, fast, fast, far, 1.0, *goal], self._conf.number)
         return {self._name: (low.astype(np.float32), high.astype(np.float32))}
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
@@ -51,16 +60,21 @@ class Neighbours:
         """List the agents of each row."""
         others = find_others(self._conf.groups or tuple(state.groups), now, state)
         number = min(self._conf.number, others.present.shape[1])
-        reading = np.zeros((len(self._reading), self._conf.number, _VALUES))
-        offset = others.position_w - now.motion.position_w[:, None, :2]
+        reading = np.zeros((len(self._reading), self._conf.number, self._values))
+        own = now.motion.position_w[:, None, :2]
+        offset = others.position_w - own
         distance = np.where(others.present, np.hypot(offset[..., 0], offset[..., 1]), np.inf)
         # Stable: equally far agents are listed in the order of their groups on every machine.
         nearest = np.argsort(distance, axis=1, kind="stable")[:, :number]
         seen = np.take_along_axis(distance, nearest, axis=1) <= self._conf.range_m
         closing = others.velocity_w - now.motion.velocity_w[:, None, :2]
         cos, sin = np.cos(now.motion.yaw)[:, None], np.sin(now.motion.yaw)[:, None]
-        limits = self._conf.range_m, self._max_closing_mps
-        for first, vectors, limit in zip((1, 3), (offset, closing), limits, strict=True):
+        far = self._conf.range_m
+        listed = [(1, offset, far), (3, closing, self._max_closing_mps)]
+        if self._conf.goals:
+            to_goal = np.where(others.is_robot[:, None], others.goal_w - own, 0.0)
+            listed.append((_VALUES, to_goal, far))
+        for first, vectors, limit in listed:
             x, y = (np.take_along_axis(vectors[..., axis], nearest, axis=1) for axis in (0, 1))
             reading[:, :number, first] = clip(cos * x + sin * y, -limit, limit)
             reading[:, :number, first + 1] = clip(cos * y - sin * x, -limit, limit)

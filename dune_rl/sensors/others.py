@@ -13,12 +13,13 @@ from dune_rl.state import GroupState, State
 class Others:
     """The A agents of the groups that are looked at, for each of N rows.
 
-    `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
-    itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
+    `position_w`, `velocity_w` and `goal_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking
+    agent itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
     """
 
     position_w: Array
     velocity_w: Array
+    goal_w: Array
     present: Flags
     radius_m: Array
     is_robot: Flags
@@ -27,13 +28,18 @@ class Others:
 def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
     """The agents of the groups `names` in the scene of each agent of the group `now`."""
     rows = len(now.motion.position_w)
-    positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
+    positions, velocities, goals = ([np.zeros((rows, 0, 2))] for _ in range(3))
     present, radii, robots = [np.zeros((rows, 0), bool)], [np.zeros(0)], [np.zeros(0, bool)]
     for name in names:
         other = state.groups[name]
         if name == now.name and other.count == 1:
             continue
-        for values, found in ((other.motion.position_w, positions), (other.motion.velocity_w, velocities)):
+        motion, goal = other.motion, other.goal
+        for values, found in (
+            (motion.position_w, positions),
+            (motion.velocity_w, velocities),
+            (goal.position_w, goals),
+        ):
             found.append(np.repeat(other.by_scene(values[:, :2]), now.count, axis=0))
         itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
         there = np.tile(~itself, (rows // len(itself), 1))
@@ -45,6 +51,7 @@ def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
     return Others(
         np.concatenate(positions, axis=1),
         np.concatenate(velocities, axis=1),
+        np.concatenate(goals, axis=1),
         np.concatenate(present, axis=1),
         np.concatenate(radii),
         np.concatenate(robots),

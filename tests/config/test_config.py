@@ -163,6 +163,10 @@ ACTOR_SENSORS = SensorsConf.model_validate(
         "lidar": {"n_beams": 36, "n_segments": 12, "range_m": 6.0},
     }
 )
+NEIGHBOURS_AND_GOALS = {"sensor": "neighbours", "number": 4, "range_m": 10.0, "goals": True}
+ADVERSARY_SENSORS = ACTOR_SENSORS.model_copy(
+    update={"named": {**ACTOR_SENSORS.named, "neighbours": SENSORS.parse(NEIGHBOURS_AND_GOALS)}}
+)
 ARRIVAL = {"term": "ended_by", "termination": "goal_reached", "weight": 2.0}
 TO_AND_FRO = {"goal_reached": {"distance_m": 0.5, "renew": True}}
 COOPERATIVE = TaskConf.model_validate(
@@ -292,6 +296,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ),
     ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),
     ("sensors", "actor"): ACTOR_SENSORS,
+    ("sensors", "adversary"): ADVERSARY_SENSORS,
     ("task", "walking"): walking_task(),
     ("task", "cooperative"): COOPERATIVE,
     ("task", "indifferent"): TaskConf.model_validate(
@@ -301,9 +306,9 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         {
             "rewards": {
                 "closing_in": {"weight": 0.5, "ahead_m": 2.0},
-                "blocking": {"weight": 0.2, "ahead_m": 4.0, "width_m": 1.0},
-                "robot_progress": {"weight": -1.0},
-                "ran_into_robot": {"weight": -10.0, "min_speed_mps": 0.05, "pushing": 0.1},
+                "blocking": {"weight": 0.1, "ahead_m": 2.5, "width_m": 1.0},
+                "robot_progress": {"weight": -3.0},
+                "ran_into_robot": {"weight": -5.0, "min_speed_mps": 0.05, "pushing": 0.1},
                 "hit_by_robot": {"weight": 10.0, "min_speed_mps": 0.05},
             },
             "terminations": TO_AND_FRO,

@@ -21,14 +21,14 @@ def placed(
 
 
 def read(conf: NeighboursConf, now: GroupState, *others: GroupState, fastest: float = 5.0) -> np.ndarray:
-    """The list (N, k, 7), which is checked against its bounds."""
+    """The list (N, k, 7) or (N, k, 9), which is checked against its bounds."""
     sensor = Neighbours(conf, len(now.done), fastest)
     sensor.measure(now, state_of(now, *others))
     reading = sensor.read()["neighbours"]
     low, high = sensor.bounds()["neighbours"]
     assert reading.shape == (len(now.done), *low.shape) and reading.dtype == low.dtype == np.float32
     assert (low <= reading).all() and (reading <= high).all()
-    return reading.reshape(len(reading), conf.number, 7)
+    return reading.reshape(len(reading), conf.number, -1)
 
 
 def test_the_nearest_come_first_in_the_frame_of_the_own_heading() -> None:
@@ -51,6 +51,19 @@ def test_the_own_group_is_listed_without_oneself() -> None:
     other = placed("rover", [(3.0, 0.0), (3.0, 0.0)])
     only = read(NeighboursConf(number=1, groups=("rover",)), team, other)
     np.testing.assert_allclose(only[:, 0, 1], [3, 2, -2, 3, -4, -5])
+
+
+def test_goals_are_those_of_robots_alone() -> None:
+    # The agent faces north at (1, 0); the robot's goal is 3 m north and 2 m west of it.
+    here = placed("walker", [(1.0, 0.0)], yaw=np.pi / 2, kind="person")
+    robot, other = placed("rover", [(1.0, 1.0)]), placed("cow", [(1.0, 2.0)], kind="cow")
+    goals = [replace(each.goal, position_w=np.array([[-1.0, y]])) for each, y in ((robot, 3.0), (other, 5.0))]
+    robot, other = replace(robot, goal=goals[0]), replace(other, goal=goals[1])
+    (found,) = read(NeighboursConf(number=3, range_m=10.0, goals=True), here, robot, other)
+    np.testing.assert_allclose(found[:, 7:], [[3.0, 2.0], [0.0, 0.0], [0.0, 0.0]], atol=1e-6)
+    np.testing.assert_array_equal(found[:, :7], read(NeighboursConf(number=3), here, robot, other)[0])
+    (near,) = read(NeighboursConf(number=1, range_m=2.5, goals=True), here, robot)
+    np.testing.assert_allclose(near[0, 7:], [2.5, 2.0], atol=1e-6)
 
 
 def test_relative_velocities_are_limited() -> None:
