@@ -153,20 +153,22 @@ VORT_METRICS: dict[str, Any] = {
     "uneven_10": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 10.0},
     "uneven_15": {"term": "time_on_uneven", "reduce": "sum", "uneven_tilt_deg": 15.0},
 }
-ACTOR_SENSORS = SensorsConf.model_validate(
-    {
-        "enabled": ["goal", "neighbours", "lidar", "velocity"],
-        "named": {
-            "neighbours": {"sensor": "neighbours", "number": 4, "range_m": 10.0},
-            "velocity": {"sensor": "planar_velocity"},
-        },
-        "lidar": {"n_beams": 36, "n_segments": 12, "range_m": 6.0},
-    }
-)
-NEIGHBOURS_AND_GOALS = {"sensor": "neighbours", "number": 4, "range_m": 10.0, "goals": True}
-ADVERSARY_SENSORS = ACTOR_SENSORS.model_copy(
-    update={"named": {**ACTOR_SENSORS.named, "neighbours": SENSORS.parse(NEIGHBOURS_AND_GOALS)}}
-)
+
+
+def actor_sensors(**neighbours: bool) -> SensorsConf:
+    """What actors that learn observe."""
+    return SensorsConf.model_validate(
+        {
+            "enabled": ["goal", "neighbours", "lidar", "velocity"],
+            "named": {
+                "neighbours": {"sensor": "neighbours", "number": 4, "range_m": 10.0, **neighbours},
+                "velocity": {"sensor": "planar_velocity"},
+            },
+            "lidar": {"n_beams": 36, "n_segments": 12, "range_m": 6.0},
+        }
+    )
+
+
 ARRIVAL = {"term": "ended_by", "termination": "goal_reached", "weight": 2.0}
 TO_AND_FRO = {"goal_reached": {"distance_m": 0.5, "renew": True}}
 COOPERATIVE = TaskConf.model_validate(
@@ -232,7 +234,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     },
     ("actors", "learning_walkers"): {
         "walker": WALKERS.model_copy(
-            update={"controller": "external", "count": 4, "sensors": ACTOR_SENSORS, "task": COOPERATIVE}
+            update={"controller": "external", "count": 4, "sensors": actor_sensors(), "task": COOPERATIVE}
         )
     },
     ("actors", "orca"): {"walker": people({"name": "orca"}, 8, 1.5)},
@@ -295,8 +297,8 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         },
     ),
     ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),
-    ("sensors", "actor"): ACTOR_SENSORS,
-    ("sensors", "adversary"): ADVERSARY_SENSORS,
+    ("sensors", "actor"): actor_sensors(),
+    ("sensors", "adversary"): actor_sensors(goals=True),
     ("task", "walking"): walking_task(),
     ("task", "cooperative"): COOPERATIVE,
     ("task", "indifferent"): TaskConf.model_validate(
