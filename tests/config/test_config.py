@@ -307,7 +307,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("task", "adversarial"): TaskConf.model_validate(
         {
             "rewards": {
-                "closing_in": {"weight": 3.0, "ahead_m": 1.2},
+                "closing_in": {"weight": 3.0, "ahead_m": 1.0},
                 "blocking": {"weight": 0.3, "ahead_m": 2.5, "width_m": 1.0},
                 "robot_progress": {"weight": -1.0},
                 "ran_into_robot": {"weight": -5.0, "min_speed_mps": 0.05, "pushing": 0.1},
