@@ -55,7 +55,7 @@ _PLAIN_METRICS: dict[str, tuple[str, str]] = {
 _SUMS: dict[str, tuple[str, str]] = {
     "duration": ("s", "time of the episode"),
     "risk_seconds": ("s", "time near agents of the chosen groups, weighted by nearness"),
-    "seconds_at_risk": ("s", "time within the distance of risk, weighted by closeness"),
+    "seconds_at_risk": ("s", "time within the distance of risk"),
     "dune_code_successes": ("", "attempts that reach the goal, of those that the published code counts"),
     "dune_code_attempts": ("", "attempts that the published code counts"),
     "dune_code_goal_time": ("s", "sum of the times of attempts that reach the goal"),

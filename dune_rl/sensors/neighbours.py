@@ -32,9 +32,9 @@ class Neighbours:
     It is (N, 7 k), or (N, 9 k) with `goals`. Of each agent it has 1 for present, the place forward and to the
     left of the own origin [m], the velocity relative to the own, forward and left [m/s], each component at
     most `max_closing_mps` either way, the radius in plan view [m], and 1 for a robot. With `goals` there
-    follows the place of a robot's goal, forward and left [m], each component at most `range_m` either way,
-    and 0 for others. Directions are in the frame of the own heading, distances horizontal, from origin to
-    origin. Where there are fewer agents, the rest is 0.
+    follows the place of a robot's goal, forward and left [m], and 0 for others; each component is at most
+    `range_m` either way, which bends the direction to goals farther away. Directions are in the frame of the
+    own heading, distances horizontal, from origin to origin. Where there are fewer agents, the rest is 0.
     """
 
     def __init__(

@@ -206,10 +206,11 @@ class RanIntoRobot:
 
 
 class HitByRobot:
-    """1 in a step in which a contact with a robot begins that the robot alone brought about.
+    """1 in a step in which a contact with a robot begins in which the robot alone moved into the other.
 
     The robot did if its speed towards the agent exceeds `min_speed_mps` and the agent's towards it does not,
-    in this step and the last: the agent stood in its way, crossed it or walked ahead of it. With `groups` it
+    in this step and the last: the agent stood in its way, crossed it or walked ahead of it, even if it had
+    darted there just before. With `groups` it
     earns nothing where the nearest robot is of none of them.
     """
 
