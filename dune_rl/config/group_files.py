@@ -111,10 +111,12 @@ def _policy_faults(conf: EnvConf) -> Iterator[str]:
     if not isinstance(conf, Conf):
         return
     for group in conf.external_groups:
-        location = conf.learning.frozen(group.name)
+        location, setting = conf.learning.frozen(group.name), f"learning.groups.{group.name}.frozen"
+        if location is None:
+            setting, location = conf.learning.start_of(group.name)
         fault = "" if location is None else _why_not_played(location, group.name, "Call the group")
         if fault:
-            yield f"learning.groups.{group.name}.frozen: {fault}"
+            yield f"{setting}: {fault}"
 
 
 def _why_not_played(location: str, group: str, remedy: str, *, by_name: bool = False) -> str:

@@ -110,6 +110,10 @@ class Algorithm(ABC):
         self.policy.network.load_state_dict(state["policy"])
         self.updates = state["updates"]
 
+    def start_from(self, saved: Mapping[str, Any]) -> None:
+        """Begin with the weights of an earlier run's learner: its `state_dict`, or its policy's alone."""
+        self.policy.network.load_state_dict(saved["policy"])
+
     def save_experience(self, path: Path) -> dict[str, Any] | None:
         """Write collected data that is too large for the checkpoint to a file: `path` with a suffix.
 

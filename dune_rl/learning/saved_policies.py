@@ -113,7 +113,7 @@ def read_saved_policy(path: Path, group: str, here: PolicySpec) -> SavedPolicy:
 def _saved_policy(
     content: Mapping[str, Any], file: Path, group: str, here: PolicySpec, allow_more: bool
 ) -> SavedPolicy:
-    entry = _entry(content["groups"], file, group)
+    entry = saved_entry(content["groups"], file, group)
     spec = PolicySpec.from_plain(entry["spec"])
     spec.require(here.only(spec.keys) if allow_more else here, str(file))
     algorithm_class(entry["algorithm"], str(file))
@@ -134,7 +134,11 @@ def _group_policy(
     return GroupPolicy(group, saved.spec, saved.make_network())
 
 
-def _entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, Any]:
+def saved_entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, Any]:
+    """What the `groups` of a file have for `group`; raises CheckpointError where that is nothing.
+
+    One group alone serves one of any name.
+    """
     if group in groups:
         entry: Mapping[str, Any] = groups[group]
         return entry

@@ -74,6 +74,9 @@ class LearningConf(Settings):
     """
 
     name: str
+    start_from: str | None = Field(
+        None, min_length=1, description="run or policy whose weights to begin with; null: random ones"
+    )
     threads: int | None = Field(
         None, ge=1, description="of the learners; null: 1 if serial, else the cores left over, up to 4"
     )
@@ -98,6 +101,14 @@ class LearningConf(Settings):
         """Where the policy is that `group` acts by without learning; None for a group that learns."""
         found: str | None = self.groups.get(group, {}).get(FROZEN)
         return found
+
+    def start_of(self, group: str) -> tuple[str, str | None]:
+        """The setting by which the learner of `group` starts from an earlier run, and where that is."""
+        if self.frozen(group) is not None:
+            return "", None
+        own = self.groups.get(group, {})
+        setting = f"learning.groups.{group}.start_from" if "start_from" in own else "learning.start_from"
+        return setting, self.of_group(group).start_from
 
     def changes_of(self, group: str) -> dict[str, Any]:
         """All settings of the learner of `group`, as plain data, which need not be valid."""

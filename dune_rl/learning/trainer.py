@@ -18,6 +18,7 @@ from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures
+from dune_rl.learning.fine_tuning import start_learners
 from dune_rl.learning.group_batch import select_group
 from dune_rl.learning.interrupts import StopRequest, stop_on_signals
 from dune_rl.learning.measures import MetricsRow
@@ -113,7 +114,9 @@ class Trainer:
         self._next_save = learning.checkpoint.every_frames
         self._warmup = WarmUp(self._learners)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
-        if self._saved is not None and source is not None:
+        if self._saved is None:
+            start_learners(self._learners, learning)
+        elif source is not None:
             restore_learners(self._learners, self._saved["groups"], source)
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]

@@ -72,6 +72,7 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
         "+world=flat",
         "+experiment=multi_agent",
         f"learning.groups.walker.frozen={tmp_path / 'a.pt'}",
+        f"learning.start_from={tmp_path / 'c.pt'}",
         f"+actors.foe={{body: person, controller: {{checkpoint: {tmp_path / 'b.pt'}}}}}",
     ]
     with pytest.raises(CheckpointError) as error:
@@ -79,6 +80,7 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
     said = [line for line in str(error.value).splitlines() if "There is no" in line]
     assert said == [
         f"actors.foe.controller.checkpoint: There is no {tmp_path / 'b.pt'}.",
+        f"learning.start_from: There is no {tmp_path / 'c.pt'}.",
         f"learning.groups.walker.frozen: There is no {tmp_path / 'a.pt'}.",
     ]
     check_group_files(compose(["+world=flat", "+experiment=multi_agent"]))

@@ -103,17 +103,21 @@ def restore_learners(
         )
     for group, learner in learners.items():
         entry = saved[group]
-        _check(learner, entry, source)
+        require_same_networks(learner, entry, source, "Resume with")
         learner.load_state_dict(entry["learner"])
         if entry["experience"] is not None:
             learner.load_experience(source.parent, entry["experience"])
 
 
-def _check(learner: Algorithm, entry: Mapping[str, Any], source: Path) -> None:
+def require_same_networks(learner: Algorithm, entry: Mapping[str, Any], source: Path, remedy: str) -> None:
+    """Raise CheckpointError unless a group's `entry` in the file `source` has the learner's networks.
+
+    `remedy` are the first words of what to do.
+    """
     context = learner.context
     if entry["algorithm"] != context.algorithm:
         raise CheckpointError(
-            f"{source} was trained with {entry['algorithm']}. Resume with learning={entry['algorithm']}, "
+            f"{source} was trained with {entry['algorithm']}. {remedy} learning={entry['algorithm']}, "
             "or train again."
         )
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
@@ -121,5 +125,5 @@ def _check(learner: Algorithm, entry: Mapping[str, Any], source: Path) -> None:
     different = [f"learning.{key}={value}" for key, value in theirs.items() if value != ours.get(key)]
     if different:
         raise CheckpointError(
-            f"{source} has networks of another shape. Resume with {' '.join(different)}, or train again."
+            f"{source} has networks of another shape. {remedy} {' '.join(different)}, or train again."
         )

@@ -113,7 +113,11 @@ class GradientStep:
             "optimiser": self.optimiser.state_dict(),
         }
 
+    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
+        """Take the parameters of the loss, targets included, as `state_dict` has them under "loss"."""
+        self.loss.load_state_dict({**self.loss.state_dict(), **weights})
+
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """The inverse of `state_dict`."""
-        self.loss.load_state_dict({**self.loss.state_dict(), **state["loss"]})
+        self.load_weights(state["loss"])
         self.optimiser.load_state_dict(state["optimiser"])

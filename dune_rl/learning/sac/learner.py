@@ -97,8 +97,8 @@ class Sac(Algorithm):
 
     @property
     def warmup_frames(self) -> int:
-        """Frames before the first update."""
-        return self._conf.learning_starts
+        """Frames before the first update in which another than the policy acts."""
+        return 0 if self._conf.warm_up == "policy" else self._conf.learning_starts
 
     def warmup_policy(self) -> TensorDictModuleBase | None:
         """A noisy `go_to_goal`, or None for random actions; raises ConfigError where it cannot act."""
@@ -117,6 +117,12 @@ class Sac(Algorithm):
         super().load_state_dict(state)
         self._step.load_state_dict(state)
         self._updates_due = state["updates_due"]
+
+    def start_from(self, saved: Mapping[str, Any]) -> None:
+        """Begin with the policy, and if it is there with the critics and the entropy coefficient."""
+        super().start_from(saved)
+        if "loss" in saved:
+            self._step.load_weights(saved["loss"])
 
     def save_experience(self, path: Path) -> dict[str, Any] | None:
         """Write the replay buffer to `path`.npy; raises CheckpointError where that fails."""

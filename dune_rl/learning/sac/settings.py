@@ -26,7 +26,9 @@ class SacConf(LearningConf):
         3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
     )
     learning_starts: int = Field(50_000, ge=0, description="frames before the first update")
-    warm_up: Literal["random", "go_to_goal"] = Field("go_to_goal", description="who acts in them")
+    warm_up: Literal["random", "go_to_goal", "policy"] = Field(
+        "go_to_goal", description="who acts in them; policy: what the run starts from, with its noise"
+    )
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)

@@ -1,0 +1,97 @@
+"""Trainings that start from what an earlier run learned."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from point_mass import make_point_mass, make_two_groups
+from training import small, trainer, weights
+
+from dune_rl.errors import CheckpointError
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE
+from dune_rl.learning.fine_tuning import start_learners
+from dune_rl.learning.settings import EvaluationConf
+from dune_rl.learning.trainer import Trainer
+
+FEW = EvaluationConf(every_frames=10_000, episodes=2, scenes=2)
+SHORT = small(hidden=(8,), learning_starts=128, evaluation=FEW)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    """A short run of a point mass."""
+    run = tmp_path_factory.mktemp("runs") / "source"
+    trainer(run, SHORT, total_frames=384).train()
+    return run
+
+
+def begun(folder: Path, start_from: Path | str, **changes: object) -> Trainer:
+    """A run that starts from another, before its first frame."""
+    learning = SHORT.model_copy(update={"start_from": str(start_from), **changes})
+    made = trainer(folder, learning, total_frames=384)
+    made._log.close()
+    made._folder.release()
+    return made
+
+
+def learned(made: Trainer) -> dict[str, torch.Tensor]:
+    """The weights of a learner: those of its policy, and those of its critics and entropy coefficient."""
+    state = made._learners["rover"].state_dict()
+    return {**state["policy"], **state["loss"]}
+
+
+def test_a_run_starts_with_policy_and_critics_of_the_last_checkpoint(source: Path, tmp_path: Path) -> None:
+    made = begun(tmp_path / "run", source)
+    found, saved = learned(made), weights(source)
+    assert found.keys() <= {key.removeprefix("rover.") for key in saved}
+    assert all(torch.equal(value, saved[f"rover.{key}"]) for key, value in found.items())
+    assert made.frames == 0 and made.updates == 0
+
+
+def test_a_policys_file_leaves_the_critics_new(source: Path, tmp_path: Path) -> None:
+    scratch, made = begun(tmp_path / "a", source / LAST_POLICY_FILE), trainer(tmp_path / "b", SHORT)
+    policy = made._learners["rover"].state_dict()["policy"]
+    found, saved = learned(scratch), weights(source)
+    different = {key for key, value in found.items() if not torch.equal(value, saved[f"rover.{key}"])}
+    assert different and not different & policy.keys()
+    made._log.close()
+    made._folder.release()
+
+
+def test_it_learns_on_and_is_resumed_without_its_source(source: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / CHECKPOINT_FILE).write_bytes((source / CHECKPOINT_FILE).read_bytes())
+    learning = SHORT.model_copy(update={"start_from": str(copy), "warm_up": "policy"})
+    made = trainer(run, learning, total_frames=384)
+    # Its own policy acts from the first frame on, and learns from frame 128 on.
+    assert made._warmup.describe(0) is None
+    first = made.train(256)
+    assert first.frames == 256 and first.updates > 0
+    (copy / CHECKPOINT_FILE).unlink()
+    second = trainer(run, learning, total_frames=384, resume=run).train()
+    assert second.frames == 384 and second.updates > first.updates
+
+
+def test_what_does_not_fit_is_named_with_its_setting(source: Path, tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"learning\.start_from: There is no .*none\.pt"):
+        begun(tmp_path / "a", tmp_path / "none.pt")
+    shape = r"learning\.start_from: .*another shape\. Train with learning\.hidden=\[8\]"
+    with pytest.raises(CheckpointError, match=shape):
+        begun(tmp_path / "b", source, hidden=(4,))
+    walker = {"walker": {"start_from": str(source), "hidden": [4]}}
+    learning = type(SHORT).model_validate({**SHORT.model_dump(), "groups": walker})
+    with pytest.raises(CheckpointError, match=r"learning\.groups\.walker\.start_from: .*another shape"):
+        trainer(tmp_path / "c", learning, make_env=make_two_groups)
+
+
+def test_a_frozen_group_starts_from_nothing(source: Path, tmp_path: Path) -> None:
+    groups = {"rover": {"frozen": str(source / BEST_POLICY_FILE)}}
+    learning = type(SHORT).model_validate(
+        {**SHORT.model_dump(), "start_from": str(tmp_path / "none.pt"), "groups": groups}
+    )
+    made = trainer(tmp_path / "run", SHORT, make_env=make_point_mass)
+    start_learners(made._learners, learning)
+    made._log.close()
+    made._folder.release()
