@@ -4,8 +4,6 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-import yaml
-
 from dune_rl.config.controller_settings import FrozenPolicyConf, TrajectoryFilesConf
 from dune_rl.config.resolved_groups import ResolvedGroup
 from dune_rl.config.schema import Conf, EnvConf
@@ -66,12 +64,19 @@ def describe_owner(checkpoint: str, group: str, settings: str) -> str:
 
 
 def _sensors_in_words(group: ResolvedGroup) -> str:
-    """The option of `sensors` that a group has; without one, what it has enabled."""
+    """The option of `sensors` that a group has, or one that enables the same; else what it has enabled."""
+    # Only now: what composes settings needs this module.
+    from dune_rl.config.compose import compose_environment
+
     assert group.sensors is not None
-    for file in sorted((conf_folder() / "sensors").glob("*.yaml")):
-        option = yaml.safe_load(file.read_text(encoding="utf-8"))
-        if tuple(option.get("enabled", ())) == tuple(group.sensors.enabled):
-            return file.stem
+    options = [file.stem for file in sorted((conf_folder() / "sensors").glob("*.yaml"))]
+    found = {name: compose_environment("flat", [f"sensors={name}"]).sensors for name in options}
+    for name, sensors in found.items():
+        if sensors == group.sensors:
+            return name
+    for name, sensors in found.items():
+        if sensors.enabled == group.sensors.enabled:
+            return name
     return f"[{','.join(group.sensors.enabled)}]"
 
 

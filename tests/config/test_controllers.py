@@ -98,6 +98,19 @@ def test_a_policy_of_another_body_is_refused() -> None:
     )
 
 
+def test_sensors_that_differ_in_a_setting_alone_are_named() -> None:
+    adversary = POLICY.parents[2] / "actors" / "adversaries_1" / "policy.pt"
+    foe = {
+        "body": "person",
+        "path": {},
+        "sensors": "actor",
+        "controller": {"checkpoint": str(adversary), "group": "walker"},
+    }
+    conf = compose_environment("flat", (), {"actors": {"foe": foe}})
+    with pytest.raises(CheckpointError, match=r"write .*foe\.body=person and .*foe\.sensors=adversary"):
+        make_simulation(conf, 1, 0)
+
+
 def test_a_file_without_the_groups_policy_names_those_that_it_has(tmp_path: Path) -> None:
     content = read_checkpoint_file(POLICY, "policy")
     groups = content["groups"]
