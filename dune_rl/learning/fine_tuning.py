@@ -30,7 +30,13 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
             source = find_checkpoint_file(Path(location), CHECKPOINT_FILE, *POLICY_SOURCES)
             content = read_checkpoint_file(source, "policy", "checkpoint")
             entry = saved_entry(content["groups"], source, group)
-            require_same_networks(learner, entry, source, "Train with")
+            require_same_networks(
+                learner,
+                entry,
+                source,
+                "Set {}, or start from another run.",
+                setting.removesuffix(".start_from"),
+            )
         except CheckpointError as error:
             raise CheckpointError(f"{setting}: {error}") from None
         learner.start_from(entry.get("learner", entry))

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.others import find_others
+from dune_rl.sensors.others import find_goals, find_others
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
 from dune_rl.settings import Settings
 from dune_rl.state import GroupState, State
@@ -58,7 +58,8 @@ class Neighbours:
 
     def measure(self, now: GroupState, state: State) -> None:
         """List the agents of each row."""
-        others = find_others(self._conf.groups or tuple(state.groups), now, state)
+        names = self._conf.groups or tuple(state.groups)
+        others = find_others(names, now, state)
         number = min(self._conf.number, others.present.shape[1])
         reading = np.zeros((len(self._reading), self._conf.number, self._values))
         own = now.motion.position_w[:, None, :2]
@@ -72,7 +73,7 @@ class Neighbours:
         far = self._conf.range_m
         listed = [(1, offset, far), (3, closing, self._max_closing_mps)]
         if self._conf.goals:
-            to_goal = np.where(others.is_robot[:, None], others.goal_w - own, 0.0)
+            to_goal = np.where(others.is_robot[:, None], find_goals(names, now, state) - own, 0.0)
             listed.append((_VALUES, to_goal, far))
         for first, vectors, limit in listed:
             x, y = (np.take_along_axis(vectors[..., axis], nearest, axis=1) for axis in (0, 1))

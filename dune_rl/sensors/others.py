@@ -13,13 +13,12 @@ from dune_rl.state import GroupState, State
 class Others:
     """The A agents of the groups that are looked at, for each of N rows.
 
-    `position_w`, `velocity_w` and `goal_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking
-    agent itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
+    `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
+    itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
     """
 
     position_w: Array
     velocity_w: Array
-    goal_w: Array
     present: Flags
     radius_m: Array
     is_robot: Flags
@@ -28,19 +27,14 @@ class Others:
 def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
     """The agents of the groups `names` in the scene of each agent of the group `now`."""
     rows = len(now.motion.position_w)
-    positions, velocities, goals = ([np.zeros((rows, 0, 2))] for _ in range(3))
+    positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
     present, radii, robots = [np.zeros((rows, 0), bool)], [np.zeros(0)], [np.zeros(0, bool)]
     for name in names:
         other = state.groups[name]
-        if name == now.name and other.count == 1:
+        if _is_alone(other, now):
             continue
-        motion, goal = other.motion, other.goal
-        for values, found in (
-            (motion.position_w, positions),
-            (motion.velocity_w, velocities),
-            (goal.position_w, goals),
-        ):
-            found.append(np.repeat(other.by_scene(values[:, :2]), now.count, axis=0))
+        positions.append(_for_each(other.motion.position_w, other, now))
+        velocities.append(_for_each(other.motion.velocity_w, other, now))
         itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
         there = np.tile(~itself, (rows // len(itself), 1))
         if other.absent is not None:
@@ -51,8 +45,28 @@ def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
     return Others(
         np.concatenate(positions, axis=1),
         np.concatenate(velocities, axis=1),
-        np.concatenate(goals, axis=1),
         np.concatenate(present, axis=1),
         np.concatenate(radii),
         np.concatenate(robots),
     )
+
+
+def find_goals(names: Sequence[str], now: GroupState, state: State) -> Array:
+    """The goals (N, A, 2) [m] of the agents that `find_others` finds, in the same order."""
+    rows = len(now.motion.position_w)
+    goals = [np.zeros((rows, 0, 2))]
+    for name in names:
+        other = state.groups[name]
+        if not _is_alone(other, now):
+            goals.append(_for_each(other.goal.position_w, other, now))
+    return np.concatenate(goals, axis=1)
+
+
+def _is_alone(other: GroupState, now: GroupState) -> bool:
+    """Whether a group has nobody but the one agent of a scene that looks."""
+    return other.name == now.name and other.count == 1
+
+
+def _for_each(values: Array, other: GroupState, now: GroupState) -> Array:
+    """The values (M G, 2 or more) of a group in plan view, for each agent of `now`: (N, G, 2)."""
+    return np.repeat(other.by_scene(values[:, :2]), now.count, axis=0)

@@ -4,6 +4,7 @@ A robot's way is the straight line from it to its goal. Robots whose own episode
 as absent. `groups` names the groups of robots that count; without any, all robots do.
 """
 
+from abc import ABC, abstractmethod
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -118,31 +119,35 @@ def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] =
     return np.where(present, progress, 0.0).reshape(-1)
 
 
-class _Approaches:
-    """Speeds at which agents and the robots nearest to them went at each other, of which contacts are judged.
+class _JudgedContact(ABC):
+    """A value for contacts with robots that is judged by the speeds at which both went at each other.
 
-    Both are the larger of this step's and the last one's, as a contact slows what moves.
+    Both speeds are the larger of this step's and the last one's, as a contact slows what moves. With `groups`
+    only robots of these groups count; slower than `min_speed_mps` [m/s] nobody moves into anything.
     """
 
-    def __init__(self, num_rows: int, groups: tuple[str, ...]) -> None:
-        self._groups = groups
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        groups: tuple[str, ...] = (),
+        min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
+    ) -> None:
+        self._groups, self._min_speed_mps = groups, min_speed_mps
         self._own = np.zeros((num_rows, 1))
         self._theirs = np.zeros((num_rows, 1))
 
-    def reset(self, mask: Flags) -> None:
+    def reset(self, mask: Flags, group: GroupState) -> None:
         """Nothing has moved in the episodes of the agents in `mask` (N,)."""
         self._own[mask] = 0.0
         self._theirs[mask] = 0.0
 
-    def measure(self, state: State, group: GroupState) -> tuple[Array, Array, Flags] | None:
-        """Speeds (N,) [m/s] of the agents and of the nearest robots, and which agents touch one that counts.
-
-        None where nobody touches any robot; to be called once a control step.
-        """
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Values (N,); to be called once a control step."""
         robots, counts = self._robots_of(state, group)
         rows, count = len(group.done), robots.active.shape[1]
         if not count:
-            return None
+            return np.zeros(rows)
         position = group.by_scene(group.motion.position_w[:, :2])
         towards, _ = unit_vectors(robots.position_w[:, None] - position[:, :, None])
         velocity = group.by_scene(group.motion.velocity_w[:, :2])[:, :, None]
@@ -152,10 +157,17 @@ class _Approaches:
         self._own, self._theirs = own, theirs
         touching = group.contacts.touching
         if not touching.any():
-            return None
+            return np.zeros(rows)
         nearest, _ = _nearest(position, robots._replace(active=np.ones_like(robots.active)))
         chosen = np.arange(rows), nearest.reshape(-1)
-        return most_own[chosen], most_theirs[chosen], touching & counts[nearest.reshape(-1)]
+        touches = touching & counts[nearest.reshape(-1)]
+        value = self._judge(most_own[chosen], most_theirs[chosen], group.contacts.new > 0)
+        return np.where(touches, value, 0.0)
+
+    @abstractmethod
+    def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:
+        """Values (N,) of contacts at the speeds (N,) [m/s] of agents and robots; `begins` marks new ones."""
+        ...
 
     def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
         """All robots, of which an agent may touch any, and flags (R,) of those that count."""
@@ -170,7 +182,7 @@ class _Approaches:
         return robots_of(state, group, tuple(names)), np.array([one for each in counts for one in each], bool)
 
 
-class RanIntoRobot:
+class RanIntoRobot(_JudgedContact):
     """1 in a step in which a contact with a robot begins that the agent itself brought about.
 
     It is `pushing` in each further step of a contact in which the agent goes on to move into the robot.
@@ -188,54 +200,24 @@ class RanIntoRobot:
         min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
         pushing: Annotated[float, Field(ge=0.0)] = 0.1,
     ) -> None:
-        self._approaches = _Approaches(num_rows, groups)
-        self._min_speed_mps, self._pushing = min_speed_mps, pushing
+        super().__init__(num_rows, groups=groups, min_speed_mps=min_speed_mps)
+        self._pushing = pushing
 
-    def reset(self, mask: Flags, group: GroupState) -> None:
-        """Nothing has moved in the episodes of the agents in `mask` (N,)."""
-        self._approaches.reset(mask)
-
-    def __call__(self, state: State, group: GroupState) -> Array:
-        """Values (N,); to be called once a control step."""
-        measured = self._approaches.measure(state, group)
-        if measured is None:
-            return np.zeros(len(group.done))
-        mine, theirs, touches = measured
-        value = np.where(group.contacts.new > 0, 1.0, self._pushing)
-        return np.where(touches & (mine > theirs) & (mine > self._min_speed_mps), value, 0.0)
+    def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:
+        moves_into_it = (own > theirs) & (own > self._min_speed_mps)
+        return np.where(moves_into_it, np.where(begins, 1.0, self._pushing), 0.0)
 
 
-class HitByRobot:
-    """1 in a step in which a contact with a robot begins in which the robot alone moved into the other.
+class HitByRobot(_JudgedContact):
+    """1 in a step in which a contact with a robot begins in which the robot alone moved into the agent.
 
-    The robot did if its speed towards the agent exceeds `min_speed_mps` and the agent's towards it does not,
-    in this step and the last: the agent stood in its way, crossed it or walked ahead of it, even if it had
-    darted there just before. With `groups` it
-    earns nothing where the nearest robot is of none of them.
+    The robot did if its speed towards the agent exceeds `min_speed_mps` in this step or the last, and the
+    agent's towards it in neither: the agent stood in its way, crossed it or walked ahead of it, even if it
+    had darted there just before. With `groups` it earns nothing where the nearest robot is of none of them.
     """
 
-    def __init__(
-        self,
-        num_rows: int,
-        *,
-        groups: tuple[str, ...] = (),
-        min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
-    ) -> None:
-        self._approaches, self._min_speed_mps = _Approaches(num_rows, groups), min_speed_mps
-
-    def reset(self, mask: Flags, group: GroupState) -> None:
-        """Nothing has moved in the episodes of the agents in `mask` (N,)."""
-        self._approaches.reset(mask)
-
-    def __call__(self, state: State, group: GroupState) -> Array:
-        """Values (N,); to be called once a control step."""
-        measured = self._approaches.measure(state, group)
-        if measured is None:
-            return np.zeros(len(group.done))
-        mine, theirs, touches = measured
-        least = self._min_speed_mps
-        hit = touches & (group.contacts.new > 0) & (theirs > least) & (mine <= least)
-        return np.where(hit, 1.0, 0.0)
+    def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:
+        return np.where(begins & (theirs > self._min_speed_mps) & (own <= self._min_speed_mps), 1.0, 0.0)
 
 
 def _nearest(own: Array, robots: Robots) -> tuple[np.ndarray, Flags]:

@@ -103,27 +103,30 @@ def restore_learners(
         )
     for group, learner in learners.items():
         entry = saved[group]
-        require_same_networks(learner, entry, source, "Resume with")
+        require_same_networks(learner, entry, source, "Resume with {}, or train again.")
         learner.load_state_dict(entry["learner"])
         if entry["experience"] is not None:
             learner.load_experience(source.parent, entry["experience"])
 
 
-def require_same_networks(learner: Algorithm, entry: Mapping[str, Any], source: Path, remedy: str) -> None:
+def require_same_networks(
+    learner: Algorithm, entry: Mapping[str, Any], source: Path, remedy: str, settings: str = "learning"
+) -> None:
     """Raise CheckpointError unless a group's `entry` in the file `source` has the learner's networks.
 
-    `remedy` are the first words of what to do.
+    `remedy` says what to do, with {} for what to set, and `settings` where the networks are set.
     """
     context = learner.context
     if entry["algorithm"] != context.algorithm:
-        raise CheckpointError(
-            f"{source} was trained with {entry['algorithm']}. {remedy} learning={entry['algorithm']}, "
-            "or train again."
-        )
+        other = entry["algorithm"]
+        raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
     theirs, ours = entry["network"], learner.network_settings()
-    different = [f"learning.{key}={value}" for key, value in theirs.items() if value != ours.get(key)]
+    # Without spaces, so that they can be pasted.
+    different = [
+        f"{settings}.{key}={value}".replace(" ", "")
+        for key, value in theirs.items()
+        if value != ours.get(key)
+    ]
     if different:
-        raise CheckpointError(
-            f"{source} has networks of another shape. {remedy} {' '.join(different)}, or train again."
-        )
+        raise CheckpointError(f"{source} has networks of another shape. {remedy.format(' '.join(different))}")
