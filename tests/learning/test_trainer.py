@@ -111,7 +111,7 @@ def test_a_run_is_not_overwritten(tmp_path: Path) -> None:
 
 def test_other_networks_do_not_resume(tmp_path: Path) -> None:
     trainer(tmp_path / "run").train(stop_after_frames=128)
-    with pytest.raises(CheckpointError, match=r"learning\.hidden=\[32, 32\]"):
+    with pytest.raises(CheckpointError, match=r"learning\.hidden=\[32,32\]"):
         trainer(tmp_path / "run", small(hidden=(16,)), resume=tmp_path / "run")
 
 
