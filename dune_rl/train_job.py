@@ -24,10 +24,12 @@ from rich.console import Console
 from dune_rl import command, paths
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
+from dune_rl.config.group_files import describe_owner
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.run.lock import refuse_locked
+from dune_rl.robots.settings import RobotSettings
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
@@ -136,6 +138,11 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
     saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
+    if started := [word for word in overrides if word.partition("=")[0].endswith(".start_from")]:
+        raise ConfigError(
+            f"{started[0]}: a resumed run goes on with its own weights; leave it out, or leave out resume "
+            "and begin a new run"
+        )
     conf = compose_resumed(overrides, folders, saved)
     train(conf, resume=checkpoint)
 
@@ -156,6 +163,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
     # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
+    from dune_rl.learning.fine_tuning import StartMismatchError
     from dune_rl.learning.run.hyperparameters import choose_hyperparameters
     from dune_rl.learning.run.progress import BarReporter, LineReporter
     from dune_rl.learning.trainer import Trainer
@@ -166,21 +174,26 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
-    trainer = Trainer(
-        partial(make_learning_env, conf),
-        run_dir,
-        conf.learning,
-        seed=conf.seed,
-        total_frames=conf.total_frames,
-        device=conf.device,
-        config=config,
-        resume=resume,
-        reporter=reporter,
-        title=f"{conf.world.name}, seed {conf.seed}",
-        hyperparameters=choose_hyperparameters(config, words),
-        make_pictures=EvaluationTracks,
-        judged=conf.driven_group.name,
-    )
+    try:
+        trainer = Trainer(
+            partial(make_learning_env, conf),
+            run_dir,
+            conf.learning,
+            seed=conf.seed,
+            total_frames=conf.total_frames,
+            device=conf.device,
+            config=config,
+            resume=resume,
+            reporter=reporter,
+            title=f"{conf.world.name}, seed {conf.seed}",
+            hyperparameters=choose_hyperparameters(config, words),
+            make_pictures=EvaluationTracks,
+            judged=conf.driven_group.name,
+        )
+    except StartMismatchError as error:
+        owner = describe_owner(error.location, error.group, conf.path_of(error.group))
+        what_differs = str(error).splitlines()[0]
+        raise CheckpointError(f"{what_differs}\n{owner}" if owner else str(error)) from None
     (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     command.print_world_notes(console, conf)
@@ -272,7 +285,7 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         f"  tensorboard --logdir {result.run_dir.parent}",
         f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
     ]
-    if len(conf.external_groups) > 1:
+    if any(not isinstance(group.body, RobotSettings) for group in conf.external_groups):
         lines.append(
             f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
             f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"

@@ -24,6 +24,7 @@ from dune_rl.config.hydra_session import (
     to_plain,
 )
 from dune_rl.config.migration import copied, migrated, move_renamed
+from dune_rl.config.named_options import keep_named_options, name_options
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.scenarios import (
     SCENARIO,
@@ -120,7 +121,9 @@ def compose_environment(
     with hydra_session(config_dirs) as loader:
         words, changes = _words_and_changes(world, overrides, settings or {}, loader)
         request = _with_world(_DEFAULT_WORLD, "environment", parse_overrides(words, loader), loader)
-        data = merged(to_plain(compose_config("environment", request)), changes)
+        request = keep_named_options("environment", request)
+        data = to_plain(compose_config("environment", request))
+        data = merged(data, name_options(data, changes))
         return _validate_all(model, data, request, loader, set_in_python=settings or {})
 
 
@@ -176,7 +179,7 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
     `ConfigError` names the faults of all.
     """
     with hydra_session(config_dirs) as loader:
-        request = parse_overrides(overrides, loader)
+        request = keep_named_options("train", parse_overrides(overrides, loader))
         faults = list(request.faults)
         for variant in _sweep_variants(request):
             data = to_plain(compose_config("train", variant))
@@ -229,6 +232,7 @@ def _compose(
         swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
         if swept:
             raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
+        request = keep_named_options(name, request)
         config = compose_config(name, request)
         if saved is None:
             data = to_plain(config)

@@ -116,12 +116,32 @@ def _policy_faults(conf: EnvConf) -> Iterator[str]:
     if not isinstance(conf, Conf):
         return
     for group in conf.external_groups:
-        location, setting = conf.learning.frozen(group.name), f"learning.groups.{group.name}.frozen"
-        if location is None:
-            setting, location = conf.learning.start_of(group.name)
-        fault = "" if location is None else _why_not_played(location, group.name, "Call the group")
+        location = conf.learning.frozen(group.name)
+        if location is not None:
+            setting, fault = (
+                f"learning.groups.{group.name}.frozen",
+                _why_not_played(location, group.name, "Call the group"),
+            )
+        else:
+            setting, fault = _why_not_started(conf, group.name)
         if fault:
             yield f"{setting}: {fault}"
+
+
+def _why_not_started(conf: Conf, group: str) -> tuple[str, str]:
+    """The setting from which `group` starts to learn, and why it cannot; empty where it can."""
+    setting, location = conf.learning.start_of(group)
+    if location is None:
+        return setting, ""
+    from dune_rl.learning.fine_tuning import describe_missing_start
+    from dune_rl.learning.saved_policies import read_policy_groups
+
+    try:
+        trained, _ = read_policy_groups(Path(location))
+    except CheckpointError as error:
+        return setting, str(error)
+    groups = [each.name for each in conf.external_groups]
+    return setting, describe_missing_start(trained, location, group, conf.learning, groups)
 
 
 def _why_not_played(location: str, group: str, remedy: str, *, by_name: bool = False) -> str:

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
+class PolicyMismatchError(CheckpointError):
+    """A policy is for other observations or actions; the first line says which."""
+
+
 @dataclass(frozen=True)
 class ImageSpec:
     """An image of `shape` (height, width, channels), uint8 or float32, with values from `low` to `high`."""
@@ -187,7 +191,7 @@ class PolicySpec:
         )
 
     def require(self, here: "PolicySpec", source: str) -> None:
-        """Raise CheckpointError unless a policy of this spec, read from `source`, fits `here`."""
+        """Raise PolicyMismatchError unless a policy of this spec, read from `source`, fits `here`."""
         faults = []
         for key in sorted({*self.keys, *here.keys}):
             there, now = self._extent(key), here._extent(key)
@@ -204,7 +208,7 @@ class PolicySpec:
         if theirs != ours:
             faults.append(f"actions lie in {theirs} there, in {ours} here")
         if faults:
-            raise CheckpointError(
+            raise PolicyMismatchError(
                 f"{source} was made for another environment: {'; '.join(faults)}.\n"
                 "Use the robot and sensor settings that it was trained with (its run's folder holds them), "
                 "or train again."

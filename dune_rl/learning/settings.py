@@ -106,8 +106,8 @@ class LearningConf(Settings):
         """The setting by which the learner of `group` starts from an earlier run, and where that is."""
         if self.frozen(group) is not None:
             return "", None
-        own = self.groups.get(group, {})
-        setting = f"learning.groups.{group}.start_from" if "start_from" in own else "learning.start_from"
+        own = "start_from" in self.groups.get(group, {})
+        setting = f"learning.groups.{group}.start_from" if own else "learning.start_from"
         return setting, self.of_group(group).start_from
 
     def changes_of(self, group: str) -> dict[str, Any]:

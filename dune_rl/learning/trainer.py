@@ -117,7 +117,7 @@ class Trainer:
         if self._saved is None:
             start_learners(self._learners, learning)
         elif source is not None:
-            restore_learners(self._learners, self._saved["groups"], source)
+            restore_learners(self._learners, self._saved["groups"], source, learning)
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]
             self._evaluation.restore(counters)

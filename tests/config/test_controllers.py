@@ -182,3 +182,16 @@ def test_a_controller_without_settings_may_be_written_as_a_mapping(name: str) ->
         for controller in (name, {"name": name})
     )
     assert plain == mapped and mapped.actors["one"].controller == name
+
+
+def test_a_policy_of_the_robot_is_no_start_for_its_walkers() -> None:
+    words = ["+world=flat", "+experiment=multi_agent", f"learning.start_from={POLICY}"]
+    with pytest.raises(CheckpointError) as error:
+        check_group_files(compose(words))
+    assert str(error.value).splitlines() == [
+        f"learning.start_from: {POLICY} has no policy for the group walker, but for rover.",
+        "Begin with random weights by learning.groups.walker.start_from=null, or with another run by "
+        "learning.groups.walker.start_from=RUN.",
+    ]
+    check_group_files(compose([*words, "learning.groups.walker.start_from=null"]))
+    check_group_files(compose([*words, f"learning.groups.walker.frozen={POLICY}"]))

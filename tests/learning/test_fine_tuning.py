@@ -7,7 +7,7 @@ import torch
 from point_mass import make_point_mass, make_two_groups
 from training import small, trainer, weights
 
-from dune_rl.errors import CheckpointError
+from dune_rl.errors import CheckpointError, DuneWarning
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE
 from dune_rl.learning.fine_tuning import start_learners
 from dune_rl.learning.settings import EvaluationConf
@@ -49,9 +49,11 @@ def test_a_run_starts_with_policy_and_critics_of_the_last_checkpoint(source: Pat
 
 
 def test_a_policys_file_leaves_the_critics_new(source: Path, tmp_path: Path) -> None:
-    scratch, made = begun(tmp_path / "a", source / LAST_POLICY_FILE), trainer(tmp_path / "b", SHORT)
+    with pytest.warns(DuneWarning, match=r"learning\.start_from: .* has a policy alone; its critics"):
+        tuned = begun(tmp_path / "a", source / LAST_POLICY_FILE)
+    made = trainer(tmp_path / "b", SHORT)
     policy = made._learners["rover"].state_dict()["policy"]
-    found, saved = learned(scratch), weights(source)
+    found, saved = learned(tuned), weights(source)
     different = {key for key, value in found.items() if not torch.equal(value, saved[f"rover.{key}"])}
     assert different and not different & policy.keys()
     made._log.close()
@@ -87,6 +89,35 @@ def test_what_does_not_fit_is_named_with_its_setting(source: Path, tmp_path: Pat
         match=r"learning\.groups\.walker\.start_from: .*learning\.groups\.walker\.hidden=\[8\]",
     ):
         trainer(tmp_path / "c", learning, make_env=make_two_groups)
+    # The networks are the group's own, whoever says where it starts.
+    with pytest.raises(CheckpointError, match=r"Set learning\.groups\.rover\.hidden=\[8\]"):
+        begun(tmp_path / "d", source, groups={"rover": {"hidden": [4]}})
+
+
+def two_groups(source: Path, run: Path, walker: dict[str, object]) -> Trainer:
+    """A rover and walkers that begin with the point mass of `source`, with settings of the walkers."""
+    learning = type(SHORT).model_validate(
+        {**SHORT.model_dump(), "start_from": str(source), "groups": {"walker": walker}}
+    )
+    made = trainer(run, learning, make_env=make_two_groups)
+    made._log.close()
+    made._folder.release()
+    return made
+
+
+def test_a_group_that_was_not_there_begins_anew_where_it_says_so(source: Path, tmp_path: Path) -> None:
+    what_to_do = r"no policy for the group walker.*\n.*learning\.groups\.walker\.start_from=null"
+    with pytest.raises(CheckpointError, match=what_to_do):
+        two_groups(source, tmp_path / "a", {"hidden": [8]})
+    made = two_groups(source, tmp_path / "b", {"start_from": None})
+    saved = weights(source)
+    for group, same in (("rover", True), ("walker", False)):
+        policy = made._learners[group].state_dict()["policy"]
+        assert all(torch.equal(value, saved[f"rover.{key}"]) for key, value in policy.items()) == same
+    # By its own setting it takes the only policy that there is.
+    made = two_groups(source, tmp_path / "c", {"start_from": str(source)})
+    policy = made._learners["walker"].state_dict()["policy"]
+    assert all(torch.equal(value, saved[f"rover.{key}"]) for key, value in policy.items())
 
 
 def test_a_frozen_group_starts_from_nothing(source: Path, tmp_path: Path) -> None:

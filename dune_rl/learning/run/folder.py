@@ -16,6 +16,7 @@ from dune_rl.learning.checkpoint import (
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.lock import RunLock
 from dune_rl.learning.saved_policies import BEST_EVALUATION, LATEST, policy_entry
+from dune_rl.learning.settings import LearningConf
 
 _EXPERIENCE = "replay"
 
@@ -92,7 +93,10 @@ class RunFolder:
 
 
 def restore_learners(
-    learners: Mapping[str, Algorithm], saved: Mapping[str, Mapping[str, Any]], source: Path
+    learners: Mapping[str, Algorithm],
+    saved: Mapping[str, Mapping[str, Any]],
+    source: Path,
+    conf: LearningConf,
 ) -> None:
     """Continue from the groups `saved` in the checkpoint `source`; raises CheckpointError if they differ."""
     if saved.keys() != learners.keys():
@@ -103,18 +107,23 @@ def restore_learners(
         )
     for group, learner in learners.items():
         entry = saved[group]
-        require_same_networks(learner, entry, source, "Resume with {}, or train again.")
+        require_same_networks(learner, entry, source, "Resume with {}, or train again.", conf, group)
         learner.load_state_dict(entry["learner"])
         if entry["experience"] is not None:
             learner.load_experience(source.parent, entry["experience"])
 
 
 def require_same_networks(
-    learner: Algorithm, entry: Mapping[str, Any], source: Path, remedy: str, settings: str = "learning"
+    learner: Algorithm,
+    entry: Mapping[str, Any],
+    source: Path,
+    remedy: str,
+    conf: LearningConf,
+    group: str,
 ) -> None:
-    """Raise CheckpointError unless a group's `entry` in the file `source` has the learner's networks.
+    """Raise CheckpointError unless `entry`, of the file `source`, has the networks of the learner of `group`.
 
-    `remedy` says what to do, with {} for what to set, and `settings` where the networks are set.
+    `remedy` says what to do, with {} for what to set, which depends on where `conf` has the group's settings.
     """
     context = learner.context
     if entry["algorithm"] != context.algorithm:
@@ -122,6 +131,7 @@ def require_same_networks(
         raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
     theirs, ours = entry["network"], learner.network_settings()
+    settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
     # Without spaces, so that they can be pasted.
     different = [
         f"{settings}.{key}={value}".replace(" ", "")

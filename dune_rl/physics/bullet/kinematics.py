@@ -131,6 +131,7 @@ class BulletKinematics:
 
     def record_contacts(self, contacts: Sequence[tuple[Any, ...]], robot: PushedRobot) -> None:
         """Take note of contact points of a robot in the last physics step, as PyBullet lists them."""
+        velocity = None
         for contact in contacts:
             index, force_n = self._indices.get(contact[2]), contact[9]
             if index is None or not force_n > 0.0:
@@ -146,8 +147,9 @@ class BulletKinematics:
             if length > 0.0:
                 if (push := self._pushes.get(index)) is None:
                     push = self._pushes[index] = Push()
-                force = force_n * x / length, force_n * y / length
-                push.add(force, (arm_x, arm_y), robot.velocity_xy())
+                # One call into the engine for all points of the step.
+                velocity = velocity or robot.velocity_xy()
+                push.add((force_n * x / length, force_n * y / length), (arm_x, arm_y), velocity)
 
     @property
     def are_pushing(self) -> bool:

@@ -1,0 +1,95 @@
+"""Changes of settings beside the names of the options that they change."""
+
+from pathlib import Path
+
+import pytest
+
+from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_resumed
+from dune_rl.errors import ConfigError
+
+LEARNING = ["+world=flat", "+experiment=multi_agent"]
+WEIGHT = "actors.walker.task.rewards.blocking.weight=0.5"
+
+
+def weights(words: list[str], config_dirs: tuple[str, ...] = ()) -> dict[str, float]:
+    task = compose(words, config_dirs).groups[-1].task
+    assert task is not None
+    return {name: term.weight for name, term in task.rewards.items()}
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_weight_changes_the_task_that_is_named_beside_it(order: int) -> None:
+    words = ["actors.walker.task=adversarial", WEIGHT][::order]
+    expected = weights([*LEARNING, "actors.walker.task=adversarial"])
+    assert {"hit_by_robot", "closing_in"} <= expected.keys()
+    assert weights([*LEARNING, *words]) == expected | {"blocking": 0.5}
+
+
+def test_a_weight_changes_the_task_that_the_option_of_actors_names() -> None:
+    expected = weights(LEARNING)
+    changed = weights([*LEARNING, "actors.walker.task.rewards.near_miss.weight=-2"])
+    assert changed == expected | {"near_miss": -2.0}
+
+
+def test_a_weight_changes_the_task_that_a_file_of_the_user_names(tmp_path: Path) -> None:
+    folder = tmp_path / "actors"
+    folder.mkdir()
+    (folder / "mine.yaml").write_text(
+        "defaults: [walkers, _self_]\nwalker: {controller: external, sensors: actor, task: adversarial}\n"
+    )
+    words = ["+world=flat", "actors=mine"]
+    expected = weights(words, (str(tmp_path),))
+    assert weights([*words, WEIGHT], (str(tmp_path),)) == expected | {"blocking": 0.5}
+
+
+def test_a_setting_of_sensors_changes_those_that_are_named_beside_it() -> None:
+    words = ["actors.walker.sensors=adversary", "actors.walker.sensors.named.neighbours.range_m=9"]
+    before, after = (compose([*LEARNING, *each]).groups[-1].sensors for each in (words[:1], words))
+    assert before is not None and after is not None
+    assert after.enabled == before.enabled
+    found = after.named["neighbours"].model_dump()
+    assert found == before.named["neighbours"].model_dump() | {"range_m": 9.0}
+    assert found["goals"]
+
+
+def test_another_body_keeps_nothing_of_the_one_before() -> None:
+    words = ["+world=flat", "actors.walker.body=cow"]
+    plain, changed = (
+        compose([*words, *each]).groups[-1].body.model_dump()
+        for each in ([], ["actors.walker.body.max_slope_deg=20"])
+    )
+    assert changed == plain | {"max_slope_deg": 20.0}
+
+
+def test_a_group_of_agents_may_name_its_body_and_change_it() -> None:
+    words = ["+world=flat", "agents={rover: {body: leo_rover}}", "agents.rover.body.looks=figure"]
+    with pytest.raises(ConfigError, match=r"agents\.rover\.body\.looks"):
+        compose(words)
+    sensors = ["agents.rover.sensors=default", "agents.rover.sensors.lidar.n_beams=64"]
+    found = compose([*words[:2], *sensors]).groups[0]
+    assert found.body.name == "leo_rover" and found.sensors is not None
+    assert found.sensors.lidar.n_beams == 64
+
+
+def test_options_are_swept_beside_a_change() -> None:
+    words = check_sweep([*LEARNING, "actors.walker.task=adversarial,indifferent", WEIGHT])
+    # As Hydra hands each of them to a job: one at a time, in this order.
+    expected = "actors.walker.task={name: adversarial},{name: indifferent}"
+    assert expected in words
+    assert words.index(expected) < words.index("++" + WEIGHT)
+
+
+def test_settings_in_python_change_the_option_that_the_actors_name() -> None:
+    expected = compose_environment("flat", ["actors=learning_walkers"]).groups[-1].task
+    change = {"walker": {"task": {"rewards": {"near_miss": {"weight": -2.0}}}}}
+    task = compose_environment("flat", ["actors=learning_walkers"], {"actors": change}).groups[-1].task
+    assert expected is not None and task is not None
+    assert task.rewards.keys() == expected.rewards.keys()
+    assert task.rewards["near_miss"].weight == -2.0
+
+
+def test_a_saved_task_is_changed_where_it_is() -> None:
+    saved = compose([*LEARNING, "actors.walker.task=adversarial"]).model_dump(mode="json")
+    task = compose_resumed([WEIGHT], (), saved).groups[-1].task
+    assert task is not None
+    assert task.rewards["blocking"].weight == 0.5 and "hit_by_robot" in task.rewards
