@@ -21,7 +21,7 @@ from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.settings import Settings
 from dune_rl.suggestions import closest, one_of
-from dune_rl.tasks.registry import TERMINATIONS
+from dune_rl.tasks.registry import ROBOT_REWARDS, TERMINATIONS
 from dune_rl.tasks.task import DIVERGED, POINT_GOAL_TERMINATIONS, TaskConf
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
@@ -141,6 +141,23 @@ class EnvConf(Settings):
                             f"{path}: {sensor} senses a group {name!r}, which is not there; "
                             f"choose {one_of(known)}"
                         )
+        return self
+
+    @model_validator(mode="after")
+    def _rewarded_groups_exist(self) -> Self:
+        for group in self.groups:
+            robots = [
+                each.name
+                for each in self.groups
+                if isinstance(each.body, RobotSettings) and each.name != group.name
+            ]
+            for name, term in () if group.task is None else group.task.rewards.items():
+                unknown = [each for each in getattr(term, "groups", ()) if each not in robots]
+                if term.term in ROBOT_REWARDS and unknown:
+                    raise ValueError(
+                        f"{self.path_of(group.name)}.task.rewards.{name}.groups: there is no other group of "
+                        f"robots {unknown[0]!r}; choose {one_of(robots) if robots else 'none: []'}"
+                    )
         return self
 
     @model_validator(mode="after")

@@ -1,7 +1,7 @@
 """Cross-play: every robot's policy among every population of actors, in one folder.
 
-Each population has a results folder of its own in it, as of any evaluation, so that what was cut off goes on,
-and all robots have the same episodes among all populations.
+Each population has a results folder of its own in it, as of any evaluation, so that an
+interrupted cross-play can be resumed, and all robots have the same episodes among all populations.
 """
 
 import csv
@@ -17,7 +17,7 @@ from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.actor_populations import CHECKPOINT, ActorPopulation
-from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices
+from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices, title_of
 from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
@@ -102,16 +102,7 @@ def run_cross_play(out: Path, console: Console, processes: int | None = None) ->
     """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it."""
     populations = _read_record(out)["populations"]
     for one in populations:
-        try:
-            _run_population(out / one["name"], one, console, processes)
-        except BaseException:
-            console.print(
-                f"Cut off among {one['name']}; go on with python -m dune_rl.evaluate resume={out}",
-                highlight=False,
-                markup=False,
-                soft_wrap=True,
-            )
-            raise
+        _run_population(out, one, console, processes)
     rows = [
         {"robot": row["policy"], "group": row["group"], "population": one["name"], **row["estimate"]}
         for one in populations
@@ -142,8 +133,9 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def _run_population(
-    path: Path, population: Mapping[str, Any], console: Console, processes: int | None
+    out: Path, population: Mapping[str, Any], console: Console, processes: int | None
 ) -> None:
+    path = out / population["name"]
     provenance = read_provenance(path)
     if provenance.get("complete"):
         return
@@ -154,7 +146,16 @@ def _run_population(
     prepared = prepare_run(plan)
     with ResultsFolder.reopen(path) as folder:
         processes = processes or plan.conf.processes
-        run_plan(plan, folder, prepared, console, processes, says_how_to_go_on=False)
+        try:
+            run_plan(plan, folder, prepared, console, processes, says_how_to_go_on=False)
+        except BaseException:
+            console.print(
+                f"Cut off among {population['name']}; go on with python -m dune_rl.evaluate resume={out}",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
+            )
+            raise
 
 
 def _check_unchanged(population: Mapping[str, Any]) -> None:
@@ -186,7 +187,10 @@ def _show(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
         table.add_column("robot")
         for name in populations:
             table.add_column(name, justify="right")
-        for robot, group in dict.fromkeys((key[0], key[1]) for key in cells):
+        robots = list(dict.fromkeys((key[0], key[1]) for key in cells))
+        for robot, group in robots:
             found = [cells.get((robot, group, name)) for name in populations]
-            table.add_row(robot, *("" if one is None else describe_cell(one) for one in found))
+            table.add_row(
+                title_of(robot, group, robots), *("" if one is None else describe_cell(one) for one in found)
+            )
         console.print(table)

@@ -104,9 +104,7 @@ def _draw(
                     fontsize=7,
                     color="white" if shade[row, column] > 1 - _LIGHT else "#1d1d1f",
                 )
-    several = len({group for _, group in robots}) > 1
-    names = [f"{robot}, {group}" if several else robot for robot, group in robots]
-    axes.set_yticks(range(len(robots)), [_short(name) for name in names])
+    axes.set_yticks(range(len(robots)), [_short(title_of(*robot, robots)) for robot in robots])
     axes.set_xticks(range(len(populations)), [_short(name) for name in populations], rotation=20, ha="right")
     unit = "" if about.is_share or not about.unit else f" [{about.unit}]"
     axes.set_title(f"{measure}: {about.meaning}{unit}", fontsize=8, loc="left")
@@ -116,6 +114,11 @@ def _draw(
     axes.set_yticks(np.arange(len(robots) - 1) + 0.5, minor=True)
     axes.grid(which="minor", color="white", linewidth=2.0)
     axes.spines[:].set_visible(False)
+
+
+def title_of(robot: str, group: str, robots: Sequence[tuple[str, str]]) -> str:
+    """The name of a row: that of a policy, with its agent group where `robots` are of several groups."""
+    return f"{robot}, {group}" if len({each for _, each in robots}) > 1 else robot
 
 
 def _range(values: np.ndarray, better: str | None) -> tuple[float, float]:

@@ -1,7 +1,8 @@
 """Reward terms of actors that learn, which read the robots of their scene and what these are about to do.
 
-A robot's way is the straight line from it to its goal. Robots whose own episode is over have none, and count
-as absent. `groups` names the groups of robots that count; without any, all robots do.
+A robot's way is the straight-line path from it to its goal. Robots whose own episode is over have none: only
+contacts with them count, the other terms take them for absent. `groups` names the groups of robots that
+count; if it is empty, all robots do.
 """
 
 from abc import ABC, abstractmethod
@@ -33,7 +34,7 @@ class Robots(NamedTuple):
 
 
 def robots_of(state: State, group: GroupState, names: tuple[str, ...] = ()) -> Robots:
-    """The robots of the groups `names`, without any of all groups of robots but `group`.
+    """The robots of the groups in `names`; if it is empty, of all groups of robots but `group`.
 
     Raises ConfigError for a group that is not there.
     """
@@ -120,10 +121,13 @@ def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] =
 
 
 class _JudgedContact(ABC):
-    """A value for contacts with robots that is judged by the speeds at which both went at each other.
+    """A value for contacts with robots that depends on the closing speeds of both: how fast each approaches.
 
-    Both speeds are the larger of this step's and the last one's, as a contact slows what moves. With `groups`
-    only robots of these groups count; slower than `min_speed_mps` [m/s] nobody moves into anything.
+    A closing speed is the component of a velocity towards the other one [m/s], and the larger one of this
+    step and the last, as a contact slows what moves; below `min_speed_mps` [m/s] nobody approaches. With
+    `groups` only robots of these groups count. The robot of a contact is the nearest one. A contact begins
+    where the two have not touched for a second, as collisions are counted. Of actors that are robots
+    themselves, which touch obstacles too, only the step in which a contact with a robot begins has a value.
     """
 
     def __init__(
@@ -155,41 +159,39 @@ class _JudgedContact(ABC):
         theirs = -(robots.velocity_w[:, None] * towards).sum(axis=-1).reshape(rows, count)
         most_own, most_theirs = np.maximum(own, self._own), np.maximum(theirs, self._theirs)
         self._own, self._theirs = own, theirs
-        touching = group.contacts.touching
+        contacts = group.contacts
+        touching, begins = contacts.touching, contacts.new > 0
+        if group.kind == "robot":
+            touching = begins = contacts.new_by_kind.get("robot", np.zeros(rows, int)) > 0
         if not touching.any():
             return np.zeros(rows)
         nearest, _ = _nearest(position, robots._replace(active=np.ones_like(robots.active)))
         chosen = np.arange(rows), nearest.reshape(-1)
         touches = touching & counts[nearest.reshape(-1)]
-        value = self._judge(most_own[chosen], most_theirs[chosen], group.contacts.new > 0)
+        value = self._judge(most_own[chosen], most_theirs[chosen], begins)
         return np.where(touches, value, 0.0)
 
     @abstractmethod
     def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:
-        """Values (N,) of contacts at the speeds (N,) [m/s] of agents and robots; `begins` marks new ones."""
+        """Values (N,) of contacts at closing speeds (N,) [m/s] of agents and robots; `begins` marks new ones."""
         ...
 
     def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
         """All robots, of which an agent may touch any, and flags (R,) of those that count."""
-        # For its error alone: a group that is not there.
-        robots_of(state, group, self._groups)
-        names = [
-            name
+        counts = [
+            not self._groups or name in self._groups
             for name, other in state.groups.items()
-            if name != group.name and (other.kind == "robot" or name in self._groups)
+            if name != group.name and other.kind == "robot"
+            for _ in range(other.count)
         ]
-        counts = [[not self._groups or name in self._groups] * state.groups[name].count for name in names]
-        return robots_of(state, group, tuple(names)), np.array([one for each in counts for one in each], bool)
+        return robots_of(state, group), np.array(counts, bool)
 
 
 class RanIntoRobot(_JudgedContact):
     """1 in a step in which a contact with a robot begins that the agent itself brought about.
 
-    It is `pushing` in each further step of a contact in which the agent goes on to move into the robot.
-
-    Of the two, the agent is the one that moves into the other if its speed towards the nearest robot exceeds
-    both `min_speed_mps` and the robot's speed towards the agent, in this step or the last. With `groups` it
-    earns nothing where the nearest robot is of none of them.
+    It is `pushing` in each further step of a contact in which the agent goes on to move into the robot. The
+    agent does if its closing speed exceeds `min_speed_mps` and the robot's closing speed.
     """
 
     def __init__(
@@ -211,9 +213,9 @@ class RanIntoRobot(_JudgedContact):
 class HitByRobot(_JudgedContact):
     """1 in a step in which a contact with a robot begins in which the robot alone moved into the agent.
 
-    The robot did if its speed towards the agent exceeds `min_speed_mps` in this step or the last, and the
-    agent's towards it in neither: the agent stood in its way, crossed it or walked ahead of it, even if it
-    had darted there just before. With `groups` it earns nothing where the nearest robot is of none of them.
+    The robot did if its closing speed exceeds `min_speed_mps` and the agent's does not: the agent stood in
+    its way, crossed it or walked ahead of it. What the agent did before the last two control steps does not
+    matter.
     """
 
     def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:

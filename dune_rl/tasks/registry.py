@@ -53,6 +53,8 @@ class TerminationTermConf(TermConf):
     renew: bool = False
 
 
+# Reward terms whose `groups` are groups of robots.
+ROBOT_REWARDS = tuple(_OWN_ACTOR_REWARDS)
 REWARDS = TermRegistry(
     "reward",
     "dune_rl.tasks.registry:REWARDS",

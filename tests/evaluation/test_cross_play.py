@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from dune_rl.evaluation.cross_play import (
     run_cross_play,
     settings_among,
 )
-from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices
+from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices, title_of
 from dune_rl.evaluation.folder import read_provenance
 from dune_rl.evaluation.running import BlockRunner
 from dune_rl.files import sha256_of
@@ -163,6 +164,21 @@ def test_an_interruption_says_once_how_to_go_on(tmp_path: Path, monkeypatch: pyt
         run_cross_play(out, Console(file=said, width=500))
     asked = [line for line in said.getvalue().splitlines() if "go on with" in line]
     assert asked == [f"Cut off among none; go on with python -m dune_rl.evaluate resume={out}"]
+
+
+def test_what_resuming_does_not_mend_is_told_alone(tmp_path: Path) -> None:
+    conf, out, said = settings("populations=[none]", "against=[]"), tmp_path / "matrix", io.StringIO()
+    begin_cross_play(conf, find_populations(conf), out, overwrite=False)
+    shutil.rmtree(out / "none")
+    with pytest.raises(ConfigError):
+        run_cross_play(out, Console(file=said, width=500))
+    assert said.getvalue() == ""
+
+
+def test_rows_of_several_groups_name_theirs() -> None:
+    robots = [("go_to_goal", "scout"), ("go_to_goal", "rover")]
+    assert [title_of(*each, robots) for each in robots] == ["go_to_goal, scout", "go_to_goal, rover"]
+    assert title_of(*robots[0], robots[:1]) == "go_to_goal"
 
 
 def test_a_population_that_has_the_robots_name_is_refused() -> None:

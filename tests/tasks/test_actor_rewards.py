@@ -1,5 +1,6 @@
 """The reward terms of actors that learn, against values worked out by hand."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -192,6 +193,32 @@ def test_a_touched_robot_of_another_group_charges_nobody() -> None:
     near = agents(position=(1.0, 0.0, 0.0))
     away = agents(name="leo", position=(-8.0, 0.0, 0.0))
     assert value(RanIntoRobot(1, groups=("rover",)), group, near, away) == [1.0]
+
+
+def test_a_robot_whose_episode_is_over_can_still_be_run_into() -> None:
+    group = walkers(position=(0.5, 0.0, 0.0), velocity_w=(-1.0, 0.0, 0.0), new=1, touching=True)
+    assert value(RanIntoRobot(1), group, agents(done=True)) == [1.0]
+
+
+def test_an_actor_that_is_a_robot_is_not_charged_for_walls() -> None:
+    """It hits something while it drives at a robot 3 m away: nothing, or that robot."""
+    scout = agents(name="scout", position=(3.0, 0.0, 0.0), velocity_w=(-1.0, 0.0, 0.0), new=1, touching=True)
+    assert value(RanIntoRobot(1), scout, agents()) == [0.0]
+    contacts = replace(scout.contacts, new_by_kind={"robot": np.array([1]), "static": np.array([1])})
+    assert value(RanIntoRobot(1), replace(scout, contacts=contacts), agents()) == [1.0]
+
+
+@pytest.mark.parametrize("name", ["dog", "walker"])
+def test_rewards_name_other_groups_of_robots(name: str) -> None:
+    words = ["actors.walker.task=adversarial", f"actors.walker.task.rewards.hit_by_robot.groups=[{name}]"]
+    told = (
+        rf"actors\.walker\.task\.rewards\.hit_by_robot\.groups: there is no other group of robots '{name}'; "
+        "choose rover"
+    )
+    with pytest.raises(ConfigError, match=told):
+        compose_environment("flat", words, {"actors": "learning_walkers"})
+    words[1] = words[1].replace(f"[{name}]", "[rover]")
+    compose_environment("flat", words, {"actors": "learning_walkers"})
 
 
 # -- keeping clear ---------------------------------------------------------------------------------
