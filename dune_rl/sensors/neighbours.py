@@ -17,7 +17,7 @@ _VALUES, _VALUES_WITH_GOAL = 7, 9
 class NeighboursConf(Settings):
     """How many agents are listed, and which groups are looked at; none named: all, the own one included.
 
-    With `goals` it is known where robots are going.
+    `goals` adds the goal position of each robot.
     """
 
     number: int = Field(4, ge=1, le=64, description="agents listed, the nearest first")

@@ -24,21 +24,23 @@ class Others:
     is_robot: Flags
 
 
-def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
-    """The agents of the groups `names` in the scene of each agent of the group `now`."""
-    rows = len(now.motion.position_w)
+def find_others(names: Sequence[str], observer: GroupState, state: State) -> Others:
+    """The agents of the groups `names` in the scene of each agent of the group `observer`."""
+    rows = len(observer.motion.position_w)
     positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
     present, radii, robots = [np.zeros((rows, 0), bool)], [np.zeros(0)], [np.zeros(0, bool)]
     for name in names:
         other = state.groups[name]
-        if _is_alone(other, now):
+        if _is_alone(other, observer):
             continue
-        positions.append(_for_each(other.motion.position_w, other, now))
-        velocities.append(_for_each(other.motion.velocity_w, other, now))
-        itself = np.eye(now.count, dtype=bool) if name == now.name else np.zeros((1, other.count), bool)
-        there = np.tile(~itself, (rows // len(itself), 1))
+        positions.append(_for_each(other.motion.position_w, other, observer))
+        velocities.append(_for_each(other.motion.velocity_w, other, observer))
+        is_itself = (
+            np.eye(observer.count, dtype=bool) if name == observer.name else np.zeros((1, other.count), bool)
+        )
+        there = np.tile(~is_itself, (rows // len(is_itself), 1))
         if other.absent is not None:
-            there &= ~np.repeat(other.by_scene(other.absent), now.count, axis=0)
+            there &= ~np.repeat(other.by_scene(other.absent), observer.count, axis=0)
         present.append(there)
         radii.append(np.full(other.count, other.radius_m))
         robots.append(np.full(other.count, other.kind == "robot"))
@@ -51,22 +53,22 @@ def find_others(names: Sequence[str], now: GroupState, state: State) -> Others:
     )
 
 
-def find_goals(names: Sequence[str], now: GroupState, state: State) -> Array:
+def find_goals(names: Sequence[str], observer: GroupState, state: State) -> Array:
     """The goals (N, A, 2) [m] of the agents that `find_others` finds, in the same order."""
-    rows = len(now.motion.position_w)
+    rows = len(observer.motion.position_w)
     goals = [np.zeros((rows, 0, 2))]
     for name in names:
         other = state.groups[name]
-        if not _is_alone(other, now):
-            goals.append(_for_each(other.goal.position_w, other, now))
+        if not _is_alone(other, observer):
+            goals.append(_for_each(other.goal.position_w, other, observer))
     return np.concatenate(goals, axis=1)
 
 
-def _is_alone(other: GroupState, now: GroupState) -> bool:
+def _is_alone(other: GroupState, observer: GroupState) -> bool:
     """Whether a group has nobody but the one agent of a scene that looks."""
-    return other.name == now.name and other.count == 1
+    return other.name == observer.name and other.count == 1
 
 
-def _for_each(values: Array, other: GroupState, now: GroupState) -> Array:
-    """The values (M G, 2 or more) of a group in plan view, for each agent of `now`: (N, G, 2)."""
-    return np.repeat(other.by_scene(values[:, :2]), now.count, axis=0)
+def _for_each(values: Array, other: GroupState, observer: GroupState) -> Array:
+    """The values (M G, 2 or more) of a group in plan view, for each agent of `observer`: (N, G, 2)."""
+    return np.repeat(other.by_scene(values[:, :2]), observer.count, axis=0)

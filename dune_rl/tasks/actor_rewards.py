@@ -173,7 +173,7 @@ class _JudgedContact(ABC):
 
     @abstractmethod
     def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:
-        """Values (N,) of contacts at closing speeds (N,) [m/s] of agents and robots; `begins` marks new ones."""
+        """Values (N,) at closing speeds `own` and `theirs` (N,) [m/s]; `begins` marks new contacts."""
         ...
 
     def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
