@@ -13,7 +13,7 @@ from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.sac.settings import SacConf
 
 STUDY = Path(__file__).parents[2] / "experiments" / "actors"
-NAMES = ("walkers", "adversaries", "both", "longer", "social")
+NAMES = ("walkers", "adversaries", "both", "longer", "social", "hardened")
 # What the machine decides.
 _NOT_SET = ("device",)
 
