@@ -138,12 +138,14 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
     saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
-    if started := [word for word in overrides if word.partition("=")[0].endswith(".start_from")]:
-        raise ConfigError(
-            f"{started[0]}: a resumed run goes on with its own weights; leave it out, or leave out resume "
-            "and begin a new run"
-        )
-    conf = compose_resumed(overrides, folders, saved)
+    conf, before = compose_resumed(overrides, folders, saved), compose_resumed((), folders, saved)
+    for group in conf.external_groups:
+        setting, start = conf.learning.start_of(group.name)
+        if start != before.learning.start_of(group.name)[1]:
+            raise ConfigError(
+                f"{setting}={start}: a resumed run goes on with its own weights; leave it out, or leave out "
+                "resume and begin a new run"
+            )
     train(conf, resume=checkpoint)
 
 
@@ -163,7 +165,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
     # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
-    from dune_rl.learning.fine_tuning import StartMismatchError
+    from dune_rl.learning.policy_spec import GroupMismatchError
     from dune_rl.learning.run.hyperparameters import choose_hyperparameters
     from dune_rl.learning.run.progress import BarReporter, LineReporter
     from dune_rl.learning.trainer import Trainer
@@ -190,7 +192,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
             make_pictures=EvaluationTracks,
             judged=conf.driven_group.name,
         )
-    except StartMismatchError as error:
+    except GroupMismatchError as error:
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))
         what_differs = str(error).splitlines()[0]
         raise CheckpointError(f"{what_differs}\n{owner}" if owner else str(error)) from None

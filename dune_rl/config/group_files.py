@@ -1,7 +1,7 @@
 """Files that agent groups read: trained policies and trajectories; and what to do where they are faulty."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from dune_rl.config.controller_settings import FrozenPolicyConf, TrajectoryFilesConf
@@ -9,6 +9,7 @@ from dune_rl.config.resolved_groups import ResolvedGroup
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.errors import CheckpointError, DuneError, WorldError
 from dune_rl.paths import conf_folder
+from dune_rl.robots.settings import RobotSettings
 from dune_rl.suggestions import one_of
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
@@ -21,24 +22,31 @@ def read_group_files(conf: EnvConf) -> dict[str, tuple[ActorTrajectory, ...]]:
     is known once an environment is made.
     """
     trajectories, faults = _read_trajectories(conf)
-    without_policy = list(_policy_faults(conf))
-    if faults:
-        raise WorldError("\n".join([*without_policy, *faults]))
-    if without_policy:
-        raise CheckpointError("\n".join(without_policy))
+    _raise_all(list(_controller_faults(conf)), faults)
     return trajectories
 
 
 def check_group_files(conf: EnvConf) -> None:
-    """Raise as `read_group_files`, and leave warnings to who reads the files for use."""
+    """Raise as `read_group_files`, and for what a new training begins with; leave warnings to who reads the
+    files for use.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        read_group_files(conf)
+        _, faults = _read_trajectories(conf)
+        _raise_all([*_controller_faults(conf), *_learning_faults(conf)], faults)
+
+
+def _raise_all(policies: Sequence[str], trajectories: Sequence[str]) -> None:
+    if trajectories:
+        raise WorldError("\n".join([*policies, *trajectories]))
+    if policies:
+        raise CheckpointError("\n".join(policies))
 
 
 def describe_owner(checkpoint: str, group: str, settings: str) -> str:
-    """What `group`, whose settings are at `settings`, must have to act by the policy in a file: that of the
-    group which was trained.
+    """What `group` must have to act by the policy in a file: that of the group which was trained.
+
+    Its settings are at `settings`, empty for `robot`. The text is empty where the file does not tell.
     """
     # Only now: settings of runs need what composes settings.
     from dune_rl.config.checks import validate
@@ -57,9 +65,14 @@ def describe_owner(checkpoint: str, group: str, settings: str) -> str:
     owner = next((each for each in owners if each.name == name), None)
     if owner is None or owner.sensors is None:
         return ""
+    is_robot = isinstance(owner.body, RobotSettings)
+    if settings.startswith("actors.") if is_robot else not settings:
+        # Actors are no robots, and `robot` is nothing else.
+        return f"The policy is that of {name}, a {owner.body.name}: take another checkpoint."
+    robot, sensors = (f"{settings}.body", f"{settings}.sensors") if settings else ("robot", "sensors")
     return (
-        f"The policy is that of {name}: write {settings}.body={owner.body.name} and "
-        f"{settings}.sensors={_sensors_in_words(owner)}, or take another checkpoint."
+        f"The policy is that of {name}: write {robot}={owner.body.name} and "
+        f"{sensors}={_sensors_in_words(owner)}, or take another checkpoint."
     )
 
 
@@ -99,8 +112,8 @@ def _read_trajectories(conf: EnvConf) -> tuple[dict[str, tuple[ActorTrajectory, 
     return found, faults
 
 
-def _policy_faults(conf: EnvConf) -> Iterator[str]:
-    """A line or two for each group that is to play a trained policy, and has none to play."""
+def _controller_faults(conf: EnvConf) -> Iterator[str]:
+    """A line or two for each scripted group that is to play a trained policy, and has none to play."""
     for group in conf.groups:
         if isinstance(group.controller, FrozenPolicyConf):
             settings = f"{conf.path_of(group.name)}.controller"
@@ -113,6 +126,10 @@ def _policy_faults(conf: EnvConf) -> Iterator[str]:
             )
             if fault:
                 yield f"{settings}.checkpoint: {fault}"
+
+
+def _learning_faults(conf: EnvConf) -> Iterator[str]:
+    """A line or two for each group of a training that is frozen on, or starts from, what is not there."""
     if not isinstance(conf, Conf):
         return
     for group in conf.external_groups:

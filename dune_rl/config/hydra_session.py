@@ -77,6 +77,12 @@ def compose_config(name: str, request: ParsedOverrides) -> DictConfig:
     except (HydraException, OmegaConfBaseException) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError("\n".join([*request.faults, f"cannot compose the settings: {reason}"])) from None
+    except (TypeError, ValueError):
+        # OmegaConf looks for a name in a list.
+        given = (str(each.input_line) for each in request.values)
+        words = " ".join(word for word in given if not word.startswith("++"))
+        reason = "cannot change a setting inside of a list; write the whole value, or one of the two"
+        raise ConfigError("\n".join([*request.faults, f"{reason}: {words}"])) from None
 
 
 def compose_words(name: str, words: Sequence[str] = ()) -> DictConfig:

@@ -34,9 +34,9 @@ def keep_named_options(name: str, request: ParsedOverrides) -> ParsedOverrides:
         config = compose_config(name, replace(request, values=tuple(_not_below(rest, changed))))
         for section in unchosen:
             if isinstance(option := OmegaConf.select(config, section), str):
-                words.append(f"++{section}={{name: {option}}}")
+                words.append(f"++{section}={_as_settings(section, option)}")
     for section in sorted(changed & chosen.keys()):
-        options = ",".join(f"{{name: {each.value()}}}" for each in sweep_values(chosen[section]))
+        options = ",".join(_as_settings(section, each.value()) for each in sweep_values(chosen[section]))
         # What else the section had belongs to another option.
         words += [f"++{section}=null", f"++{section}={options}"]
     parser = OverridesParser.create()
@@ -72,10 +72,19 @@ def _match(override: Override) -> re.Match[str] | None:
 
 
 def _names_option(override: Override) -> bool:
+    """Whether an override names an option, or lists the sensors that are enabled."""
     match = _match(override)
     if match is None or match[2]:
         return False
-    return all(isinstance(each.value(), str) for each in sweep_values(override))
+    return all(not isinstance(each.value(), dict | None) for each in sweep_values(override))
+
+
+def _as_settings(section: str, value: Any) -> str:
+    """An option, or a list of sensors, as settings in Hydra's form."""
+    if isinstance(value, list) and section.endswith(".sensors"):
+        return f"{{enabled: [{','.join(map(str, value))}]}}"
+    name = str(value).replace("\\", "\\\\").replace('"', '\\"')
+    return f'{{name: "{name}"}}'
 
 
 def _not_below(values: list[Override], sections: set[str]) -> list[Override]:

@@ -71,6 +71,17 @@ class EnvConf(Settings):
             return f"agents.{group}"
         return f"actors.{group}" if group in self.actors else ""
 
+    def require_endings(self) -> None:
+        """Raise ValueError unless some external group has a termination that ends its episodes."""
+        external = self.external_groups
+        endings = [[] if one.task is None else one.task.terminations.values() for one in external]
+        if all(term.renew for terms in endings for term in terms):
+            path = f"{self.path_of(external[0].name)}.task".lstrip(".")
+            raise ValueError(
+                f"{path}.terminations: no episode ends, as nothing but another goal follows a goal; add "
+                f"'+{path}.terminations.time_limit={{max_steps: 2000}}', or a robot that is external"
+            )
+
     @property
     def external_groups(self) -> tuple[ResolvedGroup, ...]:
         """The groups whose actions come from outside: from a user or a learner."""
@@ -277,6 +288,11 @@ class Conf(EnvConf):
             )
         if faults:
             raise ValueError("\n".join(faults))
+        return self
+
+    @model_validator(mode="after")
+    def _episodes_end(self) -> Self:
+        self.require_endings()
         return self
 
     @model_validator(mode="after")

@@ -12,22 +12,11 @@ from dune_rl.learning.checkpoint import (
     find_checkpoint_file,
     read_checkpoint_file,
 )
-from dune_rl.learning.policy_spec import PolicyMismatchError
+from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError
 from dune_rl.learning.run.folder import require_same_networks
 from dune_rl.learning.saved_policies import saved_entry
 from dune_rl.learning.settings import LearningConf
 from dune_rl.suggestions import one_of
-
-
-class StartMismatchError(CheckpointError):
-    """The policy in the file or folder `location` is for other observations or actions than those of `group`.
-
-    The first line names the setting and what differs.
-    """
-
-    def __init__(self, message: str, group: str, location: str) -> None:
-        super().__init__(message)
-        self.group, self.location = group, location
 
 
 def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> None:
@@ -35,7 +24,7 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
 
     Of a run's folder the last checkpoint is read, or where it has none, its policy, of which a warning
     tells that the critics are new. Raises CheckpointError, which names the setting, where the file cannot be
-    read, has nothing for the group, or networks of another shape; StartMismatchError where its policy is for
+    read, has nothing for the group, or networks of another shape; GroupMismatchError where its policy is for
     other observations or actions.
     """
     for group, learner in learners.items():
@@ -50,7 +39,7 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
             entry = saved_entry(content["groups"], source, group)
             require_same_networks(learner, entry, source, "Set {}, or start from another run.", conf, group)
         except PolicyMismatchError as error:
-            raise StartMismatchError(f"{setting}: {error}", group, location) from None
+            raise GroupMismatchError(f"{setting}: {error}", group, location) from None
         except CheckpointError as error:
             raise CheckpointError(f"{setting}: {error}") from None
         if "learner" not in entry:

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from dune_rl.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
+from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError
 from dune_rl.learning.saved_policies import read_saved_policy
 
 
@@ -32,6 +33,9 @@ class FrozenPolicy(Algorithm):
     def __init__(self, context: LearnerContext, path: Path) -> None:
         try:
             self._saved = read_saved_policy(path, context.group, context.spec)
+        except PolicyMismatchError as error:
+            message = f"learning.groups.{context.group}.frozen: {error}"
+            raise GroupMismatchError(message, context.group, str(path)) from None
         except CheckpointError as error:
             raise CheckpointError(f"learning.groups.{context.group}.frozen: {error}") from None
         super().__init__(replace(context, spec=self._saved.spec, algorithm=self._saved.algorithm))

@@ -24,6 +24,17 @@ class PolicyMismatchError(CheckpointError):
     """A policy is for other observations or actions; the first line says which."""
 
 
+class GroupMismatchError(PolicyMismatchError):
+    """The policy in the file or folder `location` is for other observations or actions than those of `group`.
+
+    The first line names the setting, too.
+    """
+
+    def __init__(self, message: str, group: str, location: str) -> None:
+        super().__init__(message)
+        self.group, self.location = group, location
+
+
 @dataclass(frozen=True)
 class ImageSpec:
     """An image of `shape` (height, width, channels), uint8 or float32, with values from `low` to `high`."""

@@ -8,7 +8,7 @@ import torch
 
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose, compose_environment
-from dune_rl.config.group_files import check_group_files
+from dune_rl.config.group_files import check_group_files, describe_owner, read_group_files
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.errors import CheckpointError, WorldError
 from dune_rl.learning.checkpoint import VERSION, read_checkpoint_file
@@ -195,3 +195,20 @@ def test_a_policy_of_the_robot_is_no_start_for_its_walkers() -> None:
     ]
     check_group_files(compose([*words, "learning.groups.walker.start_from=null"]))
     check_group_files(compose([*words, f"learning.groups.walker.frozen={POLICY}"]))
+
+
+def test_who_is_resumed_needs_no_file_that_it_began_with(tmp_path: Path) -> None:
+    """The run has weights of its own, and its settings still say where it started."""
+    conf = compose(["+world=flat", "actors=none", f"learning.start_from={tmp_path / 'gone'}"])
+    with pytest.raises(CheckpointError, match=r"^learning\.start_from: There is no"):
+        check_group_files(conf)
+    assert read_group_files(conf) == {}
+
+
+def test_what_a_policy_is_for_is_told_of_robots_and_walkers() -> None:
+    robots = describe_owner(str(POLICY), "rover", "")
+    assert robots == (
+        "The policy is that of rover: write robot=rover_zero and sensors=default, or take another checkpoint."
+    )
+    walkers = describe_owner(str(POLICY), "walker", "actors.walker")
+    assert walkers == "The policy is that of rover, a rover_zero: take another checkpoint."

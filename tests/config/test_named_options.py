@@ -74,7 +74,7 @@ def test_a_group_of_agents_may_name_its_body_and_change_it() -> None:
 def test_options_are_swept_beside_a_change() -> None:
     words = check_sweep([*LEARNING, "actors.walker.task=adversarial,indifferent", WEIGHT])
     # As Hydra hands each of them to a job: one at a time, in this order.
-    expected = "actors.walker.task={name: adversarial},{name: indifferent}"
+    expected = 'actors.walker.task={name: "adversarial"},{name: "indifferent"}'
     assert expected in words
     assert words.index(expected) < words.index("++" + WEIGHT)
 
@@ -93,3 +93,40 @@ def test_a_saved_task_is_changed_where_it_is() -> None:
     task = compose_resumed([WEIGHT], (), saved).groups[-1].task
     assert task is not None
     assert task.rewards["blocking"].weight == 0.5 and "hit_by_robot" in task.rewards
+
+
+def test_a_list_of_sensors_is_changed_beside_it() -> None:
+    words = ["actors.walker.sensors=[goal,neighbours]", "actors.walker.sensors.named.neighbours.number=2"]
+    sensors = compose([*LEARNING, *words]).groups[-1].sensors
+    assert sensors is not None and sensors.enabled == ("goal", "neighbours")
+    assert sensors.named["neighbours"].model_dump()["number"] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["actors.walker.task=3", WEIGHT], r"actors\.walker\.task: there is no task '3'; choose"),
+        (["actors.walker.task=", WEIGHT], r"actors\.walker\.task: there is no task ''; choose"),
+        (["actors.walker.task=[adversarial]", WEIGHT], r"did you mean adversarial\?"),
+        (
+            ["learning.hidden=[16]", "learning.hidden.foo=2"],
+            r"inside of a list.*: learning\.hidden=\[16\] learning\.hidden\.foo=2$",
+        ),
+        (
+            ["actors.walker.task.rewards=[]", WEIGHT],
+            r"inside of a list.*: actors\.walker\.task\.rewards=\[\]",
+        ),
+    ],
+)
+def test_what_is_no_option_is_told_beside_a_change(words: list[str], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        compose([*LEARNING, *words])
+
+
+def test_a_training_in_which_no_episode_ends_is_refused() -> None:
+    foe = "body: person, path: {}, controller: external, sensors: adversary, task: adversarial"
+    words = ["+world=flat", f"agents={{foe: {{{foe}}}}}"]
+    with pytest.raises(ConfigError, match=r"^agents\.foe\.task\.terminations: no episode ends") as error:
+        compose(words)
+    remedy = str(error.value).split("'")[1]
+    assert compose([*words, remedy]).groups[0].task is not None

@@ -7,8 +7,15 @@ import torch
 from point_mass import make_point_mass, make_two_groups
 from training import small, trainer, weights
 
-from dune_rl.errors import CheckpointError, DuneWarning
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE
+from dune_rl import train_job
+from dune_rl.config.compose import compose
+from dune_rl.errors import CheckpointError, ConfigError, DuneWarning
+from dune_rl.learning.checkpoint import (
+    BEST_POLICY_FILE,
+    CHECKPOINT_FILE,
+    LAST_POLICY_FILE,
+    write_checkpoint_file,
+)
 from dune_rl.learning.fine_tuning import start_learners
 from dune_rl.learning.settings import EvaluationConf
 from dune_rl.learning.trainer import Trainer
@@ -129,3 +136,21 @@ def test_a_frozen_group_starts_from_nothing(source: Path, tmp_path: Path) -> Non
     start_learners(made._learners, learning)
     made._log.close()
     made._folder.release()
+
+
+@pytest.mark.parametrize(
+    "word", ["learning.start_from=runs/a", "learning.groups={rover: {start_from: runs/a}}"]
+)
+def test_a_resumed_run_starts_from_nothing_else(
+    word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conf = compose(["+world=flat", "actors=none", "learning.start_from=runs/b"])
+    content = {"groups": {}, "config": conf.model_dump(mode="json")}
+    write_checkpoint_file(tmp_path / CHECKPOINT_FILE, "checkpoint", content)
+    resumed = []
+    monkeypatch.setattr(train_job, "train", lambda conf, resume: resumed.append(conf))
+    with pytest.raises(ConfigError, match=r"start_from=runs/a: a resumed run goes on with its own weights"):
+        train_job._resume(str(tmp_path), [word], ())
+    train_job._resume(str(tmp_path), ["total_frames=7"], ())
+    assert [one.total_frames for one in resumed] == [7]
+    assert resumed[0].learning.start_from == "runs/b"
