@@ -1,5 +1,6 @@
 """The study of actors: its policies are those of the commands that its page gives."""
 
+import csv
 import shlex
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,10 @@ from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.sac.settings import SacConf
 
 STUDY = Path(__file__).parents[2] / "experiments" / "actors"
-NAMES = ("walkers", "adversaries", "both", "longer", "social", "hardened")
+NAMES = ("walkers", "adversaries", "both", "longer", "social", "hardened", "guarded")
+PAGE = STUDY / "README.md"
+ROBOTS = ("walkers", "longer", "both", "social", "hardened", "guarded")
+POPULATIONS = ("walkers", "two_social_force", "adversaries_1", "adversaries_2")
 # What the machine decides.
 _NOT_SET = ("device",)
 
@@ -56,3 +60,27 @@ def test_a_policy_was_trained_with_the_settings_of_its_command(
         assert found == learning
         rest = {key: value for key, value in expected.items() if key not in ("learning", *_NOT_SET)}
         assert {key: config[key] for key in rest} == rest
+
+
+def test_the_page_counts_how_episodes_end() -> None:
+    """Its table of ends is that of the episodes' file: left the world / stuck or flipped / out of time."""
+    lines = [line for line in PAGE.read_text().splitlines() if line.count(" / ") >= 6]
+    robots = [f"{name}_{seed}" for seed in (1, 2) for name in ROBOTS]
+    assert [line.split("|")[1].strip() for line in lines] == robots
+    for line, robot in zip(lines, robots, strict=True):
+        added = robot.startswith(("hardened", "guarded"))
+        folder = STUDY / ("cross_play_hardened" if added else "cross_play")
+        ends = [_ends(folder / population, robot) for population in POPULATIONS]
+        assert line == f"| {robot} | {' | '.join(ends)} |"
+
+
+def _ends(folder: Path, robot: str) -> str:
+    with (folder / "episodes.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["policy"] == robot]
+    failed = [row for row in rows if not float(row["reached"] or 0)]
+    left = [row for row in failed if float(row["out_of_world"] or 0)]
+    stuck = [row for row in failed if row not in left and (float(row["stuck"]) or float(row["flipped"]))]
+    late = [row for row in failed if float(row["timeout"] or 0)]
+    counts = [len(left), len(stuck), len(late)]
+    assert len(rows) == 200 and sum(counts) == len(failed)
+    return " / ".join(map(str, counts))
