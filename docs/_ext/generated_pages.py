@@ -16,7 +16,7 @@ from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
-from dune_rl.config.compose import compose
+from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.engine_comparison import command_line as engines_command
 from dune_rl.engine_comparison.job import EnginesConf
@@ -247,7 +247,7 @@ def options_table(group: str) -> str:
 
 def rewards_table(task: str) -> str:
     """The reward terms of a task: weight, parameters, and what the term's docstring says."""
-    conf = compose(["+world=flat", f"task={task}"]).task
+    conf = compose_environment("flat", [f"task={task}"]).task
     rows = []
     for name, term in conf.rewards.items():
         said = first_paragraph(type(term).__doc__ or "")
@@ -273,7 +273,7 @@ def _shown(value: Any) -> str:
 
 def terminations_table(task: str) -> str:
     """The terminations of a task: what the term's docstring says, and whether it truncates."""
-    conf = compose(["+world=flat", f"task={task}"]).task
+    conf = compose_environment("flat", [f"task={task}"]).task
     rows = []
     for name, term in conf.terminations.items():
         said = first_paragraph(type(term).__doc__ or "")

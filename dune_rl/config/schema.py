@@ -79,7 +79,7 @@ class EnvConf(Settings):
             path = f"{self.path_of(external[0].name)}.task".lstrip(".")
             raise ValueError(
                 f"{path}.terminations: no episode ends, as nothing but another goal follows a goal; add "
-                f"'+{path}.terminations.time_limit={{max_steps: 2000}}', or a robot that is external"
+                f"'+{path}.terminations.time_limit={{max_steps: 2000}}'"
             )
 
     @property

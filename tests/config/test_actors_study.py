@@ -64,7 +64,7 @@ def test_a_policy_was_trained_with_the_settings_of_its_command(
 
 def test_the_page_counts_how_episodes_end() -> None:
     """Its table of ends is that of the episodes' file: left the world / stuck or flipped / out of time."""
-    lines = [line for line in PAGE.read_text().splitlines() if line.count(" / ") >= 6 and line.startswith("|")]
+    lines = [line for line in PAGE.read_text().splitlines() if line[:1] == "|" and line.count(" / ") >= 6]
     robots = [f"{name}_{seed}" for seed in (1, 2) for name in ROBOTS]
     assert [line.split("|")[1].strip() for line in lines] == robots
     for line, robot in zip(lines, robots, strict=True):
