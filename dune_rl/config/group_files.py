@@ -135,10 +135,8 @@ def _learning_faults(conf: EnvConf) -> Iterator[str]:
     for group in conf.external_groups:
         location = conf.learning.frozen(group.name)
         if location is not None:
-            setting, fault = (
-                f"learning.groups.{group.name}.frozen",
-                _why_not_played(location, group.name, "Call the group"),
-            )
+            setting = f"learning.groups.{group.name}.frozen"
+            fault = _why_not_played(location, group.name, "Call the group")
         else:
             setting, fault = _why_not_started(conf, group.name)
         if fault:

@@ -28,7 +28,7 @@ def keep_named_options(name: str, request: ParsedOverrides) -> ParsedOverrides:
     if not changed:
         return request
     chosen = {str(each.key_or_group): each for each in request.values if _names_option(each)}
-    rest = [each for each in request.values if each not in [chosen.get(section) for section in changed]]
+    rest = [each for each in request.values if str(each.key_or_group) not in changed & chosen.keys()]
     words: list[str] = []
     if unchosen := sorted(changed - chosen.keys()):
         config = compose_config(name, replace(request, values=tuple(_not_below(rest, changed))))
