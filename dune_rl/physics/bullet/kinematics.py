@@ -17,6 +17,7 @@ with suppress_stderr():
 # Bodies that are not near any robot are moved out of the way once, and not at all after that.
 _ASIDE_POSE = [0.0, 0.0, -1e4, 0.0, 0.0, 0.0]
 
+Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
@@ -49,9 +50,10 @@ class BulletKinematics:
         self._indices = {handle: index for index, handle in enumerate(self.handles)}
         self.poses: NDArray[np.float64] = np.zeros((len(shapes), 6))
         self.any_held_back = False
-        # Of bodies near robots: their poses before and after this control step.
-        self._ways: dict[int, tuple[list[float], list[float]]] = {}
-        self._attitudes: dict[int, Quaternion] = {}
+        # Of bodies near robots: where they are before this control step and how far they go in it (x, y, z)
+        # [m], and their attitude; that of boxes changes in the step, from one to another yaw, roll and pitch.
+        self._ways: dict[int, tuple[Triple, Triple, Quaternion | None]] = {}
+        self._angles: dict[int, tuple[list[float], list[float]]] = {}
         # Of bodies that move in this control step: x and y of the origin, and the centre.
         self._positions: dict[int, tuple[float, float]] = {}
         self._centres: dict[int, tuple[float, float, float]] = {}
@@ -102,32 +104,38 @@ class BulletKinematics:
         self._offsets.clear()
         self._put_aside(self._in_place.difference(near))
         self._in_place.update(near)
-        self._ways = {index: (old[index].tolist(), poses[index].tolist()) for index in near}
-        for index, (_, pose) in self._ways.items():
-            self._attitudes[index] = _turn(pose[3])
+        self._ways.clear()
+        for index in near:
+            (x, y, z, *before), (new_x, new_y, new_z, *after) = old[index].tolist(), poses[index].tolist()
+            attitude = None if self._leans[index] else _turn(after[0])
+            self._ways[index] = (x, y, z), (new_x - x, new_y - y, new_z - z), attitude
+            self._angles[index] = before, after
 
     def _put_aside(self, indices: set[int]) -> None:
         for index in sorted(indices):
             self._put(index, _ASIDE_POSE)
         self._in_place -= indices
 
-    def move(self, index: int, share: float) -> None:
-        """Put a body at `share` of the way that it moves, turns and leans in this control step."""
-        (old_x, old_y, old_z, *old), (x, y, z, *new) = self._ways[index]
-        x, y, z = old_x + (x - old_x) * share, old_y + (y - old_y) * share, old_z + (z - old_z) * share
-        if index in self._offsets:
-            back_x, back_y = self._offsets[index]
-            x, y = x + back_x, y + back_y
-        self._positions[index] = x, y
-        if self._leans[index]:
-            yaw = old[0] + _turned(old[0], new[0]) * share
-            roll, pitch = (one + (other - one) * share for one, other in zip(old[1:], new[1:], strict=True))
-            self._centres[index] = self._put(index, [x, y, z, yaw, roll, pitch])
-            return
-        position = x, y, z + self._centre_heights[index]
-        pybullet.resetBasePositionAndOrientation(
-            self.handles[index], position, self._attitudes[index], self._client
-        )
+    def move(self, share: float) -> None:
+        """Put the bodies near robots at `share` of the way that they move, turn and lean in this control
+        step.
+        """
+        for index, ((x, y, z), (way_x, way_y, way_z), attitude) in self._ways.items():
+            x, y, z = x + way_x * share, y + way_y * share, z + way_z * share
+            if index in self._offsets:
+                back_x, back_y = self._offsets[index]
+                x, y = x + back_x, y + back_y
+            self._positions[index] = x, y
+            if attitude is None:
+                before, after = self._angles[index]
+                yaw = before[0] + _turned(before[0], after[0]) * share
+                roll, pitch = (
+                    one + (other - one) * share for one, other in zip(before[1:], after[1:], strict=True)
+                )
+                self._centres[index] = self._put(index, [x, y, z, yaw, roll, pitch])
+                continue
+            position = x, y, z + self._centre_heights[index]
+            pybullet.resetBasePositionAndOrientation(self.handles[index], position, attitude, self._client)
 
     def record_contacts(self, contacts: Sequence[tuple[Any, ...]], robot: PushedRobot) -> None:
         """Take note of contact points of a robot in the last physics step, as PyBullet lists them."""
@@ -138,18 +146,19 @@ class BulletKinematics:
                 continue
             (point_x, point_y, _), (axis_x, axis_y) = contact[6], self._positions[index]
             arm_x, arm_y = point_x - axis_x, point_y - axis_y
+            arm_m = math.hypot(arm_x, arm_y)
             if self._leans[index]:
                 x, y = _outward(contact[7], contact[6], self._centres[index])
                 length = 1.0
             else:
                 # From the axis of the capsule to the point on its surface.
-                x, y, length = arm_x, arm_y, math.hypot(arm_x, arm_y)
+                x, y, length = arm_x, arm_y, arm_m
             if length > 0.0:
-                if (push := self._pushes.get(index)) is None:
-                    push = self._pushes[index] = Push()
                 # One call into the engine for all points of the step.
                 velocity = velocity or robot.velocity_xy()
-                push.add((force_n * x / length, force_n * y / length), (arm_x, arm_y), velocity)
+                if (push := self._pushes.get(index)) is None:
+                    push = self._pushes[index] = Push()
+                push.add(force_n * x / length, force_n * y / length, arm_x, arm_y, arm_m, *velocity)
 
     @property
     def are_pushing(self) -> bool:
@@ -162,10 +171,14 @@ class BulletKinematics:
         They are about to move by `share` of their way in this control step.
         """
         for index, push in self._pushes.items():
-            old, new = self._ways[index]
-            advance = [share * (new[axis] - old[axis]) for axis in (0, 1)]
-            turn = share * _turned(old[3], new[3]) if self._leans[index] else 0.0
-            back_x, back_y = push.retreat_m(advance, turn, self._shapes[index].max_push_n, timestep_s)
+            _, (way_x, way_y, _), _ = self._ways[index]
+            turn = 0.0
+            if self._leans[index]:
+                before, after = self._angles[index]
+                turn = share * _turned(before[0], after[0])
+            back_x, back_y = push.retreat_m(
+                share * way_x, share * way_y, turn, self._shapes[index].max_push_n, timestep_s
+            )
             if back_x or back_y:
                 x, y = self._offsets.get(index, (0.0, 0.0))
                 self._offsets[index] = x - back_x, y - back_y

@@ -1,7 +1,6 @@
 """How hard a kinematic body of a PyBullet scene pushes, and how far it has to step back."""
 
 import math
-from collections.abc import Sequence
 
 # Between those of abdomen and thigh, 10 and 50 N/mm, in ISO/TS 15066. At 1 m/s the force grows by 100 N in a
 # physics step of 5 ms, which is how far it can exceed the limit.
@@ -16,37 +15,41 @@ class Push:
         self._points = 0
 
     def add(
-        self, force: tuple[float, float], arm: tuple[float, float], velocity: tuple[float, float]
+        self, x: float, y: float, arm_x: float, arm_y: float, arm_m: float, speed_x: float, speed_y: float
     ) -> None:
-        """Add the force (x, y) [N] at a point of a robot with a horizontal velocity [m/s].
+        """Add the force (x, y) [N] at a point of a robot that moves with a velocity (x, y) [m/s].
 
-        The point is at `arm` (x, y) [m] from the body's origin.
+        The point is at `arm_x` and `arm_y` [m] from the body's origin, `arm_m` away.
         """
-        x, y = force
-        self._x, self._y, self._points = self._x + x, self._y + y, self._points + 1
-        self._moment_nm += arm[0] * y - arm[1] * x
-        self._power_w += x * velocity[0] + y * velocity[1]
-        self._fastest_mps = max(self._fastest_mps, math.hypot(*velocity))
-        self._farthest_m = max(self._farthest_m, math.hypot(*arm))
+        self._x += x
+        self._y += y
+        self._points += 1
+        self._moment_nm += arm_x * y - arm_y * x
+        self._power_w += x * speed_x + y * speed_y
+        speed_mps = math.hypot(speed_x, speed_y)
+        if speed_mps > self._fastest_mps:
+            self._fastest_mps = speed_mps
+        if arm_m > self._farthest_m:
+            self._farthest_m = arm_m
 
     def retreat_m(
-        self, advance_m: Sequence[float], turn_rad: float, limit_n: float, timestep_s: float
+        self, way_x: float, way_y: float, turn_rad: float, limit_n: float, timestep_s: float
     ) -> tuple[float, float]:
         """Way (x, y) [m] that the body has to step back, so as not to push harder than `limit_n` next.
 
-        It is about to advance by `advance_m` (x, y) and to turn by `turn_rad`, and the robots move on.
+        It is about to advance by `way_x` and `way_y` [m] and to turn by `turn_rad`, and the robots move on.
         """
         force_n = math.hypot(self._x, self._y)
         # Robots on two sides may push with forces that cancel: then nothing pushes it away.
         if not force_n > 0.0:
             return 0.0, 0.0
-        work_j = advance_m[0] * self._x + advance_m[1] * self._y - self._power_w * timestep_s
+        work_j = way_x * self._x + way_y * self._y - self._power_w * timestep_s
         swept_m = 0.0
         if turn_rad:
             work_j += turn_rad * self._moment_nm
             swept_m = abs(turn_rad) * self._farthest_m
         # Of one robot it is never more; of two whose forces nearly cancel it could be anything.
-        fastest_m = 1.001 * (math.hypot(*advance_m) + swept_m + self._fastest_mps * timestep_s)
+        fastest_m = 1.001 * (math.hypot(way_x, way_y) + swept_m + self._fastest_mps * timestep_s)
         closing_m = min(max(work_j / force_n, -fastest_m), fastest_m)
         excess_m = closing_m + (force_n - limit_n) / (self._points * STIFFNESS_NPM)
         if not excess_m > 0.0:

@@ -185,8 +185,7 @@ class BulletScene:
         substeps, watched, forces, near = begun
         robots, kinematics = self.robots, self._kinematics
         for substep in range(1, substeps + 1):
-            for body in near:
-                kinematics.move(body, substep / substeps)
+            kinematics.move(substep / substeps)
             for index, force in forces.items():
                 robots[index].base.act_force(force)
             self._advance()

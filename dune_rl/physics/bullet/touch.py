@@ -36,16 +36,18 @@ class TouchedBodies:
 
         `handles` are those of the bodies that the robot can have touched, or ANY_BODY.
         """
-        robot, client, numbers, found = self._body.handle, self._body.client, self._numbers, []
+        found: list[tuple[Any, ...]] = []
         for handle in handles:
             # Names of arguments would take PyBullet a fifth of the call.
-            points = pybullet.getContactPoints(robot, handle, _ANY_LINK, _ANY_LINK, client)
-            for contact in points:
+            points = pybullet.getContactPoints(
+                self._body.handle, handle, _ANY_LINK, _ANY_LINK, self._body.client
+            )
+            if points:
                 # Ground has no number: what remains is collisions.
-                if contact[2] in numbers:
-                    found.append(contact)
-                    if contact[8] < _CONTACT_DISTANCE_M:
-                        self._touched.add(numbers[contact[2]])
+                found += [point for point in points if point[2] in self._numbers]
+        for point in found:
+            if point[8] < _CONTACT_DISTANCE_M:
+                self._touched.add(self._numbers[point[2]])
         return found
 
     def in_order(self) -> list[int]:
