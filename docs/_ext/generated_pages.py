@@ -32,6 +32,7 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.reporting.settings import ReportConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.registry import SENSORS
 from dune_rl.settings import Settings
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS
 from dune_rl.tasks.task import TaskConf
@@ -89,6 +90,14 @@ def sensor_settings() -> Section:
     for inner in section.sections:
         if inner.path == "sensors.realism":
             inner.sections = []
+    for name in SENSORS.own:
+        model = SENSORS.settings_class(name)
+        if model is None or name in SensorsConf.model_fields:
+            continue
+        path = f"sensors.named.NAME={{sensor: {name}}}"
+        named = read_section(model, path, {}, without=_TAGS | {"realism"})
+        if named.settings:
+            section.sections.append(named)
     return section
 
 

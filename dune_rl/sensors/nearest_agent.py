@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.others import find_others
@@ -17,7 +18,7 @@ class NearestAgentConf(Settings):
     Where the sensor's own group is named, each agent looks at the other agents of it.
     """
 
-    groups: tuple[str, ...] = ()
+    groups: tuple[str, ...] = Field((), description="groups that are looked at; none: all but its own")
 
 
 class NearestAgent:

@@ -22,8 +22,8 @@ class NeighboursConf(Settings):
 
     number: int = Field(4, ge=1, le=64, description="agents listed, the nearest first")
     range_m: float = Field(10.0, gt=0.0, le=1_000.0, description="who is farther is not listed [m]")
-    groups: tuple[str, ...] = ()
-    goals: bool = False
+    groups: tuple[str, ...] = Field((), description="groups that are looked at; none: all, its own too")
+    goals: bool = Field(False, description="whether it has the goals of robots, too")
 
 
 class Neighbours:
