@@ -13,8 +13,11 @@ from dune_rl.config.hydra_session import compose_config
 from dune_rl.config.overrides import ParsedOverrides, sweep_values
 
 # What a group of agents names an option for, or has settings of.
-_SECTIONS = ("body", "sensors", "task", "metrics")
+_SECTIONS = ("body", "controller", "sensors", "task", "metrics")
+# A controller with one of these is a policy or files, which have no name.
+_NAMELESS = ("checkpoint", "group", "trajectory")
 _SECTION = re.compile(rf"((?:agents|actors)\.[^.]+\.(?:{'|'.join(_SECTIONS)}))(\..+)?")
+_OF_NO_OPTION = re.compile(rf".+\.controller\.(?:{'|'.join(_NAMELESS)})(\..+)?")
 
 
 def keep_named_options(name: str, request: ParsedOverrides) -> ParsedOverrides:
@@ -62,13 +65,14 @@ def _named(before: Any, settings: Any) -> Any:
     out = dict(settings)
     for section in _SECTIONS:
         option, value = before.get(section), settings.get(section)
-        if isinstance(option, str) and isinstance(value, Mapping):
+        if isinstance(option, str) and isinstance(value, Mapping) and value.keys().isdisjoint(_NAMELESS):
             out[section] = {"name": option, **value}
     return out
 
 
 def _match(override: Override) -> re.Match[str] | None:
-    return None if override.is_delete() else _SECTION.fullmatch(str(override.key_or_group))
+    key = str(override.key_or_group)
+    return None if override.is_delete() or _OF_NO_OPTION.fullmatch(key) else _SECTION.fullmatch(key)
 
 
 def _names_option(override: Override) -> bool:

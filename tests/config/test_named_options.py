@@ -71,6 +71,27 @@ def test_a_group_of_agents_may_name_its_body_and_change_it() -> None:
     assert found.sensors.lidar.n_beams == 64
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_behaviour_is_changed_where_it_is_named(order: int) -> None:
+    name, reaction = "actors.walker.controller=social_force", "actors.walker.controller.reaction=curious"
+    plain, changed = (
+        compose(["+world=flat", *words]).model_dump()["actors"]["walker"]["controller"]
+        for words in ([name], [name, reaction][::order])
+    )
+    assert plain["name"] == "social_force" and plain["reaction"] != "curious"
+    assert changed == plain | {"reaction": "curious"}
+
+
+def test_a_policy_takes_the_place_of_a_behaviour() -> None:
+    words = [
+        "+world=flat",
+        "actors.walker.controller.checkpoint=FILE",
+        "actors.walker.controller.group=walker",
+    ]
+    controller = compose(words).model_dump()["actors"]["walker"]["controller"]
+    assert controller == {"checkpoint": "FILE", "group": "walker"}
+
+
 def test_options_are_swept_beside_a_change() -> None:
     words = check_sweep([*LEARNING, "actors.walker.task=adversarial,indifferent", WEIGHT])
     # As Hydra hands each of them to a job: one at a time, in this order.
