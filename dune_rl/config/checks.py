@@ -134,7 +134,7 @@ def _sentence(
     if first["type"] == "extra_forbidden":
         return unknown_setting(path, model, data)
     if first["type"] == "missing":
-        return f"{name} is missing; give it a value"
+        return f"{name} is missing; give it a value{_meant_instead(path[:-1], data)}"
     if first["type"] in ("value_error", "assertion_error"):
         message = str(first["ctx"]["error"])
         return f"{name}: {message}" if name else message
@@ -142,6 +142,15 @@ def _sentence(
     if not wanted:
         return f"{name}: {first['msg']}"
     return f"{name} must be {' or '.join(unique_lines(wanted))} (got {_quoted(_value_at(path, data))})"
+
+
+def _meant_instead(section: tuple[str | int, ...], data: Mapping[str, Any]) -> str:
+    """The section whose name was perhaps misspelt, where another name began a section that lacks settings."""
+    beside = _value_at(section[:-1], data) if section else None
+    if not isinstance(beside, Mapping):
+        return ""
+    near = closest(str(section[-1]), [str(name) for name in beside if name != section[-1]])
+    return f"; or did you mean {_dotted((*section[:-1], near))}?" if near else ""
 
 
 def _requirement(detail: ErrorDetails) -> str | None:

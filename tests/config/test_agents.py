@@ -234,6 +234,8 @@ def test_a_job_of_hydra_knows_options_by_name() -> None:
          "agents.a.conut is not a setting; did you mean agents.a.count?"),
         ({"a": {"body": "rover_zero", "count": 0}}, "agents.a.count must be at least 1 (got 0)"),
         ({"a": {"count": 2}}, "agents.a.body is missing; give it a value"),
+        ({"rover": {"body": "rover_zero"}, "rovr": {"count": 2}},
+         "agents.rovr.body is missing; give it a value; or did you mean agents.rover?"),
         ({"a": {"body": "rover_zero", "controller": "extern"}},
          "agents.a.controller: there is no controller 'extern'; did you mean external?"),
         ({"a": {"body": "rover_zero", "controller": {"checkpoint": ""}}},
