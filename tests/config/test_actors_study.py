@@ -14,9 +14,11 @@ from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.sac.settings import SacConf
 
 STUDY = Path(__file__).parents[2] / "experiments" / "actors"
-NAMES = ("walkers", "adversaries", "both", "longer", "social", "hardened", "guarded")
+NAMES = ("walkers", "adversaries", "both", "longer", "social", "hardened", "guarded", "direct")
 PAGE = STUDY / "README.md"
-ROBOTS = ("walkers", "longer", "both", "social", "hardened", "guarded")
+ROBOTS = ("walkers", "longer", "both", "social", "hardened", "guarded", "direct")
+# Where those were tested that came later.
+LATER = {"hardened": "cross_play_hardened", "guarded": "cross_play_hardened", "direct": "cross_play_direct"}
 POPULATIONS = ("walkers", "two_social_force", "adversaries_1", "adversaries_2")
 # What the machine decides.
 _NOT_SET = ("device",)
@@ -68,8 +70,7 @@ def test_the_page_counts_how_episodes_end() -> None:
     robots = [f"{name}_{seed}" for seed in (1, 2) for name in ROBOTS]
     assert [line.split("|")[1].strip() for line in lines] == robots
     for line, robot in zip(lines, robots, strict=True):
-        added = robot.startswith(("hardened", "guarded"))
-        folder = STUDY / ("cross_play_hardened" if added else "cross_play")
+        folder = STUDY / LATER.get(robot[:-2], "cross_play")
         ends = [_ends(folder / population, robot) for population in POPULATIONS]
         assert line == f"| {robot} | {' | '.join(ends)} |"
 
