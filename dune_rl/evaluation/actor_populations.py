@@ -25,6 +25,7 @@ from dune_rl.learning.checkpoint import (
 )
 from dune_rl.paths import conf_folder
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.suggestions import closest
 
 OPTION, CHECKPOINT = "option", "checkpoint"
 # Of a run the last policy: its best is that of the robots, among which adversaries may do worst.
@@ -91,9 +92,13 @@ def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
         return ActorPopulation(location, OPTION, location, None, None, groups)
     path = Path(location)
     if not path.exists():
-        raise ConfigError(
-            f"{location} is no option of actors ({', '.join(sorted(options))}), and no run or policy file"
-        )
+        if path.suffix or len(path.parts) > 1:
+            raise ConfigError(f"there is no {location}; name a run, a policy file or an option of actors")
+        if near := closest(location, options, 0.75):
+            what = f"and no run; did you mean {near}? Options"
+        else:
+            what = f"and no run: there are {', '.join(sorted(options))}; options"
+        raise ConfigError(f"{location} is no option of actors, {what} of your own need --config-dir FOLDER")
     file = find_checkpoint_file(path, *_SOURCES)
     content = read_checkpoint_file(file, "policy", "checkpoint")
     config = migrated(content["config"])

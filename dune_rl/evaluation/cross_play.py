@@ -68,7 +68,8 @@ def begin_cross_play(
         names = {RECORD, MATRIX, PICTURE, *(one.name for one in populations)}
         others = sorted(each.name for each in out.iterdir() if each.name not in names)
         if others:
-            raise ConfigError(f"out={out} holds other files ({others[0]}); choose another folder")
+            what = "a cross-play among others" if (out / RECORD).exists() else "other files"
+            raise ConfigError(f"out={out} holds {what} ({others[0]}); remove it, or choose another folder")
     for one in populations:
         check_free(out / one.name, overwrite=overwrite)
     _check_startable(populations, plans)

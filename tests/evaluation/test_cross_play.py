@@ -166,6 +166,15 @@ def test_an_interruption_says_once_how_to_go_on(tmp_path: Path, monkeypatch: pyt
     assert asked == [f"Cut off among none; go on with python -m dune_rl.evaluate resume={out}"]
 
 
+def test_a_folder_of_another_cross_play_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "matrix"
+    first, second = (settings(f"populations=[{name}]", "against=[]") for name in ("none", "walkers"))
+    begin_cross_play(first, find_populations(first), out, overwrite=False)
+    with pytest.raises(ConfigError, match=r"matrix holds a cross-play among others \(none\); remove it, or "):
+        begin_cross_play(second, find_populations(second), out, overwrite=True)
+    assert [each.name for each in sorted(out.iterdir())] == ["cross_play.json", "none"]
+
+
 def test_what_resuming_does_not_mend_is_told_alone(tmp_path: Path) -> None:
     conf, out, said = settings("populations=[none]", "against=[]"), tmp_path / "matrix", io.StringIO()
     begin_cross_play(conf, find_populations(conf), out, overwrite=False)
@@ -204,11 +213,16 @@ def test_a_record_that_leads_out_of_its_folder_is_refused(tmp_path: Path) -> Non
 
 def test_what_is_no_population_is_named(run: Path, tmp_path: Path) -> None:
     published = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
-    words = f"populations=[walkrs,learning_walkers,{published}]"
+    words = f"populations=[walkrs,my_people,runs/lost,learning_walkers,{published}]"
     with pytest.raises(ConfigError) as error:
         find_populations(settings(words))
-    first, second, third = str(error.value).splitlines()
-    assert first.startswith("populations: walkrs is no option of actors (cars, cows, ")
+    first, unknown, lost, second, third = str(error.value).splitlines()
+    assert first.startswith("populations: walkrs is no option of actors, and no run; did you mean walkers?")
+    assert unknown.startswith(
+        "populations: my_people is no option of actors, and no run: there are cars, cows, "
+    )
+    assert unknown.endswith("options of your own need --config-dir FOLDER")
+    assert lost == "populations: there is no runs/lost; name a run, a policy file or an option of actors"
     assert second.startswith("populations: nobody drives walker of actors=learning_walkers; give a run")
     assert third.startswith(f"populations: {published} trained no actors, but rover")
     for words, said in (
