@@ -107,9 +107,12 @@ class BulletKinematics:
         self._ways.clear()
         for index in near:
             (x, y, z, *before), (new_x, new_y, new_z, *after) = old[index].tolist(), poses[index].tolist()
-            attitude = None if self._leans[index] else _turn(after[0])
+            attitude = None
+            if self._leans[index]:
+                self._angles[index] = before, after
+            else:
+                attitude = _turn(after[0])
             self._ways[index] = (x, y, z), (new_x - x, new_y - y, new_z - z), attitude
-            self._angles[index] = before, after
 
     def _put_aside(self, indices: set[int]) -> None:
         for index in sorted(indices):
