@@ -7,9 +7,8 @@ batched TorchRL one. Each takes every setting that the command lines take.
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from dune_rl.decorators import RegisterDecorator
-from dune_rl.env.registration import RENDER_METADATA, register_env, register_envs
-from dune_rl.errors import (
+from dune_rl.core.decorators import RegisterDecorator
+from dune_rl.core.errors import (
     CheckpointError,
     ConfigError,
     DuneError,
@@ -18,6 +17,7 @@ from dune_rl.errors import (
     RobotError,
     WorldError,
 )
+from dune_rl.env.registration import RENDER_METADATA, register_env, register_envs
 
 if TYPE_CHECKING:
     from dune_rl.env.gymnasium import GymnasiumEnv

@@ -1,6 +1,6 @@
-"""`python -m dune_rl.engines`: compares the two physics engines."""
+"""`python -m dune_rl.engines`: compare the two physics engines."""
 
-from dune_rl.engine_comparison.command_line import main
+from dune_rl.commands.engines import main
 
 if __name__ == "__main__":
     main()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from dune_rl import paths
+from dune_rl.core import paths
 
 _MARK = " # "
 

@@ -9,31 +9,32 @@ from realism_tables import devices_table, faults_table, sensors_table
 from settings_tables import Section, as_code, first_paragraph, read_section, render_section
 from vort_table import vort_table
 
-from dune_rl import paths, report, trajectory
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
+from dune_rl.commands import report, trajectory
+from dune_rl.commands.engines import command_line as engines_command
+from dune_rl.commands.engines.job import EnginesConf
+from dune_rl.commands.help_page import HelpPage
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import Conf, EnvConf
-from dune_rl.engine_comparison import command_line as engines_command
-from dune_rl.engine_comparison.job import EnginesConf
+from dune_rl.core import paths
+from dune_rl.core.registry import Registry
+from dune_rl.core.settings import Settings
 from dune_rl.env.randomisation import RandomisationConf
-from dune_rl.help_page import HelpPage
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.metrics.registry import METRICS
 from dune_rl.physics.interface import PhysicsConf
-from dune_rl.registry import Registry
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.reporting.settings import ReportConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.registry import SENSORS
-from dune_rl.settings import Settings
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS
 from dune_rl.tasks.task import TaskConf
 from dune_rl.trajectories.settings import TrajectoryConf

@@ -3,13 +3,13 @@
 from conf_comments import read_comments
 from settings_tables import as_code, first_paragraph, read_section, render_section
 
+from dune_rl.core.settings import Settings
 from dune_rl.sensors.conf import SensorRealismConf
 from dune_rl.sensors.realism.camera import CameraRealismConf
 from dune_rl.sensors.realism.lidar import LidarRealismConf
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import RealismConf
 from dune_rl.sensors.realism.presets import PARTS
-from dune_rl.settings import Settings
 
 _COMMON = frozenset(RealismConf.model_fields)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 Schema = Mapping[str, Any]
 _REQUIRED = "*required*"

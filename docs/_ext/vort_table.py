@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from dune_rl.learning.measures import estimate_metrics
-from dune_rl.learning.statistics import Estimate
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.measures import estimate_metrics
 
 EPISODES = Path(__file__).parents[2] / "experiments" / "vort" / "episodes.csv"
 # The measures of `metrics=vort` by threshold [deg]: the speed, and the time above it.

@@ -14,7 +14,7 @@ from PIL import Image
 from dune_rl.config.compose import compose_view
 from dune_rl.env.pictures import Pictures
 from dune_rl.rendering.renderer import Viewpoint
-from dune_rl.view.episode import EpisodeView
+from dune_rl.reporting.views.episode import EpisodeView
 from dune_rl.visualization.video import open_video
 
 FOLDER = Path(__file__).parent

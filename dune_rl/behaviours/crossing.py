@@ -7,7 +7,7 @@ from pydantic import Field
 
 from dune_rl.behaviours.ranges import Speed
 from dune_rl.behaviours.steering import Array, Flags, SteeredBehaviour, nearest_of
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 # A slower robot is standing: nothing crosses its way [m/s].
 _STANDS_MPS = 0.05

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.steering import SteeredBehaviour, draws_of
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state import GroupState, State
-from dune_rl.surroundings import EDGE_M
+from dune_rl.state.state import GroupState, State
+from dune_rl.state.surroundings import EDGE_M
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -8,7 +8,7 @@ from pydantic import Field
 from dune_rl.behaviours.ranges import Speed, Who
 from dune_rl.behaviours.steering import Array, SteeredBehaviour, nearest_of
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 # Time in which a pursuer's place is predicted [s].
 _PREDICTION_S = 1.0

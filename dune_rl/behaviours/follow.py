@@ -8,7 +8,7 @@ from pydantic import Field
 from dune_rl.behaviours.ranges import Speed, Who
 from dune_rl.behaviours.steering import Array, SteeredBehaviour, nearest_of
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 # Points of the trail, their spacing [m], and how near a follower has to come to one [m].
 _TRAIL = 64

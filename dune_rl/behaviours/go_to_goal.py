@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Speed = Annotated[float, Field(gt=0.0, le=50.0, description="speed toward the goal [m/s]")]
 

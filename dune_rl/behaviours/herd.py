@@ -9,7 +9,7 @@ from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed
 from dune_rl.behaviours.steering import Array, Flags, nearest_of
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Weight = Annotated[float, Field(ge=0.0, le=100.0, description="weight of this part")]
 

@@ -6,7 +6,7 @@ from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed
 from dune_rl.behaviours.reactions import Notice, Reaction, Reactions
 from dune_rl.behaviours.steering import Array
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 # Time over which what pushes a scared person acts [s].
 _PUSHED_S = 0.5

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from dune_rl.behaviours.steering import nearest_of
 from dune_rl.geometry.frames import unit_vectors, wrap_angle
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -5,9 +5,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.registry import Registry
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.core.registry import Registry
+from dune_rl.core.settings import Settings
+from dune_rl.state.state import GroupState, State
 
 
 class Behaviour(Protocol):

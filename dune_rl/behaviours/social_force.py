@@ -11,7 +11,7 @@ from dune_rl.behaviours.reactions import Notice, Reaction, Reactions
 from dune_rl.behaviours.social_force_loops import add_social_forces
 from dune_rl.behaviours.steering import Array
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Factor = Annotated[float, Field(ge=0.0, le=100.0, description="factor of this force; HuNavSim's by default")]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 _SIGHT_M = 8.0
 _RELAXATION_S = 0.5

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.avoidance.orca_loops import avoid_collisions
 from dune_rl.behaviours.drivers.context import DriverContext
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.seeding import stream
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

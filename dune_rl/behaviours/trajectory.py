@@ -8,10 +8,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]

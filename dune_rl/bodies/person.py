@@ -10,7 +10,7 @@ from dune_rl.bodies.settings import BodySettings, MotionLimits
 from dune_rl.physics.shapes import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, Segment
-from dune_rl.sensors.context import SensorCarrier
+from dune_rl.state.sensor_carrier import SensorCarrier
 
 _SIDES = 24
 # Upper ends of the clothes as shares of the height, and their colours (sRGB).

@@ -4,9 +4,9 @@ import inspect
 from typing import Any
 
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.errors import RegistryError
-from dune_rl.registry import Registry
-from dune_rl.signatures import PartSignature
+from dune_rl.core.errors import RegistryError
+from dune_rl.core.registry import Registry
+from dune_rl.core.signatures import PartSignature
 
 _FORM = "a subclass of dune_rl.bodies.settings.BodySettings whose fields all have defaults"
 

@@ -27,11 +27,11 @@ from dune_rl.bodies.fields import (
     WheelRadius,
     Width,
 )
+from dune_rl.core.settings import Settings
 from dune_rl.physics.shapes import KinematicBox, KinematicShape
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh
-from dune_rl.sensors.context import SensorCarrier
-from dune_rl.settings import Settings
+from dune_rl.state.sensor_carrier import SensorCarrier
 
 Array = NDArray[np.float64]
 MotionModel = Literal["unicycle", "bicycle", "holonomic", "flying"]

@@ -12,12 +12,12 @@ from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.controller_settings import PATH, Controller, follows_trajectories, parse_controller
+from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import closest, one_of
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
-from dune_rl.settings import Settings
-from dune_rl.suggestions import closest, one_of
 from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.task import TaskConf
 

@@ -11,15 +11,15 @@ from pydantic_core import ErrorDetails
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.errors import ConfigError, DuneError
+from dune_rl.core.errors import ConfigError, DuneError
+from dune_rl.core.registry import Registry
+from dune_rl.core.suggestions import closest
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.registry import METRICS, MetricTermConf
-from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.registry import SENSORS, SensorSettings
-from dune_rl.suggestions import closest
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTermConf, TerminationTermConf
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from dune_rl.config.schema import EnvConf
-from dune_rl.suggestions import closest
+from dune_rl.core.suggestions import closest
 
 
 def _one_or_several(names: object) -> object:

@@ -39,8 +39,8 @@ from dune_rl.config.scenarios import (
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.world_actors import GROUP as ACTOR_GROUP
 from dune_rl.config.world_actors import replace_default_actors
-from dune_rl.errors import ConfigError
-from dune_rl.suggestions import one_of
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import one_of
 
 Model = TypeVar("Model", bound=EnvConf)
 

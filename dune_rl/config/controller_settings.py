@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
-from dune_rl.settings import Settings
-from dune_rl.suggestions import closest, one_of
+from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import closest, one_of
 
 EXTERNAL, PATH, TRAJECTORY = "external", "path", "trajectory"
 

@@ -11,10 +11,10 @@ from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.config.controller_settings import Controller as ControllerConf
 from dune_rl.config.controller_settings import FrozenPolicyConf
 from dune_rl.config.group_files import describe_owner
+from dune_rl.core.errors import CheckpointError
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.driver_context import bind_to_group
-from dune_rl.errors import CheckpointError
 from dune_rl.sensors.sensor import Reading
 
 

@@ -14,10 +14,10 @@ from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import option_names
 from dune_rl.config.renaming import rename_in_section
 from dune_rl.config.resolved_groups import roaming_settings
+from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import closest, one_of
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.sensors.conf import SensorsConf
-from dune_rl.settings import Settings
-from dune_rl.suggestions import closest, one_of
 from dune_rl.tasks.task import TaskConf
 
 # Sections of an agent group that may name an option of the group of this name, with their settings.

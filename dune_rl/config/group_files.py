@@ -7,10 +7,10 @@ from pathlib import Path
 from dune_rl.config.controller_settings import FrozenPolicyConf, TrajectoryFilesConf
 from dune_rl.config.resolved_groups import ResolvedGroup
 from dune_rl.config.schema import Conf, EnvConf
-from dune_rl.errors import CheckpointError, DuneError, WorldError
-from dune_rl.paths import conf_folder
+from dune_rl.core.errors import CheckpointError, DuneError, WorldError
+from dune_rl.core.paths import conf_folder
+from dune_rl.core.suggestions import one_of
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.suggestions import one_of
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
 

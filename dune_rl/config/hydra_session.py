@@ -21,10 +21,10 @@ from hydra.version import setbase
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dune_rl import paths
 from dune_rl.config.options import offer_user_parts, stored_options
 from dune_rl.config.overrides import ParsedOverrides, sweep_values
-from dune_rl.errors import ConfigError
+from dune_rl.core import paths
+from dune_rl.core.errors import ConfigError
 
 # The groups of options that choose options of other groups, and change any settings.
 WHOLE_SETTINGS = ("experiment", "scenario")

@@ -7,9 +7,9 @@ from typing import Any
 
 from hydra.core.config_store import ConfigStore
 
-from dune_rl.errors import DuneError
+from dune_rl.core.errors import DuneError
+from dune_rl.core.registry import Registry
 from dune_rl.learning.registry import ALGORITHMS
-from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.worlds.registry import WORLDS
 

@@ -11,7 +11,7 @@ from hydra.core.override_parser.types import IntervalSweep, Override, OverrideTy
 from hydra.errors import HydraException
 
 from dune_rl.config.options import load_user_part
-from dune_rl.suggestions import closest, one_of
+from dune_rl.core.suggestions import closest, one_of
 
 _SENSORS = "sensors"
 # The group of which several options can be chosen at once.

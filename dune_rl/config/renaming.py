@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dune_rl.errors import DuneWarning
+from dune_rl.core.errors import DuneWarning
 
 
 def _same(value: Any) -> Any:

@@ -8,6 +8,8 @@ from dune_rl.config.actors import groups_of_list
 from dune_rl.config.agents import AgentGroups, robot_groups
 from dune_rl.config.checks import describe_faults
 from dune_rl.config.resolved_groups import GroupDefaults, ResolvedGroup, resolve_groups
+from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import closest, one_of
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.sac.settings import SacConf
@@ -19,8 +21,6 @@ from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
-from dune_rl.settings import Settings
-from dune_rl.suggestions import closest, one_of
 from dune_rl.tasks.registry import ROBOT_REWARDS, TERMINATIONS
 from dune_rl.tasks.task import DIVERGED, POINT_GOAL_TERMINATIONS, TaskConf
 from dune_rl.worlds.registry import WORLDS

@@ -6,7 +6,7 @@ from typing import Any
 
 from dune_rl.config.agents import PERSON
 from dune_rl.config.controller_settings import TRAJECTORY
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 
 # The mark, in an option's file, of groups whose place the file's own actors take.
 MARK = "unless_in_world"

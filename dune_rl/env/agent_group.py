@@ -23,7 +23,7 @@ from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
-from dune_rl.state import EnergyState, GoalState, GroupState, ScanQueries, State
+from dune_rl.state.state import EnergyState, GoalState, GroupState, ScanQueries, State
 from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.task import Task, TaskConf
 from dune_rl.worlds.actor_trajectory import ActorTrajectory

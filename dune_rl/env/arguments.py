@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 
 def check_whole(name: str, value: object, *, at_least: int) -> None:

@@ -13,9 +13,9 @@ from dune_rl.geometry.frame_loops import derive_motion
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion, Robot
-from dune_rl.sensors.context import SensorCarrier
-from dune_rl.sensors.odometry import DriveGeometry, WheelMotion
-from dune_rl.state import EnergyState, JointState, Motion
+from dune_rl.sensors.odometry import DriveGeometry
+from dune_rl.state.sensor_carrier import SensorCarrier, WheelMotion
+from dune_rl.state.state import EnergyState, JointState, Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 

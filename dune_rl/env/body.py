@@ -10,8 +10,8 @@ from dune_rl.env.proximity import Outline
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion
-from dune_rl.sensors.context import SensorCarrier
-from dune_rl.state import EnergyState, Motion
+from dune_rl.state.sensor_carrier import SensorCarrier
+from dune_rl.state.state import EnergyState, Motion
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

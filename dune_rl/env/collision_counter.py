@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.state import ContactState
+from dune_rl.state.state import ContactState
 
 Counts = NDArray[np.int64]
 

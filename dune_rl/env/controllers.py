@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.registry import Behaviour
 from dune_rl.sensors.sensor import Reading
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

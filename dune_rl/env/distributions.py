@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 
 class Uniform(Settings):

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from dune_rl.core.seeding import stream
 from dune_rl.env.episodes.plan import EpisodePlan
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
 from dune_rl.env.traction import Traction
 from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.seeding import stream
 from dune_rl.worlds.world import World
 
 Values = tuple[float, ...]

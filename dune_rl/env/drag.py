@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.shared_per_scene import Rows, agent_rows
 from dune_rl.robots.robot import Robot
-from dune_rl.state import Motion
+from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.grass import Grass
 

@@ -3,10 +3,10 @@
 import numpy as np
 
 from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext, Unicycle
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.errors import ConfigError
 
 _SPEED_AND_HEADING = 2
 # Of robots that do not say.

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from dune_rl.behaviours.paths.follower import PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import SharedPerScene
-from dune_rl.seeding import stream
-from dune_rl.state import GoalState, Motion
+from dune_rl.state.state import GoalState, Motion
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
 from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.world import World

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.articulated import ArticulatedBody
-from dune_rl.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf, MetricSet
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.state.state import Array, Flags, GroupState, State
 
 if TYPE_CHECKING:
     from dune_rl.env.agent_group import AgentGroup

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.arguments import action_numbers, check_whole, combined_seed
 from dune_rl.env.copying import CopiedByReplay, gymnasium_state
 from dune_rl.env.episodes.infos import EpisodeInfos
@@ -16,7 +17,6 @@ from dune_rl.env.observation_layout import ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
-from dune_rl.errors import ConfigError
 
 Flags = NDArray[np.bool_]
 Observations = dict[str, NDArray[Any]] | NDArray[np.float32]

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.compiled import compile_function
 from dune_rl.env.body import Engines
 from dune_rl.env.flight import Flight
 from dune_rl.env.motion_models import Step, advance, stopping_distance
 from dune_rl.env.proximity import Outline
 from dune_rl.env.room import Room
 from dune_rl.env.standing import Stance, turning_rates
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion, rectangle_outline
-from dune_rl.sensors.context import SensorCarrier
-from dune_rl.state import Motion
+from dune_rl.state.sensor_carrier import SensorCarrier
+from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]

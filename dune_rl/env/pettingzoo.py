@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.seeding import stream
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.arguments import agent_action, check_whole
 from dune_rl.env.copying import CopiedByReplay
@@ -20,8 +22,6 @@ from dune_rl.env.registration import RENDER_MODES
 from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.env.window import Window
-from dune_rl.errors import ConfigError
-from dune_rl.seeding import stream
 
 # Numbers of each agent in the state.
 _STATE_SIZE = 14

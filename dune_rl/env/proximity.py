@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import POSE_COLUMNS
-from dune_rl.state import GroundQueries, Motion
+from dune_rl.state.state import GroundQueries, Motion
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Distribution, WholeNumbers
 from dune_rl.env.latency import LONGEST_S
 from dune_rl.env.traction import Traction
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.settings import Settings
 
 # Metrics are float32, which holds whole numbers below this.
 _LARGEST_SEED = 2**24 - 1

@@ -5,7 +5,7 @@ import re
 
 import gymnasium
 
-from dune_rl import plugins
+from dune_rl.core import plugins
 
 # A window needs pygame; Gymnasium's own check of environments tries every mode that is named here.
 RENDER_MODES = ["human", "rgb_array"] if importlib.util.find_spec("pygame") else ["rgb_array"]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 RenderMode = Literal["human", "rgb_array"] | None
 

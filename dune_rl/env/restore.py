@@ -2,8 +2,8 @@
 
 import hashlib
 
-from dune_rl.errors import DuneError
-from dune_rl.state import State
+from dune_rl.core.errors import DuneError
+from dune_rl.state.state import State
 
 
 class RestoreError(DuneError):

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import query_grouped
-from dune_rl.surroundings import EDGE_M
+from dune_rl.state.surroundings import EDGE_M
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage, roof_height
 from dune_rl.worlds.world import World

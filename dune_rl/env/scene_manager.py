@@ -8,9 +8,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.errors import WorldError
 from dune_rl.env.domain_randomizer import DomainRandomizer, Values
 from dune_rl.env.scene_spec import scene_spec
-from dune_rl.errors import WorldError
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene, SceneSpec, step_scene
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape

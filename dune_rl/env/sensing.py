@@ -14,7 +14,8 @@ from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
-from dune_rl.sensors.context import SensorCarrier, SensorContext
+from dune_rl.sensors.context import SensorContext
+from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
 from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
 from dune_rl.worlds.beam_surface import beam_surface

@@ -25,7 +25,7 @@ from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.sensor import Reading
-from dune_rl.state import State
+from dune_rl.state.state import State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 

@@ -11,7 +11,7 @@ from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import GroupLayout, Proximity
 from dune_rl.env.scene_manager import scene_rows
-from dune_rl.state import ContactState, EpisodeState, GoalState, GroupState, State
+from dune_rl.state.state import ContactState, EpisodeState, GoalState, GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]

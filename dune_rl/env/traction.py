@@ -8,17 +8,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import Robot
-from dune_rl.state import Motion
+from dune_rl.state.state import Motion
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
-_GRAVITY_MPS2 = 9.81
 # A wheel higher than this over what is below it bears no load.
 _OFF_GROUND_M = 0.05
 _NOWHERE = 255
@@ -42,8 +42,8 @@ class Traction:
         self._rolls = robot.wheels is not None
         self._driven = 0 if robot.wheels is None else robot.wheels.num_driven
         wheels = len(self._wheels_b)
-        self._share_n = robot.mass_kg * _GRAVITY_MPS2 / wheels
-        self._slowest = _GRAVITY_MPS2 * physics.control_step_s
+        self._share_n = robot.mass_kg * GRAVITY_MPS2 / wheels
+        self._slowest = GRAVITY_MPS2 * physics.control_step_s
         self.friction_factor = np.ones(num_rows)
         self.tyre_factor = np.ones(num_rows)
         self.stiffness_factor = np.ones(num_rows)
@@ -168,4 +168,4 @@ def _wheel_speeds(motion: Motion, driven: int) -> Array | None:
 
 @lru_cache(maxsize=64)
 def _table(surfaces: tuple[Surface, ...], wheel: WheelLoad, sinkage: bool) -> tuple[Array, Array]:
-    return contact_table(surfaces, wheel, sinkage=sinkage, gravity_mps2=_GRAVITY_MPS2)
+    return contact_table(surfaces, wheel, sinkage=sinkage, gravity_mps2=GRAVITY_MPS2)

@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.behaviours.paths.follower import PathFollower
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.goals import PathGoals, RegionGoals
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager, scene_rows
 from dune_rl.env.visits import Visits
-from dune_rl.errors import WorldError
-from dune_rl.seeding import stream
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 from dune_rl.tasks.spawn import Placement
 
 Array = NDArray[np.float64]

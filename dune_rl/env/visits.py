@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.seeding import stream
+from dune_rl.core.seeding import stream
 from dune_rl.tasks.presence import PresenceConf
 
 Counts = NDArray[np.int64]

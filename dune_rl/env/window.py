@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 
 class Window:

@@ -14,18 +14,18 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.config.migration import migrated
 from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
 from dune_rl.config.schema import EnvConf
-from dune_rl.errors import ConfigError, DuneError
+from dune_rl.core.errors import ConfigError, DuneError
+from dune_rl.core.files import sha256_of
+from dune_rl.core.paths import conf_folder
+from dune_rl.core.suggestions import closest
 from dune_rl.evaluation.policies import checkpoint_name
-from dune_rl.files import sha256_of
 from dune_rl.learning.checkpoint import (
     LAST_POLICY_FILE,
     POLICY_SOURCES,
     find_checkpoint_file,
     read_checkpoint_file,
 )
-from dune_rl.paths import conf_folder
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.suggestions import closest
 
 OPTION, CHECKPOINT = "option", "checkpoint"
 # Of a run the last policy: its best is that of the robots, among which adversaries may do worst.

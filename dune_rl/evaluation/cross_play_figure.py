@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from dune_rl.files import write_atomically
+from dune_rl.core.files import write_atomically
 from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.number_text import format_value
 

@@ -11,10 +11,10 @@ import yaml
 
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.files import sha256_of, write_atomically
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.tables import write_columns, write_tables
-from dune_rl.files import sha256_of, write_atomically
 from dune_rl.learning.run.lock import RunLock
 
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"

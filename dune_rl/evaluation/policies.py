@@ -14,17 +14,17 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from dune_rl.config.commands import EvaluateConf
+from dune_rl.core.errors import ConfigError, DuneError
+from dune_rl.core.files import sha256_of
+from dune_rl.core.suggestions import closest
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError, DuneError
 from dune_rl.evaluation.stable_baselines import read_stable_baselines
-from dune_rl.files import sha256_of
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import describe_selection, load_policy
 from dune_rl.sensors.draws import uniform
-from dune_rl.suggestions import closest
 
 Act = Callable[[dict[str, NDArray[Any]]], NDArray[np.floating]]
 Kind = Literal["checkpoint", "built-in", "onnx", "stable-baselines3", "callable"]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from queue import Empty
 from typing import Any
 
-from dune_rl.errors import DuneError, TrainingError
+from dune_rl.core.errors import DuneError, TrainingError
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan

@@ -10,12 +10,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from dune_rl.episode_sets import sites_of_training
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import package_folder
+from dune_rl.evaluation.episode_sets import sites_of_training
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import read_checkpoint_file
-from dune_rl.paths import package_folder
 
 _PACKAGES = (
     *("dune_rl", "numpy", "scipy", "numba", "torch", "torchrl", "tensordict", "gymnasium", "pettingzoo"),

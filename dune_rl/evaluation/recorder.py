@@ -10,8 +10,8 @@ from tensordict import TensorDictBase
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.learning.measures import MetricsRow
-from dune_rl.state import GroupState
+from dune_rl.state.state import GroupState
+from dune_rl.statistics.measures import MetricsRow
 
 StepRow = dict[str, Any]
 Array = NDArray[np.float64]

@@ -12,11 +12,11 @@ from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, sho
 from dune_rl.evaluation.protocols.runs_done import finished_runs
 from dune_rl.evaluation.recorder import START_COLUMNS
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.learning.measures import MetricsRow, cluster_rows, estimate_metrics, write_csv
-from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
 from dune_rl.learning.run.progress import show_episodes
-from dune_rl.learning.statistics import Estimate
-from dune_rl.learning.table import (
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.measures import MetricsRow, cluster_rows, estimate_metrics, write_csv
+from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
+from dune_rl.statistics.table import (
     comparison_table,
     metric_notes,
     notes_by_measure,

@@ -10,9 +10,9 @@ from tensordict import TensorDictBase
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.episode_sets import EpisodeSet, plan_of_set, read_episode_set
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.episode_sets import EpisodeSet, plan_of_set, read_episode_set
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.policies import PolicySource, UserPolicy, policy_sources
 from dune_rl.evaluation.protocols.attempts import AttemptRecorder
@@ -22,8 +22,8 @@ from dune_rl.evaluation.recorder import EpisodeRecorder
 from dune_rl.evaluation.tables import plain_number
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.measures import WORLD_SEED, MetricsRow
 from dune_rl.learning.random_state import preserve_random_state
+from dune_rl.statistics.measures import WORLD_SEED, MetricsRow
 
 
 @dataclass(frozen=True)

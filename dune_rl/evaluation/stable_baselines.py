@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.stable_baselines_network import take_images, take_layers
 from dune_rl.learning.policy_spec import PolicySpec
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dune_rl.core.files import write_atomically
 from dune_rl.evaluation.columns import describe_columns
-from dune_rl.files import write_atomically
-from dune_rl.learning.measures import write_csv
+from dune_rl.statistics.measures import write_csv
 
 Row = Mapping[str, Any]
 

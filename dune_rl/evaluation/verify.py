@@ -10,13 +10,13 @@ from typing import Any
 
 from rich.console import Console
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.seeding import stream
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.folder import EPISODES, changed_files, read_provenance
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.learning.run.progress import show_episodes
-from dune_rl.seeding import stream
 
 _SHOWN = 3
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 
 @compile_function

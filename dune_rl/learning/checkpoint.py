@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dune_rl.errors import CheckpointError
-from dune_rl.files import write_atomically
+from dune_rl.core.errors import CheckpointError
+from dune_rl.core.files import write_atomically
 from dune_rl.learning.checkpoint_migration import MIGRATED_VERSION, migrate_checkpoint
 
 FORMAT = "dune_rl"

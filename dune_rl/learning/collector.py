@@ -14,12 +14,12 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import DuneWarning
+from dune_rl.core.errors import DuneWarning
+from dune_rl.core.seeding import stream
 from dune_rl.learning.group_policy import JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.worker_watch import WorkerWatch
-from dune_rl.seeding import stream
 
 MakeEnv = Callable[[int, int], EnvBase]
 

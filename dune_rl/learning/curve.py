@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from dune_rl.files import write_atomically
+from dune_rl.core.files import write_atomically
 
 _EVALUATION, _TRAINING = "#1f5fa8", "#d9822b"
 _KINDS = (

@@ -5,10 +5,10 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from dune_rl.behaviours.registry import BEHAVIOURS
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.driver_context import bind_to_group
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError
 
 
 class DriverPolicy:

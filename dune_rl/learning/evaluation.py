@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.random_state import preserve_random_state
+from dune_rl.statistics.measures import MetricsRow
 
 
 class EpisodeObserver(Protocol):

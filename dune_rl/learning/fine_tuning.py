@@ -4,7 +4,8 @@ import warnings
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from dune_rl.errors import CheckpointError, DuneWarning
+from dune_rl.core.errors import CheckpointError, DuneWarning
+from dune_rl.core.suggestions import one_of
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
     CHECKPOINT_FILE,
@@ -16,7 +17,6 @@ from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError
 from dune_rl.learning.run.folder import require_same_networks
 from dune_rl.learning.saved_policies import saved_entry
 from dune_rl.learning.settings import LearningConf
-from dune_rl.suggestions import one_of
 
 
 def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError

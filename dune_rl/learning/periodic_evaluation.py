@@ -9,8 +9,8 @@ from torchrl.envs import EnvBase
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Deterministic, JointPolicy
-from dune_rl.learning.measures import MetricsRow, average_metrics, selection_score
 from dune_rl.learning.settings import EvaluationConf
+from dune_rl.statistics.measures import MetricsRow, average_metrics, selection_score
 
 
 class PeriodicEvaluation:

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.driver_policy import driver_policies
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policy_spec import PolicySpec

@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dune_rl.bodies.turning_circle import TurningCircle
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase

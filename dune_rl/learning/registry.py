@@ -4,9 +4,9 @@ import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.registry import Registry
 from dune_rl.learning.settings import LearningConf
-from dune_rl.registry import Registry
 
 if TYPE_CHECKING:
     import torch

@@ -9,7 +9,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
     POLICY_SOURCES,

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 Width = Annotated[int, Field(ge=1, le=8192)]
 

@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from dune_rl.errors import DuneWarning, TrainingError
+from dune_rl.core.errors import DuneWarning, TrainingError
 from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
@@ -21,7 +21,6 @@ from dune_rl.learning.evaluation import EvaluationPictures
 from dune_rl.learning.fine_tuning import start_learners
 from dune_rl.learning.group_batch import select_group
 from dune_rl.learning.interrupts import StopRequest, stop_on_signals
-from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.population import make_population
@@ -34,6 +33,7 @@ from dune_rl.learning.run.progress import Reporter, SilentReporter
 from dune_rl.learning.run.status import RunStatus
 from dune_rl.learning.settings import LearningConf
 from dune_rl.learning.warmup import WarmUp
+from dune_rl.statistics.measures import MetricsRow
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, TypeVar
 
-from dune_rl.errors import TrainingError
+from dune_rl.core.errors import TrainingError
 
 T = TypeVar("T")
 

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 
 @compile_function

@@ -5,11 +5,11 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.compiled import compile_function
+from dune_rl.core.settings import Settings
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.metrics.registry import METRICS, MetricTermConf, MetricTerms, Reduction
-from dune_rl.settings import Settings
-from dune_rl.state import Array, Counts, Flags, GroupState, State
-from dune_rl.terms import bind_terms, note_term
+from dune_rl.state.state import Array, Counts, Flags, GroupState, State
+from dune_rl.state.terms import bind_terms, note_term
 
 BUILT_IN = ("episode", "steps", "return")
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, SerializeAsAny
 
-from dune_rl.terms import TermConf, TermRegistry
+from dune_rl.state.terms import TermConf, TermRegistry
 
 Reduction = Literal["mean", "sum", "min", "max", "last", "first"]
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 # Columns of a robot: x and y of the centre of mass, speed, reach and acceleration [SI]; x and y, quaternion
 # and angular velocity of the base link.

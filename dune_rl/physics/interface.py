@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.physics.varied_body import BodyVariation
-from dune_rl.settings import Settings
 
 Engine = Literal["bullet", "dart"]
 FrictionModel = Literal["pyramid", "cone"]

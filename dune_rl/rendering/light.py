@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 Floats = NDArray[np.float32]
 Channel = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.rendering.light import Channel, Light, LightConf, srgb_to_linear
-from dune_rl.settings import Settings
 
 Floats = NDArray[np.float32]
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.learning.statistics import CONFIDENCE, Estimate
+from dune_rl.core.seeding import stream
 from dune_rl.reporting.runs import Row
-from dune_rl.seeding import stream
+from dune_rl.statistics.intervals import CONFIDENCE, Estimate
 
 Array = NDArray[np.float64]
 # The scores of a method: for each set of cases those of its units, (U,) each.

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.settings import Settings
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.comparisons.comparison import Method
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.runs import Note, ReportInputs
-from dune_rl.settings import Settings
 
 
 class SourceConf(Settings):

@@ -4,7 +4,7 @@ import csv
 import math
 from pathlib import Path
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.reporting.runs import Row
 
 # Columns that are text even where they look like numbers.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dune_rl.paths import file_stem
+from dune_rl.core.paths import file_stem
 from dune_rl.reporting.comparisons.comparison import Comparison, Method
 from dune_rl.reporting.figures.aggregates import (
     collect_scores,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.run.lock import RunLock
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"

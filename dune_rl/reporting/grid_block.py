@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from pydantic import Field
 
-from dune_rl.errors import ConfigError
-from dune_rl.learning.paired_comparison import PairedComparison, holm_adjusted
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.settings import Settings
 from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.measure import Measure
 from dune_rl.metrics.number_text import NOTHING, format_difference, format_p
@@ -15,7 +15,7 @@ from dune_rl.reporting.block_sources import BlockSources, SourceConf
 from dune_rl.reporting.comparisons.comparison import Method, compare_methods
 from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, to_markdown
-from dune_rl.settings import Settings
+from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
 
 _MISSING = "not run"
 

@@ -3,9 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from dune_rl.learning.paired_comparison import PairedComparison
-from dune_rl.learning.statistics import Estimate
-from dune_rl.paths import file_stem
+from dune_rl.core.paths import file_stem
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.page.blocks import Block, FigureBlock, HeadingBlock, Section, TableBlock, TextBlock
@@ -23,6 +21,8 @@ from dune_rl.reporting.tables.origin import cases_table, evaluations_table, trai
 from dune_rl.reporting.tables.table import Table
 from dune_rl.reporting.tables.training import sweep_table, training_table
 from dune_rl.reporting.training_groups import TrainingGroup, group_runs
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.paired_comparison import PairedComparison
 
 
 @dataclass

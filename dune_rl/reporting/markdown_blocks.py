@@ -24,10 +24,9 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field, ValidationError
 
-from dune_rl.errors import ConfigError
-from dune_rl.files import write_atomically
-from dune_rl.learning.measures import CASE_COLUMNS, cluster_rows, compare_success
-from dune_rl.learning.statistics import Estimate
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import write_atomically
+from dune_rl.core.settings import Settings
 from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.number_text import format_p, format_value
 from dune_rl.reporting import published
@@ -38,7 +37,8 @@ from dune_rl.reporting.csv_rows import read_rows
 from dune_rl.reporting.grid_block import GridConf, make_grid
 from dune_rl.reporting.runs import Note
 from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, estimate_cell, to_markdown
-from dune_rl.settings import Settings
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, compare_success
 
 _BEGIN = re.compile(r"<!-- report: (\w+)\r?\n(.*?)^-->(\r?\n)", flags=re.MULTILINE | re.DOTALL)
 _END = "<!-- end report -->"

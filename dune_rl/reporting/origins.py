@@ -6,8 +6,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from dune_rl.episode_sets.files import read_episode_set, set_names
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
 from dune_rl.evaluation.folder import PROVENANCE
 from dune_rl.reporting.runs import Note
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from dune_rl.files import write_atomically
+from dune_rl.core.files import write_atomically
 from dune_rl.reporting.figures.style import RC
 from dune_rl.reporting.folder import FIGURES, PAGE, SUFFIXES, TABLES
 from dune_rl.reporting.layout import figures_of, tables_of

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.folder import CONFIG, EPISODES, PART, PROVENANCE, STEPS, changed_files
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.reporting.csv_rows import read_rows

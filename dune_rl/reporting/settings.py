@@ -9,8 +9,8 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
 from dune_rl.config.checks import validate
-from dune_rl.errors import ConfigError
-from dune_rl.settings import Settings
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.settings import Settings
 
 
 class ReportConf(Settings):

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 Row = dict[str, Any]
 _TEXT = ("policy", "agent")

@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.reporting.csv_rows import is_number, read_rows
 from dune_rl.reporting.runs import Note, Row, Sweep, SweepJob

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.steering_geometry import SteeringGeometry
-from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 

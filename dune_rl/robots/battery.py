@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 Array = NDArray[np.float64]
 _JOULES_PER_WH = 3600.0

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip, wrap_angle
-from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 Triple = tuple[float, float, float]
 

@@ -1,7 +1,7 @@
 """Registry of robots: built-in ones, those of installed packages, and those registered at run time."""
 
-from dune_rl.errors import RobotError
-from dune_rl.registry import Registry
+from dune_rl.core.errors import RobotError
+from dune_rl.core.registry import Registry
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
 

@@ -1,6 +1,6 @@
 """The base of every robot's settings."""
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 
 class RobotSettings(Settings):

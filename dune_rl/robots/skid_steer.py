@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip
-from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 

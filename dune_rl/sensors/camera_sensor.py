@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera, Cameras
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 
 class CameraSensor:

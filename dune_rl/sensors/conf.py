@@ -5,9 +5,10 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
 
-from dune_rl.errors import DuneError
+from dune_rl.core.errors import DuneError
+from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import closest, one_of
 from dune_rl.sensors.camera import CameraConf
-from dune_rl.sensors.context import SensorCarrier
 from dune_rl.sensors.currents import CurrentsConf
 from dune_rl.sensors.depth_strip import DepthStripConf
 from dune_rl.sensors.encoders import EncodersConf
@@ -32,8 +33,7 @@ from dune_rl.sensors.realism.pipeline import (
     SpeedRealismConf,
 )
 from dune_rl.sensors.registry import SENSORS, SensorSettings
-from dune_rl.settings import Settings
-from dune_rl.suggestions import closest, one_of
+from dune_rl.state.sensor_carrier import SensorCarrier
 
 # What a robot can observe without further settings.
 ROBOT_SENSORS = (

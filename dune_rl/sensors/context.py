@@ -10,30 +10,7 @@ from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.sensors.camera import CameraConf, Cameras
-from dune_rl.sensors.odometry import WheelMotion
-
-Position = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class SensorCarrier:
-    """The body that carries the sensors of a group.
-
-    `scanner_b`, `camera_b` and `imu_b` are where it carries scanners, cameras and the inertial unit (forward,
-    left and up of its origin [m]), for sensors without a mount of their own; `camera_pitch_deg` tilts cameras
-    down. Its origin is `standing_height_m` above level ground. `num_joints` counts the joints of its driven
-    wheels, or of its legs, and `drive` is the geometry of its wheels, None without wheels. `max_speed_mps` is
-    its top speed.
-    """
-
-    scanner_b: Position
-    camera_b: Position
-    imu_b: Position
-    camera_pitch_deg: float = 0.0
-    standing_height_m: float = 0.0
-    max_speed_mps: float = 10.0
-    num_joints: int = 0
-    drive: WheelMotion | None = None
+from dune_rl.state.sensor_carrier import SensorCarrier
 
 
 @dataclass(frozen=True)

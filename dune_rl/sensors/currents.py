@@ -5,10 +5,10 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 
 class CurrentsConf(Settings):

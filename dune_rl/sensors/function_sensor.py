@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import RegistryError
+from dune_rl.core.errors import RegistryError
 from dune_rl.sensors.registry import ReadingBounds
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 # f(state, group, *, params) -> (N, size) or, for a size of 1, (N,).
 SensorFunction = Callable[..., NDArray[Any]]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 
 class Goal:

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.batched import AnyRays, AnyTerrain
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

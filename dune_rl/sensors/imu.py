@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.compiled import compile_function
+from dune_rl.core.constants import GRAVITY_MPS2
+from dune_rl.core.settings import Settings
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import cross
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Mount, Reading, mount_position
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
-GRAVITY_MPS2 = 9.81
 
 
 class ImuConf(Settings):

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.settings import Settings
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.camera_sensor import CameraSensor
 from dune_rl.sensors.context import SensorContext
@@ -41,7 +42,6 @@ from dune_rl.sensors.registry import SENSORS, ReadingBounds
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.sensor import Sensor
 from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS, PlanarVelocity, Velocity
-from dune_rl.settings import Settings
 
 MountPoint = Literal["scanner", "camera", "imu"]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.optimize import brentq
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 Array = NDArray[np.float64]
 

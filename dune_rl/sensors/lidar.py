@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.batched import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, turn_beams
 from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.sensor import Mount, mount_position
-from dune_rl.settings import Settings
 
 Array = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.batched import AnyRays, BatchedRayScenes
 from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -16,8 +17,7 @@ from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
 from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading, mount_position
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

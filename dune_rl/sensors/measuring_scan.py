@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import Beams, LidarConf, beam_angles, fan
-from dune_rl.state import Motion
+from dune_rl.state.state import Motion
 
 Array = NDArray[np.float64]
 

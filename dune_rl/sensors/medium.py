@@ -13,7 +13,7 @@ from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.draws import uniform
 from dune_rl.sensors.sensor import Mount, mount_position
-from dune_rl.state import GroupState
+from dune_rl.state.state import GroupState
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dune_rl.geometry.frames import rotation_from_angles, wrap_angle
 from dune_rl.sensors.sensor import PI32, Array, Bounds, Flags, Reading, Sensor
 from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 _ODOMETRY_SPEED = 3
 _GYROSCOPE, _ATTITUDE = slice(3, 6), slice(6, 9)

@@ -4,12 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.others import find_others
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
 from dune_rl.sensors.velocity import heading_frame
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 
 class NearestAgentConf(Settings):

@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.others import find_goals, find_others
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 # Of each neighbour, without and with the goals of robots.
 _VALUES, _VALUES_WITH_GOAL = 7, 9

@@ -2,17 +2,18 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.encoders import EncodersConf, WheelCounter
 from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading, joints_of
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState, State
+from dune_rl.state.sensor_carrier import WheelMotion
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 
@@ -21,33 +22,6 @@ class OdometryConf(Settings):
     """How far the position is told: x and y are clipped to ± `range_m`."""
 
     range_m: float = Field(100.0, gt=0.0, le=1_000_000.0)
-
-
-class WheelMotion(Protocol):
-    """What the wheels of a robot tell of its motion, whether it skids (`DriveGeometry`) or steers."""
-
-    @property
-    def wheel_radius_m(self) -> float:
-        """Rolling radius [m]."""
-        ...
-
-    @property
-    def track_m(self) -> float:
-        """Distance [m] of the sides, by which bounds of the yaw rate follow from those of wheels."""
-        ...
-
-    @property
-    def num_wheels(self) -> int:
-        """Number of wheels with motors, whose joints are the first ones."""
-        ...
-
-    def motion(self, turned: Array, angles: Array) -> Array:
-        """Way ahead [m] and turn [rad] of M robots, (M, 2).
-
-        `turned` (M, W) [rad] is how far the wheels have turned meanwhile, and `angles` (M, J) [rad] are those
-        of all motors' joints.
-        """
-        ...
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dune_rl.sensors.sensor import Array, Flags
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 
 @dataclass(frozen=True)

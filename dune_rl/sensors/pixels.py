@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _BYTE = np.uint32(255)

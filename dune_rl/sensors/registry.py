@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from pydantic import SerializeAsAny, field_validator
 
-from dune_rl.errors import RegistryError
-from dune_rl.registry import RegisteredPart, Registry
+from dune_rl.core.errors import RegistryError
+from dune_rl.core.registry import RegisteredPart, Registry
+from dune_rl.core.settings import Settings
+from dune_rl.core.signatures import PartSignature
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf, RealismConf
 from dune_rl.sensors.sensor import Sensor
-from dune_rl.settings import Settings
-from dune_rl.signatures import PartSignature
 
 _KINDS = "dune_rl.sensors.kinds"
 _OWN = (

@@ -9,7 +9,7 @@ from dune_rl.sensors.medium import RangeEffect
 from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 
 class Scanner:

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.state import GroupState, JointState, State
+from dune_rl.state.state import GroupState, JointState, State
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.sensors.sensor import Bounds, Flags, Reading
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 MAX_SENSED_SPEED_MPS = 10.0
 MAX_SENSED_TURN_RADPS = 34.9

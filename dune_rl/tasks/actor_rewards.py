@@ -11,10 +11,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import one_of
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state import Array, Flags, GroupState, State
-from dune_rl.suggestions import one_of
+from dune_rl.state.state import Array, Flags, GroupState, State
 
 Metres = Annotated[float, Field(gt=0.0)]
 

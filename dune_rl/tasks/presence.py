@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 _LONGEST_S = 1e5
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, SerializeAsAny
 
-from dune_rl.terms import TermConf, TermRegistry
+from dune_rl.state.terms import TermConf, TermRegistry
 
 _OWN_REWARDS = (
     "collision",

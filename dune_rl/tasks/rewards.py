@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.state import Array, Counts, Flags, GroupState, State
+from dune_rl.state.state import Array, Counts, Flags, GroupState, State
 
 
 def distance(

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.errors import WorldError
-from dune_rl.settings import Settings
+from dune_rl.core.errors import WorldError
+from dune_rl.core.settings import Settings
 from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.passage import water_depth

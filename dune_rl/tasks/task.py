@@ -6,11 +6,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.settings import Settings
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.core.settings import Settings
+from dune_rl.state.state import Array, Flags, GroupState, State
+from dune_rl.state.terms import bind_terms, note_term
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTerms, TerminationTerms
 from dune_rl.tasks.spawn import SpawnConf
-from dune_rl.terms import bind_terms, note_term
 
 DIVERGED = "diverged"
 

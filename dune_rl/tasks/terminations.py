@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.state import Flags, GroupState, State
+from dune_rl.state.state import Flags, GroupState, State
 
 
 def goal_reached(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.worlds.actor_trajectory import MOST_WAY_POINTS, ActorTrajectory, unwrap_yaw
 from dune_rl.worlds.walkable_points import TerrainLimits, check_stretches, check_way_points
 from dune_rl.worlds.world import World

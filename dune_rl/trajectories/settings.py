@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from yaml import YAMLError
 
 from dune_rl.config.checks import validate
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.trajectories.files import WALKING_ACTOR, WALKING_ACTOR_HIP_M, Appearance
 from dune_rl.trajectories.plan import SPACING_M, Mode, plan_on_ground
 from dune_rl.trajectories.world_choice import choose_world

@@ -6,9 +6,9 @@ from typing import Any
 
 from dune_rl.config.build import build_world
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.rendering.mesh_files.files import FORMATS as MESHES
 from dune_rl.worlds.importing.heightmap.files import FORMATS as HEIGHT_MAPS
-from dune_rl.worlds.importing.mesh.files import FORMATS as MESHES
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.world import World
 

@@ -9,7 +9,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.files import write_atomically
+from dune_rl.core.files import write_atomically
 
 AddFrame = Callable[[NDArray[np.uint8]], None]
 

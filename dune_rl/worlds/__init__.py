@@ -1,9 +1,9 @@
 """Worlds, and what one builds them of: a function that returns a `World` is all that another one takes."""
 
+from dune_rl.core.seeding import stream
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
-from dune_rl.seeding import stream
-from dune_rl.settings import Settings
 from dune_rl.worlds.fractal_terrain import rough_field
 from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground_texture import GRAVEL, MEADOW, GroundColours

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage
-from dune_rl.seeding import stream
 from dune_rl.worlds.props import merge_meshes
 
 Array = NDArray[np.float64]

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import GroundTexture
-from dune_rl.seeding import stream
 from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.surface_map import SurfaceMap
 

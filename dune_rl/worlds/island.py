@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.fractal_terrain import rough_field, smooth_step
 from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground_texture import GroundColours

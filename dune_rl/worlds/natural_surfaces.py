@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.surface_map import CELL_M, MOST_CELLS, SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice, SurfaceName
 

@@ -3,9 +3,9 @@
 import json
 from typing import Any
 
-from dune_rl.errors import WorldError
-from dune_rl.registry import Registry
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
+from dune_rl.core.errors import WorldError
+from dune_rl.core.registry import Registry
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.validation import check_world
 from dune_rl.worlds.world import World

@@ -1,6 +1,6 @@
 """The base of every world's settings."""
 
-from dune_rl.settings import Settings
+from dune_rl.core.settings import Settings
 
 
 class WorldSettings(Settings):

@@ -4,9 +4,9 @@ import warnings
 
 import numpy as np
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.world import Prop, World
 
 

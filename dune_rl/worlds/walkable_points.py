@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.errors import WorldError
-from dune_rl.settings import Settings
+from dune_rl.core.errors import WorldError
+from dune_rl.core.settings import Settings
 from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.world import World
 

@@ -10,7 +10,7 @@ from yards import BEND, BOXES, hills, points_anywhere, yard
 from dune_rl.behaviours.paths.follower import PathConf, PathFollower
 from dune_rl.behaviours.paths.splines import spline_path
 from dune_rl.bodies.person import PersonConf
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.worlds.world import World
 

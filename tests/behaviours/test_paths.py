@@ -5,7 +5,7 @@ import pytest
 from yards import BEND, BOXES, hills, points_anywhere, yard
 
 from dune_rl.behaviours.paths.splines import random_paths, spline_path, there_and_back
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.geometry.frames import wrap_angle
 
 

@@ -9,7 +9,7 @@ from dune_rl.bodies.person import ChildConf, PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings, Quadruped, pictures_of
 from dune_rl.bodies.vehicles import CarConf, TractorConf, TruckConf
-from dune_rl.errors import RegistryError
+from dune_rl.core.errors import RegistryError
 from dune_rl.rendering.scenery import ColouredMesh
 
 MOVING = ("person", "child", "cow", "sheep", "dog")

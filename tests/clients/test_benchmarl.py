@@ -12,7 +12,7 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 SHORT = {"terminations": {"time_limit": {"max_steps": 8}}}
 WALKERS = {"actors": "external_walkers", "task": SHORT}

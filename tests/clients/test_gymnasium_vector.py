@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector
 
 import dune_rl
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 ID = "dune_rl:dune_rl/Flat-v0"
 SHORT = {"task": {"name": "paper", "terminations": {"time_limit": {"max_steps": 6}}}}

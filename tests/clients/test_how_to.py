@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from client_table import CLIENTS, END, PASSED, installed_version, marked_rows, read_table
 
-from dune_rl.command import config_folders, parse_arguments
+from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.config.compose import check_sweep
 
 HERE = Path(__file__).parent

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dune_rl
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from dune_rl.config.compose import compose, compose_environment, compose_evaluat
 from dune_rl.config.controller_settings import FrozenPolicyConf
 from dune_rl.config.resolved_groups import ResolvedGroup, walker_sensors
 from dune_rl.config.schema import EnvConf, SingleAgentConf
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.leo_rover.robot import LeoRoverConf
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
@@ -212,7 +212,7 @@ def test_settings_of_a_run_with_groups_stay() -> None:
 def test_a_job_of_hydra_knows_options_by_name() -> None:
     import hydra
 
-    from dune_rl import paths
+    from dune_rl.core import paths
 
     with hydra.initialize_config_dir(str(paths.conf_folder()), version_base="1.3"):
         config = hydra.compose("train", ["+world=flat", f"++{TEAM}", "run_dir=runs/x"])

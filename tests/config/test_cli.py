@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from dune_rl import benchmark, command, engines, evaluate, train
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
+from dune_rl.commands import benchmark, command_line, engines, evaluate, train
+from dune_rl.core.untrusted_files import WorldWarning
 
 Call = Callable[..., int]
 
@@ -129,7 +129,7 @@ def test_two_policies_are_compared_on_the_same_episodes(
 
 
 def test_a_warning_is_a_line_without_our_code(capsys: pytest.CaptureFixture[str]) -> None:
-    command._warn(WorldWarning("sand.png is missing"), WorldWarning, "reader.py", 7)
+    command_line._warn(WorldWarning("sand.png is missing"), WorldWarning, "reader.py", 7)
     assert capsys.readouterr().err == "warning: sand.png is missing\n"
 
 

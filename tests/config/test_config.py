@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 import yaml
 
-from dune_rl import paths
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.animals import CowConf, DogConf, SheepConf
@@ -23,6 +22,8 @@ from dune_rl.config.hydra_session import WHOLE_SETTINGS
 from dune_rl.config.resolved_groups import roaming_task, walker_sensors
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.world_actors import MARK
+from dune_rl.core import paths
+from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.sac.settings import SacConf
@@ -37,7 +38,6 @@ from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
-from dune_rl.settings import Settings
 from dune_rl.tasks.task import TaskConf, walking_task
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf

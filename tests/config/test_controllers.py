@@ -9,8 +9,8 @@ import torch
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose, compose_environment
 from dune_rl.config.group_files import check_group_files, describe_owner, read_group_files
+from dune_rl.core.errors import CheckpointError, WorldError
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import CheckpointError, WorldError
 from dune_rl.learning.checkpoint import VERSION, read_checkpoint_file
 from dune_rl.worlds.world import World
 

@@ -11,8 +11,8 @@ from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.measures import average_metrics
 from dune_rl.learning.saved_policies import load_policy
+from dune_rl.statistics.measures import average_metrics
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 README = EXPERIMENTS.parent / "README.md"

@@ -13,10 +13,10 @@ from dune_rl.config.compose import compose, compose_environment, compose_evaluat
 from dune_rl.config.migration import migrated
 from dune_rl.config.renaming import RENAMED
 from dune_rl.config.schema import EnvConf
+from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.env.distributions import Choice, LogUniform, Normal, Uniform
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.randomisation import RandomisationConf
-from dune_rl.errors import ConfigError, DuneWarning
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.conf import SensorsConf
@@ -187,7 +187,7 @@ def test_the_robots_of_groups_and_lists_too() -> None:
     assert bodies["scout"].mounts.camera_pitch_deg == pytest.approx(math.degrees(0.1))  # type: ignore[union-attr]
 
 
-@pytest.mark.filterwarnings("ignore::dune_rl.errors.DuneWarning")
+@pytest.mark.filterwarnings("ignore::dune_rl.core.errors.DuneWarning")
 def test_faults_in_them_are_told_of_the_new_name() -> None:
     words = ["sensors.lidar.fov_rad=7", "sensors.camera.fov_rad=wide", "sensors.named={imu: {fov_rad: 1}}"]
     with pytest.raises(ConfigError) as caught:

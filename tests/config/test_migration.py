@@ -11,7 +11,7 @@ from dune_rl.config.compose import compose, compose_environment, compose_evaluat
 from dune_rl.config.migration import migrated
 from dune_rl.config.renaming import RENAMED, rename_in_section
 from dune_rl.config.schema import EnvConf
-from dune_rl.errors import ConfigError, DuneWarning
+from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.tasks.task import TaskConf
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -166,7 +166,7 @@ def test_the_length_of_an_episode_keeps_its_name() -> None:
     )
 
 
-@pytest.mark.filterwarnings("ignore::dune_rl.errors.DuneWarning")
+@pytest.mark.filterwarnings("ignore::dune_rl.core.errors.DuneWarning")
 def test_faults_under_an_older_name() -> None:
     with pytest.raises(ConfigError) as caught:
         compose(["+world=flat", "task.reward.gaol=1", "task.termination.max_steps=0"])

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_resumed
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 LEARNING = ["+world=flat", "+experiment=multi_agent"]
 WEIGHT = "actors.walker.task.rewards.blocking.weight=0.5"

@@ -7,7 +7,6 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
-from dune_rl import paths
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -16,7 +15,8 @@ from dune_rl.config.compose import (
     compose_resumed,
 )
 from dune_rl.config.schema import EnvConf
-from dune_rl.errors import ConfigError
+from dune_rl.core import paths
+from dune_rl.core.errors import ConfigError
 from dune_rl.worlds.flat import FlatConf
 
 CONF = paths.conf_folder()

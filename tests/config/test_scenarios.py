@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dune_rl
-from dune_rl import paths
+from dune_rl.commands.help_page import option_group_rows
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -16,8 +16,8 @@ from dune_rl.config.compose import (
     compose_view,
 )
 from dune_rl.config.schema import EnvConf
-from dune_rl.errors import ConfigError
-from dune_rl.help_page import option_group_rows
+from dune_rl.core import paths
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.checkpoint import read_checkpoint_file
 
 SCENARIOS = sorted(path.stem for path in paths.conf_folder().glob("scenario/*.yaml"))

@@ -29,7 +29,7 @@ def test_help_loads_none_of_the_heavy_packages(module: str) -> None:
 
 def test_a_misspelt_key_is_found_without_pytorch() -> None:
     code = (
-        "import sys; sys.argv = ['x', '+world=flat', 'total_frame=1']; from dune_rl.train import main; main()"
+        "import sys; from dune_rl.train import main; sys.argv = ['x', '+world=flat', 'total_frame=1']; main()"
     )
     heavy = loaded_packages(code)
     assert "pydantic" in heavy

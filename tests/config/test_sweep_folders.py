@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from dune_rl import train
+from dune_rl.commands import train
 
 
 @pytest.mark.parametrize(

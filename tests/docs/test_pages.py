@@ -25,9 +25,10 @@ from urdf_files import CART
 from user_packages import packages_on_path, shown_files, write_package
 from world_files import write_yard
 
-from dune_rl import paths
 from dune_rl.__main__ import COMMANDS as PROGRAMS
-from dune_rl.command import config_folders, parse_arguments
+from dune_rl.commands import episode_sets
+from dune_rl.commands.command_line import config_folders, parse_arguments
+from dune_rl.commands.engines.job import parse_settings as engines_settings
 from dune_rl.config.compose import (
     check_sweep,
     compose,
@@ -36,10 +37,9 @@ from dune_rl.config.compose import (
     compose_view,
     override_value,
 )
-from dune_rl.engine_comparison.job import parse_settings as engines_settings
-from dune_rl.episode_sets import __main__ as episode_sets
-from dune_rl.episode_sets import read_episode_set
-from dune_rl.errors import ConfigError, DuneError
+from dune_rl.core import paths
+from dune_rl.core.errors import ConfigError, DuneError
+from dune_rl.evaluation.episode_sets import read_episode_set
 from dune_rl.reporting.settings import parse_words
 from dune_rl.robots import __main__ as robots
 from dune_rl.sensors.conf import ROBOT_SENSORS

@@ -52,12 +52,14 @@ def test_public_things_have_docstrings_that_say_something(module: str) -> None:
 
 @pytest.mark.parametrize("module", ["dune_rl", "dune_rl.worlds"])
 def test_every_public_name_is_in_the_reference(module: str) -> None:
-    errors = set(public_names("dune_rl.errors"))
+    errors = set(public_names("dune_rl.core.errors"))
     for name in public_names(module):
         if name not in errors:
             assert re.search(rf"\b{name}\b", TEXT), f"{module}.{name} is not in docs/reference/api"
 
 
 def test_the_errors_are_in_the_reference() -> None:
-    assert "dune_rl.errors" in MODULES
-    assert {name for name in dune_rl.__all__ if name.endswith("Error")} <= set(public_names("dune_rl.errors"))
+    assert "dune_rl.core.errors" in MODULES
+    assert {name for name in dune_rl.__all__ if name.endswith("Error")} <= set(
+        public_names("dune_rl.core.errors")
+    )

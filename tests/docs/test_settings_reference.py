@@ -11,11 +11,11 @@ from pydantic import Field
 from realism_tables import faults_table
 from settings_tables import Section, Setting, as_code, read_section, render_section
 
-from dune_rl import paths
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
-from dune_rl.settings import Settings
+from dune_rl.core import paths
+from dune_rl.core.settings import Settings
 
 
 def all_sections() -> Iterator[Section]:

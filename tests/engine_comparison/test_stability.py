@@ -5,8 +5,8 @@ import pytest
 from planted.engines import KickedRobot, RaisedRobot, TeleportedRobot, UnchangedRobot, tampered
 from simulations import every_engine
 
-from dune_rl.engine_comparison import recording
-from dune_rl.engine_comparison.stability import FaultCounts, SpeedLimit, count_faults
+from dune_rl.commands.engines import recording
+from dune_rl.commands.engines.stability import FaultCounts, SpeedLimit, count_faults
 from dune_rl.robots.hyperdog.robot import HyperDog
 from dune_rl.robots.rover_zero.robot import RoverZero
 

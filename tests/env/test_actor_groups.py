@@ -9,8 +9,8 @@ from simulations import environment_conf, new_simulation, started_simulation
 
 import dune_rl
 from dune_rl.config.compose import compose_environment
+from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError, WorldError
 
 ANYWHERE = {"task": {"spawn": {"region": "anywhere"}}}
 

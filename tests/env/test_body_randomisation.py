@@ -14,8 +14,8 @@ from scripted_physics import scripted_simulation
 from simulations import act, every_engine, metric, motion_of_group, started_simulation
 
 from dune_rl.config.compose import compose_environment
+from dune_rl.core.errors import ConfigError, PhysicsError
 from dune_rl.env.latency import Latency
-from dune_rl.errors import ConfigError, PhysicsError
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
 from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf

@@ -30,8 +30,8 @@ from simulations import (
 from visits import visited, visitors
 
 import dune_rl
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError
 
 LIMIT = 24
 SHORT = {"terminations": {"time_limit": {"max_steps": LIMIT}}}

@@ -24,8 +24,8 @@ from torchrl.envs import (
 from torchrl.envs.utils import RandomPolicy
 
 import dune_rl
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.torchrl import EpisodeMetrics, SingleAgent
-from dune_rl.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
 
 TERMS: dict[str, Any] = {

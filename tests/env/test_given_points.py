@@ -6,8 +6,8 @@ import pytest
 from plain_worlds import box, plain
 from simulations import simulation_on
 
+from dune_rl.core.errors import WorldError
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import WorldError
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop
 

@@ -11,8 +11,8 @@ from scripted_physics import scripted_simulation
 from simulations import act, goals_w, motion_of_group, started_simulation
 
 import dune_rl
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.pictures import Pictures
-from dune_rl.errors import ConfigError
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.worlds.appearance import bake_world

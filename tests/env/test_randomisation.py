@@ -16,12 +16,12 @@ from simulations import environment_conf
 
 from dune_rl.config.build import build_world, make_simulation
 from dune_rl.config.compose import compose_environment
+from dune_rl.core.errors import WorldError
 from dune_rl.env.distributions import Choice, Integers, LogUniform, Normal, Uniform
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import WorldError
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.construction.build import ConstructionConf

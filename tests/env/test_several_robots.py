@@ -36,9 +36,9 @@ from simulations import (
 import dune_rl
 from dune_rl.config.build import build_robot
 from dune_rl.config.compose import compose_environment
+from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError, WorldError
 from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf, step_scene
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero.robot import RoverZeroConf

@@ -8,8 +8,8 @@ from torchrl.envs import Compose, TransformedEnv
 from torchrl_steps import SHORT, advance, make, metric, observed
 
 import dune_rl
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.torchrl import EpisodeMetrics, SingleAgent
-from dune_rl.errors import ConfigError
 from dune_rl.tasks.task import POINT_GOAL_REWARDS
 
 ENDS = ("done", "terminated", "truncated")

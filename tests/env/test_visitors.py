@@ -11,12 +11,12 @@ from torchrl.envs import TransformedEnv
 from visits import visited, visitors
 
 import dune_rl
+from dune_rl.core.errors import WorldError
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.torchrl import EpisodeMetrics
-from dune_rl.errors import WorldError
 from dune_rl.evaluation.recorder import EpisodeRecorder
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.view.tracks import TrackRecorder
+from dune_rl.reporting.views.tracks import TrackRecorder
 
 REWARDS = (
     "distance",

@@ -13,10 +13,10 @@ from torchrl.envs import TransformedEnv
 import dune_rl
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose_environment
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.distributions import Choice, Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.env.torchrl import EpisodeMetrics
-from dune_rl.errors import ConfigError
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.run.log import RunLog

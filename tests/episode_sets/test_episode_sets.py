@@ -11,18 +11,31 @@ import numpy as np
 import pytest
 import yaml
 
+from dune_rl.commands import episode_sets
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import conf_folder
 from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
-from dune_rl.episode_sets import __main__ as episode_sets
-from dune_rl.episode_sets import plan_of_set, read_episode_set, set_names, settings_on_set, write_episode_set
-from dune_rl.episode_sets.apply import check_set_overrides
-from dune_rl.episode_sets.check import faulty_episodes
-from dune_rl.episode_sets.files import sets_folder
-from dune_rl.episode_sets.generate import EPISODES, FAMILIES, SITES, VARIANTS, all_recipes, generate_on_site
-from dune_rl.errors import ConfigError
-from dune_rl.paths import conf_folder
+from dune_rl.evaluation.episode_sets import (
+    plan_of_set,
+    read_episode_set,
+    set_names,
+    settings_on_set,
+    write_episode_set,
+)
+from dune_rl.evaluation.episode_sets.apply import check_set_overrides
+from dune_rl.evaluation.episode_sets.check import faulty_episodes
+from dune_rl.evaluation.episode_sets.files import sets_folder
+from dune_rl.evaluation.episode_sets.generate import (
+    EPISODES,
+    FAMILIES,
+    SITES,
+    VARIANTS,
+    all_recipes,
+    generate_on_site,
+)
 
 RECIPES = all_recipes()
 # As one session of a machine differs from another: rows are rounded to a millimetre.

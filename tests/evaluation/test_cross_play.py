@@ -18,7 +18,8 @@ from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose, compose_evaluation
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import sha256_of
 from dune_rl.evaluation.actor_populations import find_populations
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.cross_play import (
@@ -30,7 +31,6 @@ from dune_rl.evaluation.cross_play import (
 from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices, title_of
 from dune_rl.evaluation.folder import read_provenance
 from dune_rl.evaluation.running import BlockRunner
-from dune_rl.files import sha256_of
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec

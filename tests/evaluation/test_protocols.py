@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 import yaml
 
-from dune_rl import evaluate
+from dune_rl.commands import evaluate
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.protocols.run_rows import describe_runs, run_rows
 from dune_rl.evaluation.running import BlockRunner
-from dune_rl.learning.measures import estimate_metrics
+from dune_rl.statistics.measures import estimate_metrics
 
 Call = Callable[..., int]
 PAPER = ["protocol=paper", "+world=flat", "actors=none", "sensors=[goal]", "seed=3"]

@@ -14,11 +14,11 @@ import pyarrow.parquet
 import pytest
 import yaml
 
-from dune_rl import evaluate
-from dune_rl.episode_sets import read_episode_set, write_episode_set
-from dune_rl.episode_sets.generate import all_recipes
+from dune_rl.commands import evaluate
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, missing_blocks
+from dune_rl.evaluation.episode_sets import read_episode_set, write_episode_set
+from dune_rl.evaluation.episode_sets.generate import all_recipes
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.folder import ResultsFolder
 from dune_rl.evaluation.running import BlockRunner

@@ -16,8 +16,8 @@ import torch
 from gymnasium import spaces
 
 import dune_rl
-from dune_rl import evaluate
-from dune_rl.errors import ConfigError
+from dune_rl.commands import evaluate
+from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.stable_baselines import read_stable_baselines
 from dune_rl.learning.policy_spec import PolicySpec
 

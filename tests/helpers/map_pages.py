@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose_view
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.view import maps
+from dune_rl.reporting.views import maps
 from dune_rl.visualization.site_map.panel import MapContent
 from dune_rl.worlds.world import Prop, World
 

@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from dune_rl.seeding import stream
+from dune_rl.core.seeding import stream
 
 METRIC_NAMES = (
     "episode",

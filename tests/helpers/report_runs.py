@@ -8,12 +8,12 @@ from typing import Any
 
 import yaml
 
+from dune_rl.core.seeding import stream
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.drawing import method_runs
 from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.origins import installed_version
 from dune_rl.reporting.runs import EvaluationRun
-from dune_rl.seeding import stream
 
 METRICS = ("success", "reached", "collisions", "time_to_goal", "clearance", "vort", "smoothness")
 CONFIG: dict[str, Any] = {

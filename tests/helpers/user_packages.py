@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.behaviours.registry import BEHAVIOURS
+from dune_rl.core.registry import Registry
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.metrics.registry import METRICS
-from dune_rl.registry import Registry
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.registry import SENSORS
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS

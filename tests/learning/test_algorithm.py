@@ -9,7 +9,7 @@ from point_mass import make_two_groups
 from tensordict import TensorDict, TensorDictBase
 
 import dune_rl
-from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.policies import WarmupPolicy

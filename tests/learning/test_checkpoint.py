@@ -9,8 +9,8 @@ import torch
 from point_mass import PointMass, make_point_mass
 from training import make_sac
 
-from dune_rl.errors import CheckpointError
-from dune_rl.files import write_atomically
+from dune_rl.core.errors import CheckpointError
+from dune_rl.core.files import write_atomically
 from dune_rl.learning.checkpoint import find_checkpoint_file, read_checkpoint_file, write_checkpoint_file
 from dune_rl.learning.group_policy import Deterministic
 from dune_rl.learning.policy_spec import PolicySpec

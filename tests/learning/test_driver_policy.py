@@ -4,7 +4,7 @@ import pytest
 
 from dune_rl.config.build import make_learning_env, make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import DRIVERS, built_in_policy
 

@@ -15,20 +15,20 @@ from rich.console import Console
 from dune_rl.learning.curve import draw_curve
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
-from dune_rl.learning.measures import (
+from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.policies import GoToGoal, UniformRandom
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.statistics.intervals import estimate_mean, estimate_proportion
+from dune_rl.statistics.measures import (
     average_metrics,
     compare_success,
     estimate_metrics,
     selection_score,
     write_csv,
 )
-from dune_rl.learning.networks.architecture import Architecture
-from dune_rl.learning.networks.policy import make_policy_network
-from dune_rl.learning.paired_tests import mcnemar_test
-from dune_rl.learning.policies import GoToGoal, UniformRandom
-from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.statistics import estimate_mean, estimate_proportion
-from dune_rl.learning.table import results_table
+from dune_rl.statistics.paired_tests import mcnemar_test
+from dune_rl.statistics.table import results_table
 
 SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
 GO_TO_GOAL = GoToGoal("rover", SPEC)

@@ -7,9 +7,9 @@ import torch
 from point_mass import make_point_mass, make_two_groups
 from training import small, trainer, weights
 
-from dune_rl import train_job
+from dune_rl.commands import train_job
 from dune_rl.config.compose import compose
-from dune_rl.errors import CheckpointError, ConfigError, DuneWarning
+from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
     CHECKPOINT_FILE,

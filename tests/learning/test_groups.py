@@ -12,16 +12,16 @@ from training import assert_halves_make_a_whole, make_sac, small, trainer, weigh
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, read_checkpoint_file
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_batch import agent_sequences, select_group
-from dune_rl.learning.measures import average_metrics
 from dune_rl.learning.policies import GoToGoal, WarmupPolicy, built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import load_group_policy, load_policy
 from dune_rl.learning.settings import CollectorConf
+from dune_rl.statistics.measures import average_metrics
 
 
 @pytest.mark.parametrize("make_env", [make_team, make_two_groups])

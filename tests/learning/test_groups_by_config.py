@@ -7,7 +7,7 @@ import torch
 from point_mass import make_team, make_two_groups
 from training import small, trainer
 
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, read_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import load_group_policy

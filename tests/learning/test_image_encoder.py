@@ -11,7 +11,7 @@ from training import assert_halves_make_a_whole, small, trainer
 
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose
-from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.image_encoder import ImageEncoder

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dune_rl.learning.paired_tests import mcnemar_test
-from dune_rl.learning.statistics import Estimate, estimate_mean, estimate_proportion
+from dune_rl.statistics.intervals import Estimate, estimate_mean, estimate_proportion
+from dune_rl.statistics.paired_tests import mcnemar_test
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from training import small, trainer
 
-from dune_rl.errors import TrainingError
+from dune_rl.core.errors import TrainingError
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.trainer import Trainer
 from dune_rl.learning.worker_watch import WorkerWatch

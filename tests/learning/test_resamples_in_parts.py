@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from dune_rl.core.seeding import stream
 from dune_rl.learning import bootstrap, paired_tests
-from dune_rl.learning.paired_tests import ratio_exchange_test, sign_flip_test
-from dune_rl.learning.statistics import estimate_mean
-from dune_rl.seeding import stream
+from dune_rl.statistics.intervals import estimate_mean
+from dune_rl.statistics.paired_tests import ratio_exchange_test, sign_flip_test
 
 MANY = 10_000
 

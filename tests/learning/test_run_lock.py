@@ -12,7 +12,7 @@ import pytest
 import torch
 from training import trainer
 
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
 from dune_rl.learning.run.lock import RunLock, refuse_locked
 

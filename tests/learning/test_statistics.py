@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dune_rl.learning.statistics import (
+from dune_rl.statistics.intervals import (
     Estimate,
     estimate_difference,
     estimate_mean,

@@ -18,6 +18,7 @@ from tensorboard.plugins.hparams.metadata import (
 )
 from training import small, trainer
 
+from dune_rl.commands.train_job import train
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
 from dune_rl.learning.evaluation import evaluate
@@ -26,8 +27,7 @@ from dune_rl.learning.run.events import EventFile
 from dune_rl.learning.run.film import log_film
 from dune_rl.learning.run.hyperparameters import choose_hyperparameters
 from dune_rl.learning.trainer import Trainer
-from dune_rl.train_job import train
-from dune_rl.view.evaluation_pictures import EvaluationTracks
+from dune_rl.reporting.views.evaluation_pictures import EvaluationTracks
 
 
 def read(folder: Path) -> EventAccumulator:

@@ -10,7 +10,7 @@ import torch
 from point_mass import PointMass, make_point_mass
 from training import assert_halves_make_a_whole, small, trainer, weights
 
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.collector import TransitionCollector, environment_seed
 from dune_rl.learning.group_policy import GroupPolicy

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from training import assert_halves_make_a_whole, small
 
+from dune_rl.commands.train_job import train
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
-from dune_rl.train_job import train
 
 CONF = compose(["+world=inspection", "task.terminations.time_limit.max_steps=40"])
 MAKE_ENV = partial(make_learning_env, CONF)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from training import small, trainer
 
-from dune_rl.errors import DuneWarning
+from dune_rl.core.errors import DuneWarning
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
     CHECKPOINT_FILE,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from term_states import agents, state_of
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.terms import driving, paper
 from dune_rl.metrics.terms.driving import Jerk, PathLength, Spl
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from term_states import FixedScan, agents, state_of
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.terms.dune_code import (
     DuneCodeAttempts,
     DuneCodeClearance,

@@ -14,12 +14,12 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchrl.envs import Compose, TransformedEnv
 
 import dune_rl
-from dune_rl import evaluate
+from dune_rl.commands import evaluate
 from dune_rl.env.torchrl import EpisodeMetrics
-from dune_rl.learning.measures import average_metrics
 from dune_rl.learning.run.log import RunLog
 from dune_rl.metrics.registry import METRICS
 from dune_rl.state import Array, GroupState, State
+from dune_rl.statistics.measures import average_metrics
 
 SEED, EPISODES = 5, 4
 DRIVER = """

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from term_states import agents, state_of
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.terms import energy
 from dune_rl.metrics.terms import paper as terms
 from dune_rl.metrics.terms.energy import BatteryRange, BatteryShare

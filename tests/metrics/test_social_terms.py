@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from term_states import agents, state_of
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.terms import social
 from dune_rl.metrics.terms.social import Encounters, NearMisses
 from dune_rl.state import GroupState, State

@@ -31,7 +31,7 @@ from scenes import (
     with_joints,
 )
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec, step_scene
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf

@@ -14,12 +14,12 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, TypeAdapter, Valida
 from user_packages import REGISTRIES, registries_restored
 
 import dune_rl
-from dune_rl.errors import RegistryError
+from dune_rl.core.errors import RegistryError
+from dune_rl.core.registry import Registry
+from dune_rl.core.settings import Settings
 from dune_rl.metrics.registry import METRICS
-from dune_rl.registry import Registry
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.registry import SENSORS
-from dune_rl.settings import Settings
 from dune_rl.tasks.registry import REWARDS, RewardTermConf
 
 Entries = TypeAdapter(

@@ -9,7 +9,7 @@ from simulations import act, observation, started_simulation
 from states import episode_state, state_of
 
 from dune_rl.config.compose import compose, compose_evaluation
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import Light, LightConf, tone_map_to_srgb
 from dune_rl.rendering.light import srgb_to_linear as decoded

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from report_runs import episode_rows, write_evaluation, write_sweep, write_training
 
-from dune_rl import report
-from dune_rl.help_page import show_help
+from dune_rl.commands import report
+from dune_rl.commands.help_page import show_help
 from dune_rl.metrics.number_text import MINUS, NOTHING
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.figures.style import draw_legend, method_styles, new_figure

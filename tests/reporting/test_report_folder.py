@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from report_runs import episode_rows, write_evaluation
 
-from dune_rl import command, report
-from dune_rl.errors import ConfigError
-from dune_rl.paths import unused_folder
+from dune_rl.commands import command_line, report
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import unused_folder
 from dune_rl.reporting import folder as report_folder
 from dune_rl.reporting import output
 from dune_rl.reporting.folder import write_aside
@@ -53,7 +53,7 @@ def test_the_folder_itself_stays_where_it_is_there_already(tmp_path: Path) -> No
     assert (tmp_path / "target" / "index.html").read_text() == "a"
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, command.Terminated, OSError])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, command_line.Terminated, OSError])
 def test_nothing_is_left_of_what_is_cut_off(error: type[BaseException], tmp_path: Path) -> None:
     with pytest.raises(error), write_aside(tmp_path / "new" / "r", overwrite=False) as aside:
         write_files(aside, "a")

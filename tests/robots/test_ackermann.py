@@ -28,7 +28,7 @@ from vehicles import (
 
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.robot import UrdfRobot

@@ -9,13 +9,13 @@ from scenes import STEP_S, every_backend, plane, quaternion_of
 from simulations import act, every_engine, metric, motion_of_group, observation, outcome
 from walking_robots import Walk
 
+from dune_rl.commands.engines.recording import RecordedSimulation
 from dune_rl.config.build import build_robot, make_simulation, make_torchrl_env
 from dune_rl.config.compose import compose_environment
-from dune_rl.engine_comparison.recording import RecordedSimulation
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import assets_folder
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError
 from dune_rl.learning.policies import built_in_policy
-from dune_rl.paths import assets_folder
 from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
 
 SLOPE_RAD = np.deg2rad(10.0)

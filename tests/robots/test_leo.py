@@ -22,8 +22,8 @@ from scenes import (
     slope_stage,
 )
 
+from dune_rl.core.paths import assets_folder
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.paths import assets_folder
 from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
 
 FOLDER = assets_folder() / "robots" / "leo_rover"

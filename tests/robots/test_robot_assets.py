@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
 from dune_rl.robots.hyperdog import shapes as hyperdog_shapes
 from dune_rl.robots.leo_rover import shapes as leo_shapes
 from dune_rl.robots.rover_zero import shapes as rover_zero_shapes

@@ -7,9 +7,9 @@ from simulations import every_engine
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.measures import MetricsRow
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.physics.interface import Engine
+from dune_rl.statistics.measures import MetricsRow
 
 pytestmark = pytest.mark.slow
 

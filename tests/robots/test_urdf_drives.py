@@ -18,7 +18,7 @@ from vehicles import (
     write_rocker_bogie,
 )
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.geometry.frames import roll_pitch_yaw
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.meshes import RobotWarning

@@ -13,11 +13,11 @@ from scenes import STEP_S, Drive, every_backend
 from simulations import act, motion_of_group, state_of_group
 from urdf_files import CART, write_cart
 
+from dune_rl.commands.robots import main
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError, RobotError
-from dune_rl.paths import assets_folder
-from dune_rl.robots.__main__ import main
+from dune_rl.core.errors import ConfigError, RobotError
+from dune_rl.core.paths import assets_folder
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.robot import UrdfRobot
@@ -307,7 +307,7 @@ from pathlib import Path
 import numpy as np
 from fuzzing import mutated
 from urdf_files import CART, damaged, write_cart
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.robot import UrdfRobot
 folder, first, last = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])

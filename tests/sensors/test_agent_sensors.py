@@ -10,13 +10,13 @@ from states import begin, group_state, measure, resting, state_of
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.rays import RayScene
-from dune_rl.sensors.context import SensorCarrier
 from dune_rl.sensors.goal import Goal
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.velocity import PlanarVelocity
 from dune_rl.state import GoalState, GroupState, Motion
+from dune_rl.state.sensor_carrier import SensorCarrier
 
 SCENES, WALKERS, ROBOTS = 4, 3, 2
 

@@ -19,10 +19,11 @@ from dune_rl.rendering.foliage import BatchedFoliage
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.conf import SensorsConf
-from dune_rl.sensors.context import SensorCarrier, SensorContext
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state import GroupState
+from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 

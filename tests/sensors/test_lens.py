@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from sensors_of_rover_zero import camera_conf
 
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.sensors.lens import Lens, LensConf
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import dune_rl
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.realism.camera import CameraRealismConf
 

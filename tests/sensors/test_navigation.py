@@ -22,7 +22,6 @@ from dune_rl.geometry.frames import (
 )
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.conf import ROBOT_SENSORS, SensorsConf
-from dune_rl.sensors.context import SensorCarrier
 from dune_rl.sensors.kinds import SENSOR_KINDS
 from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.odometry import DriveGeometry
@@ -30,6 +29,7 @@ from dune_rl.sensors.realism.defaults import default_realism
 from dune_rl.sensors.scanner import Scanner
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state import GoalState, GroupState
+from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 ROWS, WHEELS = 8, 4

@@ -10,7 +10,7 @@ from pydantic import Field
 from states import episode_state, group_state, measure, resting
 
 import dune_rl
-from dune_rl.errors import ConfigError, RegistryError
+from dune_rl.core.errors import ConfigError, RegistryError
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.function_sensor import FunctionSensor
 from dune_rl.sensors.registry import _OWN, SENSORS, ReadingBounds

@@ -9,7 +9,7 @@ from states import STEP_S
 from term_states import agents, state_of
 
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.state import GroupState
 from dune_rl.tasks import rewards
 from dune_rl.tasks.actor_rewards import HitByRobot, RanIntoRobot, blocking, closing_in, robot_progress

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
 from dune_rl.worlds.flat import FlatConf, build_flat

@@ -14,7 +14,7 @@ from term_states import agents, state_of
 import dune_rl
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import RegistryError
+from dune_rl.core.errors import RegistryError
 from dune_rl.state import GroupState
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS
 from dune_rl.tasks.task import Task, TaskConf, walking_task

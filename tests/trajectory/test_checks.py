@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plain_worlds import box, plain, wavy_world
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.trajectories.plan import plan_on_ground
 from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.props import upright_box

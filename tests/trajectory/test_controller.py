@@ -7,12 +7,12 @@ from gazebo import GROUND, sdf
 import dune_rl
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError, WorldError
+from dune_rl.core.errors import ConfigError, WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.trajectories.files import Appearance, write_trajectory
 from dune_rl.trajectories.plan import plan_on_ground
 from dune_rl.worlds.importing.actor_files import read_actor_file
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 
 def write(path, points, world="flat", **settings):
@@ -95,7 +95,7 @@ def test_a_way_through_an_obstacle_is_a_warning(tmp_path):
         make_simulation(conf, 1, 0).close()
 
 
-@pytest.mark.filterwarnings("ignore::dune_rl.worlds.importing.untrusted_files.WorldWarning")
+@pytest.mark.filterwarnings("ignore::dune_rl.core.untrusted_files.WorldWarning")
 def test_a_written_actor_in_a_world_s_file_walks_as_planned(tmp_path):
     actor = write(tmp_path / "a.sdf", [[-1, 0], [3, 1], [4, 4]], pauses_s=1.0)
     text = (tmp_path / "a.sdf").read_text()

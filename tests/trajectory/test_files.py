@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_worlds import wavy_world
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.trajectories.files import Appearance, sdf_text, write_trajectory
 from dune_rl.trajectories.plan import plan_on_ground
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.actor_files import read_actor_file
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 BEND = np.array([[-3.0, -2.0], [0.0, 1.5], [4.0, 0.5]])
 ON_GROUND = Appearance("mine.dae", "mine.dae", 0.0)

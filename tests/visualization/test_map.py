@@ -6,8 +6,8 @@ from map_pages import WORLDS, box, ramp, site, world_with
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,

@@ -8,12 +8,12 @@ from map_pages import WORLDS, box, conf_of, site, texts, world_with
 from rich.console import Console
 from states import episode_state
 
-from dune_rl.errors import WorldError
-from dune_rl.seeding import stream
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
+from dune_rl.reporting.views import endings, maps
+from dune_rl.reporting.views.endings import describe_ending
 from dune_rl.state import ContactState
 from dune_rl.tasks.spawn import Placement, Spawner
-from dune_rl.view import endings, maps
-from dune_rl.view.endings import describe_ending
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import (

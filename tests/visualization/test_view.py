@@ -11,11 +11,11 @@ import yaml
 from PIL import Image
 from training import make_sac
 
-from dune_rl import view
+from dune_rl.commands import view
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose, compose_environment, compose_view
-from dune_rl.errors import ConfigError
-from dune_rl.files import write_atomically
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import write_atomically
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import policy_entry

@@ -20,7 +20,7 @@ from world_measures import (
     slope_deg,
 )
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.construction.build import ConstructionConf, build_construction
 from dune_rl.worlds.free_space import FreeSpace

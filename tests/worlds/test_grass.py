@@ -6,7 +6,7 @@ from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN, 
 from simulations import goals_w, motion_of_group, started_simulation
 
 from dune_rl.config.compose import compose
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage

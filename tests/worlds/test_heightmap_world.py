@@ -11,11 +11,11 @@ from pydantic import ValidationError
 from simulations import act, motion_of_group
 from world_files import SHARED_WORLDS, ground_height
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap
 from dune_rl.worlds.importing.imported_world import ImportedWorld
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 
 def samples(rows: int = 81, columns: int = 101) -> np.ndarray:

@@ -9,7 +9,7 @@ from gazebo import include, model, sdf
 from world_files import joined, yard
 
 import dune_rl
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 

@@ -19,7 +19,7 @@ import resource, signal, sys, warnings
 from pathlib import Path
 import numpy as np
 from fuzzing import mutated, seed_file
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 folder, kinds, first, last = sys.argv[1], sys.argv[2].split(","), int(sys.argv[3]), int(sys.argv[4])
 warnings.simplefilter("ignore")
 for kind in kinds:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dune_rl.episode_sets.files import read_episode_set
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
+from dune_rl.evaluation.episode_sets.files import read_episode_set
 from dune_rl.worlds.inspection import terrain as terrain_module
 from dune_rl.worlds.inspection.relief import fit, known_amplitudes
 from dune_rl.worlds.inspection.terrain import build_terrain, triangle_slopes_deg

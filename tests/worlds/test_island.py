@@ -21,7 +21,7 @@ from world_measures import (
     spectrum,
 )
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection

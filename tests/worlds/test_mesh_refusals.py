@@ -16,9 +16,9 @@ from world_files import (
     yard,
 )
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import MAX_FILE_BYTES, WorldWarning
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
-from dune_rl.worlds.importing.untrusted_files import MAX_FILE_BYTES, WorldWarning
 
 
 def refused(path, match: str, **settings) -> None:

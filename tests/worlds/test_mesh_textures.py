@@ -13,8 +13,8 @@ from world_files import (
     yard,
 )
 
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 
 def picture(folder, name="paint.png") -> None:

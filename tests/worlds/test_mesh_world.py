@@ -19,12 +19,12 @@ from world_files import (
     yard,
 )
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.importing.imported_world import ImportedWorld
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.topology import boundary_edges, weld_vertices
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 _built: dict[str, ImportedWorld] = {}
 

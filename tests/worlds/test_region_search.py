@@ -11,10 +11,10 @@ from sites import CRATES_INSIDE, HOUSE, HOUSE_INSIDE, MAZE_INSIDE, ORCHARD_INSID
 from world_files import SHARED_WORLDS
 
 import dune_rl
-from dune_rl.command import print_world_notes
+from dune_rl.commands.command_line import print_world_notes
 from dune_rl.config.build import describe_world
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError, WorldError
+from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.cache.serialization import pack, unpack
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh

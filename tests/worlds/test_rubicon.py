@@ -20,7 +20,7 @@ from world_measures import (
     spectrum,
 )
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.rubicon.build import HURST, RubiconConf, build_rubicon
 from dune_rl.worlds.world import World

@@ -11,14 +11,14 @@ import dune_rl
 from dune_rl.behaviours.trajectory import TrajectoryBank
 from dune_rl.config.build import describe_world, make_simulation
 from dune_rl.config.compose import compose_environment
+from dune_rl.core.errors import ConfigError, WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.errors import ConfigError, WorldError
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.serialization import pack, unpack
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf, count_actors
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
-pytestmark = pytest.mark.filterwarnings("ignore::dune_rl.worlds.importing.untrusted_files.WorldWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::dune_rl.core.untrusted_files.WorldWarning")
 
 
 def write(folder, *elements: str):

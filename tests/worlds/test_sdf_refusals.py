@@ -9,9 +9,9 @@ from gazebo import GROUND, include, model, sdf, write_model
 from pydantic import ValidationError
 from world_files import write_yard
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 
 @pytest.fixture(autouse=True)

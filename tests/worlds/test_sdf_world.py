@@ -12,10 +12,10 @@ from gazebo import GROUND, PLANE, include, model, sdf, write_model
 from PIL import Image
 from world_files import SHARED_WORLDS, box, bumpy_ground, dae_text, ground_height, write_yard
 
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.importing.imported_world import ImportedWorld
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 
 MU = "<surface><friction><ode><mu>{}</mu></ode></friction></surface>"
 

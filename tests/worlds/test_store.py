@@ -14,9 +14,10 @@ import pytest
 from world_digest import digest
 from world_files import write_yard
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import cache_folder
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.paths import cache_folder
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.appearance import bake_world, precompute_appearance
 from dune_rl.worlds.cache import store as module
@@ -28,7 +29,6 @@ from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.heightmap.build import HeightmapConf
 from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.registry import build_uncached

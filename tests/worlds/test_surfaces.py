@@ -11,9 +11,9 @@ from world_digest import digest
 
 from dune_rl.config.build import build_world
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.paths import assets_folder
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.paths import assets_folder
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap

@@ -11,6 +11,7 @@ from sensors_of_rover_zero import camera_conf
 from textured_files import SIGN, quadrants, textured_yard, write_textured_yard
 from world_files import ground_height
 
+from dune_rl.core.untrusted_files import ImportReport, WorldWarning
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf, srgb_to_linear
 from dune_rl.rendering.mesh_texture import MeshTexture, TextureSampler
@@ -21,7 +22,6 @@ from dune_rl.worlds.appearance import bake_in_weather, bake_world, build_scenery
 from dune_rl.worlds.importing import untrusted_files
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
-from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldWarning
 from dune_rl.worlds.world import Prop, World
 
 RED, GREEN, BLUE, YELLOW = (

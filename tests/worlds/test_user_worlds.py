@@ -19,10 +19,10 @@ from user_packages import install_package, packages_on_path, write_package
 import dune_rl
 from dune_rl.config.build import build_world
 from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_evaluation
+from dune_rl.core.errors import ConfigError, WorldError
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.env.registration import register_envs
-from dune_rl.errors import ConfigError, WorldError
 from dune_rl.worlds import HeightField, Prop, Settings, World, check_world, upright_box
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.registry import WORLDS
 
 ROOT = Path(__file__).resolve().parents[2]

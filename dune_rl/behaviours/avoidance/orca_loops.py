@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.behaviours.avoidance.half_planes import fit_velocity
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 # Half-planes of other agents; the nearest ones.
 _MOST_NEIGHBOURS = 10

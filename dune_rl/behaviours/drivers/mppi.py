@@ -11,11 +11,11 @@ from dune_rl.behaviours.drivers.local_map import LocalMap
 from dune_rl.behaviours.drivers.path_integral_loops import update_controls
 from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
 from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
-from dune_rl.errors import ConfigError
-from dune_rl.seeding import stream
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.seeding import stream
 from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.sensor import mount_position
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

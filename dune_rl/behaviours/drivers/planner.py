@@ -11,8 +11,8 @@ from dune_rl.behaviours.drivers.context import DriverContext
 from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
 from dune_rl.behaviours.drivers.route_map import shared_route_map
 from dune_rl.behaviours.drivers.window_loops import choose_commands
-from dune_rl.errors import ConfigError
-from dune_rl.state import GroupState, State
+from dune_rl.core.errors import ConfigError
+from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Array = NDArray[np.float64]

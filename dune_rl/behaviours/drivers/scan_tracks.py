@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ from dune_rl.behaviours.paths.splines import (
     way_point_stations,
 )
 from dune_rl.behaviours.paths.stops import LoopStops, PathStops
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
-from dune_rl.settings import Settings
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_stretches, check_way_points
 from dune_rl.worlds.world import World
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from dune_rl.behaviours.paths.loops import interpolate_paths
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.world import World
 

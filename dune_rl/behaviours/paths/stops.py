@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

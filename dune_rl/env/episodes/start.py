@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.behaviours.trajectory import TrajectoryFollower
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.episodes.request import EpisodeRequest
@@ -18,9 +20,7 @@ from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.scene_spec import standing_pose
 from dune_rl.env.turnover import discs_of, park_absent
-from dune_rl.errors import WorldError
 from dune_rl.physics.interface import PhysicsRobot
-from dune_rl.seeding import stream
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.world import World
 

@@ -12,6 +12,7 @@ from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from dune_rl.bodies.turning_circle import TurningCircle
+from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.env.agent_group import AgentGroup, GroupStep
 from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.observation_layout import ObservationLayout
@@ -19,7 +20,6 @@ from dune_rl.env.pictures import Pictures
 from dune_rl.env.render_mode import check_render_mode
 from dune_rl.env.restore import RestoreError
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError, DuneWarning
 from dune_rl.sensors.sensor import Bounds
 
 _ENDS = ("done", "terminated", "truncated")

@@ -12,9 +12,9 @@ from torchrl.envs import EnvBase
 from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.transforms import Transform, TransformedEnv
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 
 _ALL = "metrics"

@@ -17,7 +17,7 @@ from dune_rl.evaluation.protocols.attempts import (
     plain_attempts,
 )
 from dune_rl.learning.evaluation import EpisodeObserver
-from dune_rl.learning.measures import MetricsRow
+from dune_rl.statistics.measures import MetricsRow
 
 Record = Callable[[str, MetricsRow], dict[str, Any]]
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dune_rl.learning.measures import average_metrics
 from dune_rl.metrics.catalogue import CATALOGUE
+from dune_rl.statistics.measures import average_metrics
 
 Row = Mapping[str, Any]
 

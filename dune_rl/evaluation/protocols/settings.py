@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import MOST_RUN_STEPS, EvaluateConf
 from dune_rl.config.compose import compose_environment
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 # What the paper counts as ten minutes; 570 s at its 20 Hz.
 DEFAULT_RUN_STEPS = 11_400

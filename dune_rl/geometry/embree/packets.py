@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 
 WIDTH = 16
 # A packet has rows of 16 words: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask, id and flags 9-11;

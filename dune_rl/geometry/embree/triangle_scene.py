@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.compiled import compile_function
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.embree.library import ARGUMENTS, build_scene, intersect16, occluded16, release_scene
 from dune_rl.geometry.embree.packets import (
     DIRECTION,

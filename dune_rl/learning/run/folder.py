@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dune_rl.errors import CheckpointError
-from dune_rl.files import write_atomically
+from dune_rl.core.errors import CheckpointError
+from dune_rl.core.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,

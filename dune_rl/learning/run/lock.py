@@ -5,7 +5,7 @@ import os
 import weakref
 from pathlib import Path
 
-from dune_rl.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError
 
 try:
     import fcntl

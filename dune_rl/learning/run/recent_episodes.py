@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from dune_rl.learning.measures import MetricsRow, average_metrics
+from dune_rl.statistics.measures import MetricsRow, average_metrics
 
 _WINDOW = 100
 

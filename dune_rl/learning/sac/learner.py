@@ -9,8 +9,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dune_rl.errors import CheckpointError
-from dune_rl.files import write_atomically
+from dune_rl.core.errors import CheckpointError
+from dune_rl.core.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_batch import agent_sequences
 from dune_rl.learning.networks.architecture import Architecture

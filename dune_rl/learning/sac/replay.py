@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl import logger
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
-from dune_rl.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.sac.settings import ReplayConf
 
 # TorchRL announces every buffer that it makes, on the console.

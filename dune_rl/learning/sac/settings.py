@@ -5,8 +5,8 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.learning.settings import LearningConf, Width
-from dune_rl.settings import Settings
 
 
 class ReplayConf(Settings):

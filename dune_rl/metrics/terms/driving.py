@@ -6,8 +6,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.errors import ConfigError
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.core.errors import ConfigError
+from dune_rl.state.state import Array, Flags, GroupState, State
 
 
 class PathLength:

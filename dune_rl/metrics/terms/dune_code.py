@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.sensors.imu import GRAVITY_MPS2
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.core.constants import GRAVITY_MPS2
+from dune_rl.state.state import Array, Flags, GroupState, State
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Readings = Annotated[int, Field(ge=1)]

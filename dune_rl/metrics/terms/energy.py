@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dune_rl.errors import ConfigError
-from dune_rl.state import Array, Flags, GroupState, State
+from dune_rl.core.errors import ConfigError
+from dune_rl.state.state import Array, Flags, GroupState, State
 
 
 def energy_wh(state: State, group: GroupState) -> Array:

@@ -11,10 +11,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import one_of
 from dune_rl.metrics.encounter_loops import find_gaps, find_times_to_contact
-from dune_rl.state import Array, Counts, Flags, GroupState, State
-from dune_rl.suggestions import one_of
+from dune_rl.state.state import Array, Counts, Flags, GroupState, State
 
 Metres = Annotated[float, Field(gt=0.0)]
 

@@ -1,6 +1,6 @@
 """PyBullet clients: opened with little memory, and used again."""
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.bullet.memory import returned_zero_pages
 from dune_rl.physics.process_memory import return_free_memory
 from dune_rl.physics.stderr import suppress_stderr

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.bullet.body import LoadedBody
 from dune_rl.physics.bullet.collision import set_up_links
 from dune_rl.physics.bullet.joints import set_up_joints

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.bullet.clients import open_client, release_client
 from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
 from dune_rl.physics.bullet.joints import GEAR_ITERATIONS

@@ -8,7 +8,7 @@ import numpy as np
 from defusedxml.ElementTree import fromstring, parse
 from numpy.typing import NDArray
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.dart.joints import (
     add_slip_joint,
     add_tyre_joint,

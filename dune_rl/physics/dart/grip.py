@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.physics.dart.joints import SLIP, TYRE
-
-_GRAVITY_MPS2 = 9.81
 
 
 class LateralSlip:
@@ -35,7 +34,7 @@ class LateralSlip:
             for joint, number in zip(slip_joints, self._wheels, strict=True)
         ]
         self._limits: Sequence[float] = ()
-        self._usual_load_n = robot.getMass() * _GRAVITY_MPS2 / len(feet)
+        self._usual_load_n = robot.getMass() * GRAVITY_MPS2 / len(feet)
 
     def set_friction(self, friction: Sequence[float]) -> None:
         """Set the friction coefficient of each foot along its tread, multiplied with the ground's."""

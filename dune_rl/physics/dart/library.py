@@ -1,6 +1,6 @@
 """Import of dartpy, with an error message that says how to install it."""
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 
 try:
     import dartpy

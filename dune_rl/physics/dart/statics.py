@@ -9,7 +9,7 @@ from weakref import WeakValueDictionary, finalize
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.dart.files import is_open_surface, mesh_corners, write_meshes
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.memory import CopyWatch, MeshCopy, forget_copies, free_unused_copies

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.errors import PhysicsError
+from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.dart.differential import configure_differential, is_chained
 from dune_rl.physics.dart.files import robot_urdf
 from dune_rl.physics.dart.joints import SLIP, TYRE

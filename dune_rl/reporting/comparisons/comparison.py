@@ -6,9 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, cluster_rows
-from dune_rl.learning.paired_comparison import PairedComparison, compare_policies
-from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.measure import Measure
 from dune_rl.reporting.comparisons.estimates import (
     column_names,
@@ -18,6 +15,9 @@ from dune_rl.reporting.comparisons.estimates import (
 )
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.runs import EvaluationRun, Row
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.measures import CASE_COLUMNS, MetricsRow, cluster_rows
+from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
 
 
 @dataclass(frozen=True)

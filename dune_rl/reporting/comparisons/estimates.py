@@ -3,14 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import closest
 from dune_rl.evaluation.columns import measured_columns
-from dune_rl.learning.measures import CASE_COLUMNS, MetricsRow, estimate_metrics
-from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import measure_of, measures_of
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.runs import Row
-from dune_rl.suggestions import closest
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.measures import CASE_COLUMNS, MetricsRow, estimate_metrics
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:

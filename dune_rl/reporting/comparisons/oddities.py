@@ -3,7 +3,7 @@
 from typing import get_args
 
 from dune_rl.config.commands import BuiltInPolicy
-from dune_rl.episode_sets import read_episode_set
+from dune_rl.evaluation.episode_sets import read_episode_set
 from dune_rl.reporting.comparisons.comparison import Cases, Comparison, Method
 from dune_rl.reporting.origins import installed_checksum
 

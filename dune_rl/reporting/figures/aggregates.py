@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from dune_rl.learning.statistics import Estimate
 from dune_rl.reporting.aggregates import (
     Scores,
     aggregate_scores,
@@ -35,6 +34,7 @@ from dune_rl.reporting.figures.style import (
     short_names,
     tidy,
 )
+from dune_rl.statistics.intervals import Estimate
 
 # More pairs than these are drawn as a matrix.
 _MOST_PAIRS = 10

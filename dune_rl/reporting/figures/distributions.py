@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
+from dune_rl.core.seeding import stream
 from dune_rl.reporting.figures.results import (
     Results,
     axis_label,
@@ -33,7 +34,6 @@ from dune_rl.reporting.figures.style import (
     tidy,
 )
 from dune_rl.reporting.runs import Row
-from dune_rl.seeding import stream
 
 Array = NDArray[np.float64]
 # Metrics that are drawn unless others are asked for, where episodes have them.

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
+from dune_rl.core.errors import DuneError
 from dune_rl.env.pictures import Moment, Pictures
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.errors import DuneError
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.folder import read_provenance, read_settings
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.provenance import check_same_sources
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.learning.measures import MetricsRow
 from dune_rl.reporting.figures.endings import failures_of
 from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.runs import Row
+from dune_rl.statistics.measures import MetricsRow
 
 Picture = NDArray[np.uint8]
 # Pictures are of these instants before a failure, and of the failure itself [s].

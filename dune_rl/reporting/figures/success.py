@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from dune_rl.learning.measures import cluster_rows
-from dune_rl.learning.statistics import Estimate, estimate_proportion
 from dune_rl.reporting.figures.results import Results, column, count_text, method_names
 from dune_rl.reporting.figures.style import (
     COLUMN_IN,
@@ -30,6 +28,8 @@ from dune_rl.reporting.figures.style import (
     tidy,
 )
 from dune_rl.reporting.runs import Row
+from dune_rl.statistics.intervals import Estimate, estimate_proportion
+from dune_rl.statistics.measures import cluster_rows
 
 Array = NDArray[np.float64]
 PROPERTIES = {

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dune_rl.config.build import build_world
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
-from dune_rl.errors import DuneError
+from dune_rl.core.errors import DuneError
 from dune_rl.reporting.figures.endings import Ending, ending_of
 from dune_rl.reporting.figures.results import MethodRun, column
 from dune_rl.reporting.runs import Row

@@ -11,7 +11,6 @@ from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 from scipy import stats
 
-from dune_rl.learning.statistics import CONFIDENCE
 from dune_rl.reporting.figures.style import (
     COLUMN_IN,
     PAGE_IN,
@@ -27,6 +26,7 @@ from dune_rl.reporting.figures.style import (
     tidy,
 )
 from dune_rl.reporting.runs import Row, TrainingRun
+from dune_rl.statistics.intervals import CONFIDENCE
 
 Array = NDArray[np.float64]
 # From this many seeds on, a band is the t interval of the mean; fewer show their range.

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from dune_rl.learning.paired_comparison import PairedComparison
-from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure, measure_of
 from dune_rl.metrics.number_text import (
     MINUS,
@@ -20,6 +18,8 @@ from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.figures.endings import COLLISION, FAILURES
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, measure_title
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.paired_comparison import PairedComparison
 
 PAPER_MEASURES = ("SR", "TR", "TC", "MTT", "OC", "VR", "VORT", "TSR")
 Estimates = Mapping[str, Mapping[str, Estimate]]

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dune_rl.learning.statistics import Estimate
 from dune_rl.metrics.catalogue import Measure
 from dune_rl.metrics.number_text import MINUS, NOTHING, format_value
+from dune_rl.statistics.intervals import Estimate
 
 _LATEX = {
     "\\": r"\textbackslash{}",

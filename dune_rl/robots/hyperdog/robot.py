@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.paths import assets_folder
 from dune_rl.geometry.frames import clip, wrap_angle
-from dune_rl.paths import assets_folder
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.robots.battery import BatteryConf

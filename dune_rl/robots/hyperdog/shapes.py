@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
 from dune_rl.robots.drawing import Mesh, bevelled_box, box, cylinder, join_meshes, rounded_plate
 
 _HIP_X, _HIP_Y = 0.175, 0.066

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
 from dune_rl.physics.robot_body import Coupling, PassiveJoint, RobotBody, Tyre
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf

@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
 from dune_rl.robots.drawing import ACROSS, Mesh, bevelled_box, box, cylinder, join_meshes, rounded_plate, tyre
 
 Array = NDArray[np.float64]

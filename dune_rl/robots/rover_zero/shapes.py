@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from trimesh.transformations import rotation_matrix
 
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
 from dune_rl.robots.drawing import ACROSS, Mesh, bevelled_box, box, cylinder, join_meshes, tyre
 
 _RADIUS, _WIDTH, _RIM = 0.125, 0.083, 0.070

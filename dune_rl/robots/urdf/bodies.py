@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.transformations import euler_from_matrix
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes
 from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, UrdfModel
 

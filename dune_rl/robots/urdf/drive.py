@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.robots.ackermann import AckermannConf, AckermannDrive
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.robots.steering_geometry import SteeringGeometry

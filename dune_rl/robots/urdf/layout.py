@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.physics.robot_body import Coupling
 from dune_rl.robots.urdf.bodies import RigidBody, align_frames, merge_links
 from dune_rl.robots.urdf.conf import DriveKind, UrdfConf

@@ -8,10 +8,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from dune_rl.errors import DuneWarning, RobotError, WorldError
-from dune_rl.worlds.importing.mesh.files import FORMATS, load_mesh_parts
-from dune_rl.worlds.importing.mesh_parts import MeshPart
-from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, printable
+from dune_rl.core.errors import DuneWarning, RobotError, WorldError
+from dune_rl.core.untrusted_files import ImportReport, WorldFiles, printable
+from dune_rl.rendering.mesh_files.files import FORMATS, load_mesh_parts
+from dune_rl.rendering.mesh_files.parts import MeshPart
 
 Array = NDArray[np.float64]
 

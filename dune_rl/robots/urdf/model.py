@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh.transformations import euler_matrix, rotation_matrix, translation_matrix
 
-from dune_rl.errors import RobotError, WorldError
+from dune_rl.core.errors import RobotError, WorldError
+from dune_rl.core.untrusted_files import printable, read_bytes, read_xml
 from dune_rl.robots.urdf.hints import UrdfHints, read_hints
-from dune_rl.worlds.importing.untrusted_files import printable, read_bytes, read_xml
 
 Array = NDArray[np.float64]
 JointKind = Literal["fixed", "continuous", "revolute", "prismatic"]

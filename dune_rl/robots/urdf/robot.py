@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import PassiveJoint, RobotBody
 from dune_rl.robots.ackermann import AckermannDrive

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.robots.steering_geometry import SteeredPivots, SteeringGeometry
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.constants import GRAVITY_MPS2
+
 Array = NDArray[np.float64]
 
-_GRAVITY_MPS2 = 9.81
 # Torque over what equally loaded wheels on level ground take: loads differ, and the ground's friction acts
 # along both axes of the world, with up to sqrt(2) times its coefficient.
 _MARGIN = 2.0
@@ -28,12 +29,12 @@ def turning_torque(
     lever_x = float(np.abs(wheels_b[:, 0] - wheels_b[:, 0].mean()).mean())
     lever_y = float(np.abs(driven_b[:, 1] - driven_b[:, 1].mean()).mean())
     share = min(1.0, lever_x / lever_y) if lever_y > 0.0 else 1.0
-    return _MARGIN * friction * mass_kg * _GRAVITY_MPS2 / len(driven_b) * radius_m * share
+    return _MARGIN * friction * mass_kg * GRAVITY_MPS2 / len(driven_b) * radius_m * share
 
 
 def climbing_torque(mass_kg: float, friction: float, radius_m: float, num_wheels: int) -> float:
     """Torque [N m] of each of the driven wheels that reaches its grip if they carry the whole weight."""
-    return max(friction, 1.0) * mass_kg * _GRAVITY_MPS2 * radius_m / num_wheels
+    return max(friction, 1.0) * mass_kg * GRAVITY_MPS2 * radius_m / num_wheels
 
 
 def steering_torque(mass_kg: float, friction: float, levers_m: Sequence[float], num_wheels: int) -> float:
@@ -42,4 +43,4 @@ def steering_torque(mass_kg: float, friction: float, levers_m: Sequence[float], 
     `levers_m` are the distances of the wheels' farthest points of contact from their pivots; the wheels
     carry the weight in equal parts.
     """
-    return _MARGIN * friction * mass_kg * _GRAVITY_MPS2 / num_wheels * max(levers_m)
+    return _MARGIN * friction * mass_kg * GRAVITY_MPS2 / num_wheels * max(levers_m)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
+from dune_rl.core.untrusted_files import printable
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.model import UrdfModel
 from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel, is_round
-from dune_rl.worlds.importing.untrusted_files import printable
 
 # Words in names are separated by anything but letters, or by case: "omni_wheel", "wheelMecanumFL".
 _MECANUM = re.compile(r"me[ck]h?anum|swedish", re.IGNORECASE)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import RobotError
+from dune_rl.core.errors import RobotError
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel

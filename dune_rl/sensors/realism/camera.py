@@ -10,7 +10,7 @@ from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.realism.pipeline import Realism, RealismConf, Rows
 from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
-from dune_rl.state import GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Floats = NDArray[np.float32]
 

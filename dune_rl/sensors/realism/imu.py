@@ -7,7 +7,7 @@ import numpy as np
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.realism.noise import Faults, Rows
 from dune_rl.sensors.sensor import Array, Reading
-from dune_rl.state import GroupState
+from dune_rl.state.state import GroupState
 
 _GYROSCOPE, _ROLL, _PITCH, _YAW = slice(3, 6), 6, 7, 8
 # The yaw rate follows from body rates over the cosine of the pitch: held away from nose up and nose down.

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.sensors.realism.pipeline import RealismConf
-from dune_rl.state import GroupState
+from dune_rl.state.state import GroupState
 
 Floats = NDArray[np.float32]
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.draws import normal
 from dune_rl.sensors.sensor import Bounds, Counts, Reading
-from dune_rl.settings import Settings
-from dune_rl.state import GroupState
+from dune_rl.state.state import GroupState
 
 Array = NDArray[np.float64]
 # Which scenes: their numbers, or all of them.

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from dune_rl.paths import package_folder
+from dune_rl.core.paths import package_folder
 
 # A pipe takes a line of this length whole or not at all: PIPE_BUF, as Linux has it.
 _LONGEST_LINE = 4096

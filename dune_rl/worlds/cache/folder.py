@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import DuneWarning
-from dune_rl.files import write_atomically
+from dune_rl.core.errors import DuneWarning
+from dune_rl.core.files import write_atomically
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.settings import Settings
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
-from dune_rl.settings import Settings
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.grass import Grass

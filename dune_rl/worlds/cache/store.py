@@ -11,21 +11,21 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from dune_rl.errors import ConfigError
-from dune_rl.files import sha256_of
-from dune_rl.paths import assets_folder, cache_folder, package_folder
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.file_dependencies import FileDependencies, record_dependencies
+from dune_rl.core.files import sha256_of
+from dune_rl.core.paths import assets_folder, cache_folder, package_folder
+from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.appearance import is_appearance_cached
 from dune_rl.worlds.cache.background_builder import BackgroundBuilder
 from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
 from dune_rl.worlds.cache.serialization import UnpackableError, pack, unpack
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.file_dependencies import FileDependencies, record_dependencies
 from dune_rl.worlds.importing.heightmap.build import HeightmapConf
 from dune_rl.worlds.importing.mesh.build import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
-from dune_rl.worlds.importing.untrusted_files import WorldWarning
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.registry import build_uncached, parse_built_in_settings
@@ -43,7 +43,7 @@ _APPEARANCE_CACHED = (*_CACHED, FlatConf)
 LIMIT_BYTES = 2 * 2**30
 
 # Source files and libraries that a world depends on, apart from its settings.
-_SOURCES = ("worlds", "geometry", "rendering", "seeding.py", "settings.py")
+_SOURCES = ("worlds", "geometry", "rendering", "core/seeding.py", "core/settings.py")
 _LIBRARIES = ("embreex", "numba", "numpy", "pillow", "pycollada", "scipy", "tifffile", "trimesh")
 
 
@@ -219,7 +219,7 @@ def _code_digest() -> str:
             sums.update(f" {library} unknown".encode())
     package = package_folder()
     for name in _SOURCES:
-        for path in sorted((package / name).rglob("*.py")) if "." not in name else [package / name]:
+        for path in sorted((package / name).rglob("*.py")) if not name.endswith(".py") else [package / name]:
             sums.update(f" {path.relative_to(package).as_posix()} ".encode() + path.read_bytes())
     for path in sorted((assets_folder() / "worlds").iterdir()):
         sums.update(f" {path.name} ".encode() + path.read_bytes())

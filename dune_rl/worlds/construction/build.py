@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.construction.layout import place_props
 from dune_rl.worlds.construction.walls import build_storey
 from dune_rl.worlds.ground_texture import GroundColours

@@ -6,9 +6,9 @@ from itertools import cycle, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.construction import props as prop_shapes
 from dune_rl.worlds.construction.walls import Storey
 from dune_rl.worlds.occupancy import OccupiedRectangles

@@ -10,8 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from dune_rl.errors import WorldError
-from dune_rl.settings import Settings
+from dune_rl.core.errors import WorldError
+from dune_rl.core.settings import Settings
+from dune_rl.core.untrusted_files import (
+    ImportReport,
+    WorldFiles,
+    first_line,
+    printable,
+    read_bytes,
+)
 from dune_rl.worlds.actor_trajectory import (
     FARTHEST_M,
     LONGEST_S,
@@ -22,13 +29,6 @@ from dune_rl.worlds.actor_trajectory import (
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, SKIN_NOTE, close_loop
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfReader
-from dune_rl.worlds.importing.untrusted_files import (
-    ImportReport,
-    WorldFiles,
-    first_line,
-    printable,
-    read_bytes,
-)
 
 Array = NDArray[np.float64]
 

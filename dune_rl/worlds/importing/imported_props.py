@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.mesh_files.parts import MeshPart
 from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
-from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.topology import close_surface, label_face_components, weld_vertices
-from dune_rl.worlds.importing.untrusted_files import ImportReport
 from dune_rl.worlds.world import Prop
 
 Array = NDArray[np.float64]

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.mesh_files.parts import GREY, MeshPart
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
 from dune_rl.worlds.importing.ground_pictures import picture_from_colours
 from dune_rl.worlds.importing.imported_props import ImportedProp, extract_props
 from dune_rl.worlds.importing.mesh.ground import extract_ground
-from dune_rl.worlds.importing.mesh_parts import GREY, MeshPart
 from dune_rl.worlds.importing.region_search import find_region_candidates
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
-from dune_rl.worlds.importing.untrusted_files import ImportReport
 from dune_rl.worlds.world import Rectangle, World
 
 Floats = NDArray[np.float32]

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import Field
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import open_image, raise_unreadable, read_bytes
 from dune_rl.worlds.importing.heightmap.files import load_npy
-from dune_rl.worlds.importing.untrusted_files import open_image, raise_unreadable, read_bytes
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.surface_map import Rectangle, SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceName

@@ -7,9 +7,9 @@ from itertools import cycle, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.inspection import props as site_props
 from dune_rl.worlds.inspection.terrain import (
     BRIDGE_LENGTH_M,

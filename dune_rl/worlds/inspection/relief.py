@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dune_rl.paths import assets_folder
+from dune_rl.core.paths import assets_folder
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.inspection.relief import Amplitudes, fit, known_amplitudes
 from dune_rl.worlds.props import unit_vector

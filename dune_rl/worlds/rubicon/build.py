@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds.fractal_terrain import rough_field, slope_magnitude, smooth_step
 from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.ground_texture import GroundColours

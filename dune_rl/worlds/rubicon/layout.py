@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.seeding import stream
 from dune_rl.worlds import trees
 from dune_rl.worlds.occupancy import OccupiedDiscs
 from dune_rl.worlds.props import unit_vector

@@ -7,7 +7,7 @@ from yards import yard
 
 from dune_rl.behaviours.drivers.mppi import Mppi
 from dune_rl.behaviours.drivers.planner import Planner
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 NOBODY = np.zeros((0, 4))
 WALL = (0.0, -2.0, 0.0, 0.4, 16.0)

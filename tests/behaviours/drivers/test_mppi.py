@@ -9,7 +9,7 @@ from yards import yard
 
 from dune_rl.behaviours.drivers.context import DriverContext
 from dune_rl.behaviours.drivers.mppi import Mppi
-from dune_rl.errors import ConfigError
+from dune_rl.core.errors import ConfigError
 
 NOBODY = np.zeros((0, 4))
 PERSON_M = 0.25

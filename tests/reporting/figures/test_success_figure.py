@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dune_rl.learning.statistics import estimate_proportion
 from dune_rl.reporting.figures.success import draw_success_by, round_edges, success_by_bin
+from dune_rl.statistics.intervals import estimate_proportion
 
 
 def lines(axes) -> dict[str, np.ndarray]:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import ImportReport, resolve_world_path
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps
 from dune_rl.worlds.importing.heightmap.files import HeightSamples, read_heights
@@ -20,7 +21,6 @@ from dune_rl.worlds.importing.imported_world import (
     set_region,
 )
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
-from dune_rl.worlds.importing.untrusted_files import ImportReport, resolve_world_path
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.untrusted_files import (
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import (
     ImportReport,
     first_line,
     open_image,

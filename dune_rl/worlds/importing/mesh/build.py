@@ -7,7 +7,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world_path
+from dune_rl.rendering.mesh_files.files import UpAxis, load_mesh_parts
+from dune_rl.rendering.mesh_files.frame_hints import has_usual_size
+from dune_rl.rendering.mesh_files.parts import MeshPart
 from dune_rl.worlds.importing.imported_world import (
     REGION_TEXT,
     ImportedWorld,
@@ -15,11 +19,7 @@ from dune_rl.worlds.importing.imported_world import (
     assemble_world,
     check_region,
 )
-from dune_rl.worlds.importing.mesh.files import UpAxis, load_mesh_parts
-from dune_rl.worlds.importing.mesh.frame_hints import has_usual_size
-from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
-from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
 
 # Beyond this distance, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0

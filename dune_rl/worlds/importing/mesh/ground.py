@@ -6,9 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
+from dune_rl.rendering.mesh_files.parts import MeshPart
 from dune_rl.rendering.mesh_texture import join_textures
 from dune_rl.worlds.ground_texture import GroundPicture
 from dune_rl.worlds.importing.ground_pictures import bake_ground_picture
@@ -20,9 +22,7 @@ from dune_rl.worlds.importing.height_grid import (
     grid_spacing,
     ground_extent,
 )
-from dune_rl.worlds.importing.mesh_parts import MeshPart
 from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
-from dune_rl.worlds.importing.untrusted_files import ImportReport
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]

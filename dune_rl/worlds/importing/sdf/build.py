@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dune_rl.errors import WorldError
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world_path
+from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles
 from dune_rl.worlds.importing.ground_pictures import tile_picture
 from dune_rl.worlds.importing.heightmap.build import terrain_from_samples
 from dune_rl.worlds.importing.heightmap.files import read_heights
@@ -20,13 +22,11 @@ from dune_rl.worlds.importing.imported_world import (
     check_region,
     set_region,
 )
-from dune_rl.worlds.importing.mesh_parts import MeshPart, drop_faulty_triangles
 from dune_rl.worlds.importing.sdf.actors import place_on_ground
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
 from dune_rl.worlds.importing.sdf.shapes import build_plane
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
-from dune_rl.worlds.importing.untrusted_files import ImportReport, WorldFiles, resolve_world_path
 
 Array = NDArray[np.float64]
 

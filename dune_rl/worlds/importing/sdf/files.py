@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.file_dependencies import mark_incomplete, record_absent
-from dune_rl.worlds.importing.untrusted_files import (
+from dune_rl.core.errors import WorldError
+from dune_rl.core.file_dependencies import mark_incomplete, record_absent
+from dune_rl.core.untrusted_files import (
     ImportReport,
     OutsideFolderError,
     WorldFiles,

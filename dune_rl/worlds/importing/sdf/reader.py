@@ -8,16 +8,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
-from dune_rl.rendering.light import LightConf
-from dune_rl.worlds.actor_trajectory import ActorTrajectory
-from dune_rl.worlds.importing.mesh.files import load_mesh_parts
-from dune_rl.worlds.importing.mesh_parts import GREY, MeshPart, guess_colour
-from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
-from dune_rl.worlds.importing.sdf.files import SdfFileFinder
-from dune_rl.worlds.importing.sdf.shapes import build_primitive, parse_numbers, parse_pose
-from dune_rl.worlds.importing.sdf.sun import parse_sun
-from dune_rl.worlds.importing.untrusted_files import (
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import (
     MAX_FACES,
     Bytes,
     ImportReport,
@@ -27,6 +19,14 @@ from dune_rl.worlds.importing.untrusted_files import (
     read_bytes,
     read_image,
 )
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.mesh_files.files import load_mesh_parts
+from dune_rl.rendering.mesh_files.parts import GREY, MeshPart, guess_colour
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
+from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
+from dune_rl.worlds.importing.sdf.files import SdfFileFinder
+from dune_rl.worlds.importing.sdf.shapes import build_primitive, parse_numbers, parse_pose
+from dune_rl.worlds.importing.sdf.sun import parse_sun
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]

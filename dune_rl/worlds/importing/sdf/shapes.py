@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from dune_rl.errors import WorldError
-from dune_rl.worlds.importing.untrusted_files import printable
+from dune_rl.core.errors import WorldError
+from dune_rl.core.untrusted_files import printable
 
 Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.int32]]

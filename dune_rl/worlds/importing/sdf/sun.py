@@ -5,9 +5,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.untrusted_files import ImportReport, printable
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.importing.sdf.shapes import parse_numbers
-from dune_rl.worlds.importing.untrusted_files import ImportReport, printable
 
 Colour = tuple[float, float, float]
 

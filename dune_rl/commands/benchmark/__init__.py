@@ -1,0 +1,9 @@
+"""Cost of every part: `python -m dune_rl.benchmark` prints JSON lines.
+
+All ratios come from one run on one core, in rounds that alternate between what
+is compared, so that a noisy machine disturbs all of it alike.
+"""
+
+from dune_rl.commands.benchmark.command_line import main
+
+__all__ = ["main"]

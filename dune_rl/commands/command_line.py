@@ -1,0 +1,213 @@
+"""What all command lines share: arguments, help, errors and exit codes."""
+
+import _thread
+import errno
+import logging
+import os
+import signal
+import sys
+import threading
+import warnings
+from argparse import Namespace
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
+
+from dune_rl.commands.help_page import HelpPage, show_help
+from dune_rl.core.errors import ConfigError, DuneError, DuneWarning
+
+# Everything else is imported in the functions that need it: `--help` shall be there at once.
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dune_rl.config.schema import EnvConf
+
+_SHOW_WARNING = warnings.showwarning
+
+RawConfig = Mapping[str, Any]
+ConfT = TypeVar("ConfT", bound="EnvConf", covariant=True)
+
+
+class ComposeSettings(Protocol[ConfT]):
+    """Composes a command's settings from overrides, folders of options and the settings of a run."""
+
+    def __call__(
+        self, overrides: Sequence[str], config_dirs: Sequence[str], saved: RawConfig | None
+    ) -> ConfT: ...
+
+
+# Errors of the file system that a user can mend; others are faults of ours.
+_FILE_ERRORS = {
+    errno.EACCES: "no permission",
+    errno.ENOENT: "it cannot be made there",
+    errno.EPERM: "no permission",
+    errno.EEXIST: "a file of that name is in the way",
+    errno.ENOTDIR: "a part of the path is a file",
+    errno.EISDIR: "it is a folder",
+    errno.EROFS: "the file system is read-only",
+    errno.ENOSPC: "the disk is full",
+}
+
+
+# A lost signal is repeated after this time, when what lost it is over or loses it again.
+_AGAIN_S = 0.05
+
+
+class ReportedError(DuneError):
+    """An error whose message has been printed already."""
+
+
+class Terminated(BaseException):
+    """SIGTERM as an exception, so that every `finally` runs."""
+
+
+def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bool = False) -> NoReturn:
+    """Call `body` with the parsed command line and end the process.
+
+    The exit code is 0, 2 for errors that a user can mend, 130 for Ctrl-C and
+    143 for SIGTERM. `--help` prints the page; without `sweeps`, `-m` is refused.
+    """
+    signal.signal(signal.SIGTERM, _terminate)
+    warnings.showwarning = _warn
+    if sys.unraisablehook is sys.__unraisablehook__:
+        sys.unraisablehook = _stop_later
+    # TorchRL logs each buffer that it allocates.
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    try:
+        parsed = parse_arguments(sys.argv[1:])
+        if parsed.help:
+            show_help(page)
+        elif parsed.multirun and not sweeps:
+            raise ConfigError("this command runs once; leave -m out")
+        else:
+            body(parsed)
+    except ReportedError:
+        sys.exit(2)
+    except (DuneError, OSError) as error:
+        message = describe_user_error(error)
+        if message is None:
+            raise
+        exit_with_error(message)
+    except KeyboardInterrupt:
+        print_error("Interrupted")
+        sys.exit(128 + signal.SIGINT)
+    except Terminated:
+        sys.exit(128 + signal.SIGTERM)
+    sys.exit(0)
+
+
+def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Repeat a signal whose exception was lost, as in the callbacks from C with which numba loads its code.
+
+    Python would print the exception, and go on.
+    """
+    for stop, number in ((KeyboardInterrupt, signal.SIGINT), (Terminated, signal.SIGTERM)):
+        if issubclass(unraisable.exc_type, stop):
+            again = threading.Timer(_AGAIN_S, _signal_main_thread, [number])
+            again.daemon = True
+            again.start()
+            return
+    sys.__unraisablehook__(unraisable)
+
+
+def _signal_main_thread(number: signal.Signals) -> None:
+    """Send a signal to the main thread, which ends its waiting, too, where the system can do so."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        _thread.interrupt_main(number)
+
+
+def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    if issubclass(category, DuneWarning):
+        print_error(f"warning: {message}")
+    else:
+        _SHOW_WARNING(message, category, *place, **more)
+
+
+def describe_user_error(error: DuneError | OSError) -> str | None:
+    """The message of an error that a user can mend; None for a fault of ours."""
+    if isinstance(error, DuneError):
+        return str(error)
+    reason = _FILE_ERRORS.get(error.errno or 0)
+    return f"cannot write {error.filename or 'a file'}: {reason}; choose another place" if reason else None
+
+
+def exit_with_error(message: str) -> NoReturn:
+    """Print a message on standard error and end the process with exit code 2."""
+    print_error(message)
+    sys.exit(2)
+
+
+def print_world_notes(console: "Console", conf: "EnvConf") -> None:
+    """Print what an importer chose in the world of `conf`: a line for each choice."""
+    from dune_rl.config.build import describe_world
+
+    for line in describe_world(conf):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_error(message: str) -> None:
+    """Print a message on standard error."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def parse_arguments(words: Sequence[str]) -> Namespace:
+    """Hydra's flags and the overrides among the words of a command line; `ConfigError` for unknown flags."""
+    from hydra._internal.utils import get_args_parser
+
+    parsed, unknown = get_args_parser().parse_known_args(list(words))
+    flags = [word for word in unknown if word.startswith("-")]
+    if flags:
+        raise ConfigError(f"there is no flag {flags[0]}; settings are written key=value (see --help)")
+    # argparse takes overrides after a flag for unknown words.
+    parsed.overrides += unknown
+    return parsed
+
+
+def config_folders(parsed: Namespace) -> list[str]:
+    """Further folders of options, from `--config-dir`."""
+    return [parsed.config_dir] if parsed.config_dir else []
+
+
+def compose_with_checkpoint(
+    parsed: Namespace,
+    compose: ComposeSettings[ConfT],
+    adapt: Callable[[RawConfig], RawConfig] = lambda saved: saved,
+) -> ConfT | None:
+    """The settings of a command that may take `checkpoint=PATH`, which are based on those of its run.
+
+    `adapt` changes the run's settings before the overrides do. With `--cfg` the settings are printed and
+    the result is None: there is no more to do.
+    """
+    import yaml
+
+    from dune_rl.config.compose import override_value
+    from dune_rl.learning.checkpoint import (
+        POLICY_SOURCES,
+        find_checkpoint_file,
+        read_checkpoint_file,
+    )
+
+    checkpoint = override_value(parsed.overrides, "checkpoint")
+    saved = None
+    if checkpoint is not None:
+        file = find_checkpoint_file(Path(str(checkpoint)), *POLICY_SOURCES)
+        saved = adapt(read_checkpoint_file(file, "policy", "checkpoint")["config"])
+    conf = compose(parsed.overrides, config_folders(parsed), saved)
+    if not parsed.cfg:
+        return conf
+    print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+    return None
+
+
+def make_console() -> "Console":
+    """A console for results: as wide as the terminal, and wide enough for a table elsewhere."""
+    from rich.console import Console
+
+    return Console() if Console().is_terminal or "COLUMNS" in os.environ else Console(width=120)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated

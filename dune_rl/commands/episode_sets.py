@@ -1,0 +1,134 @@
+"""`python -m dune_rl.episode_sets`: lists, makes and checks episode sets."""
+
+import signal
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dune_rl.core.errors import DuneError
+
+if TYPE_CHECKING:
+    from dune_rl.evaluation.episode_sets.generate import SetRecipe
+
+
+# Options of sets from settings.
+_OF_OWN_SETS = ("episodes", "sites", "farthest", "seed")
+
+
+def parse(words: Sequence[str]) -> Namespace:
+    """The words of a command line: its `command`, the `names` of sets, and `settings` (key=value)."""
+    parser = ArgumentParser(prog="python -m dune_rl.episode_sets", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("list", help="the sets of the package, with their checksums")
+    make = commands.add_parser(
+        "make",
+        help="make sets again from their recipes, or one of your own from settings",
+        description="Make sets of the package again (none named: all), which builds all their sites; or one "
+        "of your own: make mine-v1 +world=NAME robot=NAME --episodes 50",
+    )
+    make.add_argument("names", nargs="*", metavar="NAME", help="a set")
+    make.add_argument("--out", type=Path, default=Path("episode_sets"), help="the folder to write to")
+    own = make.add_argument_group("for a set of your own, beside settings (key=value)")
+    own.add_argument("--episodes", type=int, help="how many (default: 100)")
+    own.add_argument("--sites", type=int, help="of a generated world (default: 1, its world.seed)")
+    own.add_argument("--farthest", type=float, metavar="M", help="largest distance of a goal from its start")
+    own.add_argument("--seed", type=int, help="of all that episodes draw (default: 0)")
+    check = commands.add_parser("check", help="start every episode of sets, and report what is not free")
+    check.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="a set, by name or path (none: all of the package), or a setting of the robot (key=value)",
+    )
+    parsed, unknown = parser.parse_known_args(words)
+    if any("=" not in word or word.startswith("-") for word in unknown):
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    # argparse takes words after an option for unknown ones.
+    names = [*getattr(parsed, "names", ()), *unknown]
+    parsed.names = [word for word in names if "=" not in word]
+    parsed.settings = [word for word in names if "=" in word]
+    return parsed
+
+
+def main() -> None:
+    """Run the command line; ends the process."""
+    parsed = parse(sys.argv[1:])
+    try:
+        {"list": _list, "make": _make, "check": _check}[parsed.command](parsed)
+    except DuneError as error:
+        from dune_rl.commands.command_line import exit_with_error
+
+        exit_with_error(str(error))
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+
+
+def _list(_: Namespace) -> None:
+    from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
+
+    for name in set_names():
+        header = read_episode_set(name).header
+        print(f"{name:<22} {header.sha256[:12]}  {header.description}")
+
+
+def _make(parsed: Namespace) -> None:
+    from dune_rl.commands.command_line import describe_user_error
+    from dune_rl.core.errors import ConfigError
+    from dune_rl.evaluation.episode_sets.files import write_episode_set
+    from dune_rl.evaluation.episode_sets.generate import generate_episodes
+
+    recipes = named_recipes(parsed)
+    for recipe in recipes:
+        for suffix in (".json", ".csv"):
+            if (parsed.out / f"{recipe.name}{suffix}").exists():
+                raise ConfigError(f"{parsed.out / recipe.name}{suffix} exists; choose another --out")
+    for recipe in recipes:
+        episodes = generate_episodes(recipe)
+        # The world without a seed is one site.
+        header = recipe.header(len({one.world_seed for one in episodes}))
+        try:
+            written = write_episode_set(parsed.out, header, episodes)
+        except OSError as error:
+            raise ConfigError(describe_user_error(error) or str(error)) from error
+        print(f"{parsed.out / recipe.name}.json  {written.header.sha256}", flush=True)
+
+
+def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
+    """The recipes that the command line names, or the one of its settings."""
+    from dune_rl.core.errors import ConfigError
+    from dune_rl.core.suggestions import closest
+    from dune_rl.evaluation.episode_sets.generate import all_recipes
+    from dune_rl.evaluation.episode_sets.own import own_recipe
+
+    if parsed.settings:
+        if len(parsed.names) != 1:
+            raise ConfigError(f"settings are for one set: make NAME {parsed.settings[0]} ...")
+        chosen = {name: getattr(parsed, name) for name in _OF_OWN_SETS}
+        given = {name: value for name, value in chosen.items() if value is not None}
+        return [own_recipe(parsed.names[0], parsed.settings, **given)]
+    unused = [name for name in _OF_OWN_SETS if getattr(parsed, name) is not None]
+    if unused:
+        raise ConfigError(f"--{unused[0]} is for a set of your own; add its settings: +world=NAME")
+    recipes = all_recipes()
+    for name in parsed.names:
+        if name not in recipes:
+            near = closest(name, recipes)
+            meant = f"did you mean {near}? For one" if near else "for one"
+            raise ConfigError(f"there is no recipe {name!r}; {meant} of your own give settings: +world=NAME")
+    return [recipes[name] for name in parsed.names or recipes]
+
+
+def _check(parsed: Namespace) -> None:
+    from dune_rl.core.errors import ConfigError
+    from dune_rl.evaluation.episode_sets.check import faulty_episodes
+    from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
+
+    faults = []
+    for name in parsed.names or set_names():
+        found = faulty_episodes(read_episode_set(name), overrides=parsed.settings)
+        print(f"{name:<22} {len(found)} faults", flush=True)
+        faults += [f"{name}: {fault}" for fault in found]
+    if faults:
+        raise ConfigError("\n".join(faults))

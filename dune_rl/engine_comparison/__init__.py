@@ -1,9 +1,0 @@
-"""Comparison of the physics engines on equal robots: `python -m dune_rl.engines` prints tables.
-
-`agreement` gives both the same commands and compares the results; `stability`
-drives at random for minutes and counts faults.
-"""
-
-from dune_rl.engine_comparison.command_line import main
-
-__all__ = ["main"]

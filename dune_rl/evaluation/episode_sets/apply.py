@@ -1,0 +1,104 @@
+"""Settings and plans of evaluations on an episode set."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+from dune_rl.bodies.settings import BodySettings
+from dune_rl.config.build import build_robot
+from dune_rl.config.checks import validate
+from dune_rl.config.resolved_groups import ResolvedGroup
+from dune_rl.config.schema import EnvConf
+from dune_rl.core.errors import ConfigError
+from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
+from dune_rl.env.episodes.request import AgentRequest
+from dune_rl.evaluation.episode_sets.episode_set import EpisodeSet
+
+Model = TypeVar("Model", bound=EnvConf)
+
+# Headers state radii with four digits [m].
+_ROUNDING_M = 1e-3
+# The limits of sets count control steps of this rate.
+_CONTROL_HZ = 20
+_DETERMINED = ("world", "weather", "actors", "randomisation", "task.spawn", "task.terminations")
+_ONE_ROBOT = ("agents", "robots")
+_RENAMED = ("task.termination",)
+
+
+def refuse_several_robots(name: str, conf: EnvConf) -> None:
+    """Raise ConfigError unless `conf` has the one robot that the set `name` is for."""
+    if conf.agents is not None or conf.robots is not None:
+        raise ConfigError(
+            f"set={name} is for one robot, and these settings have agents or robots of their own; evaluate "
+            "them with +world=NAME episodes=N"
+        )
+
+
+def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
+    """Raise ConfigError if `overrides` (words of a command line) set what the set `name` determines."""
+    for word in overrides:
+        key = word.partition("=")[0].lstrip("+~").replace("/", ".")
+        for section in (*_DETERMINED, *_RENAMED, "seed"):
+            if key == section or key.startswith(f"{section}."):
+                raise ConfigError(f"set={name} determines {section}; leave {word} out")
+        if key == "scenario":
+            raise ConfigError(f"set={name} determines world and actors; leave {word} out")
+        if key.partition(".")[0] in _ONE_ROBOT:
+            raise ConfigError(f"set={name} is for one robot; take robot=NAME in place of {word}")
+
+
+def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
+    """`conf` with the world, actors, starts and ends of a set; raises ConfigError where they do not fit."""
+    refuse_several_robots(episode_set.name, conf)
+    if conf.physics.control_hz != _CONTROL_HZ:
+        raise ConfigError(
+            f"set={episode_set.name} ends episodes after a number of steps of 1/{_CONTROL_HZ} s; leave "
+            f"physics.control_hz={conf.physics.control_hz} out"
+        )
+    data = conf.model_dump(mode="json")
+    for section, values in episode_set.header.settings.items():
+        if section == "task":
+            data["task"] = {**data["task"], **values}
+        else:
+            data[section] = values
+    first = episode_set.episodes[0].world_seed
+    if first is not None:
+        # The world that is built first is then one that is used.
+        data["world"] = {**data["world"], "seed": first}
+    if "seed" in type(conf).model_fields:
+        data["seed"] = episode_set.header.seed
+    changed = validate(type(conf), data)
+    _check_footprint(changed, episode_set)
+    return changed
+
+
+def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
+    """The plan of a set's episodes for the robot of `conf`."""
+    agent = robot_group(conf).agents[0]
+    return EpisodePlan(
+        [
+            PlannedEpisode({agent: AgentRequest(one.start, one.goal)}, one.world_seed)
+            for one in episode_set.episodes
+        ]
+    )
+
+
+def footprint_radius_m(conf: EnvConf) -> float:
+    """Radius of the footprint of the robot of `conf` [m]."""
+    body = robot_group(conf).body
+    assert not isinstance(body, BodySettings)
+    return build_robot(body, 1).footprint_radius_m
+
+
+def robot_group(conf: EnvConf) -> ResolvedGroup:
+    """The group of the one robot of `conf`."""
+    return next(group for group in conf.groups if not isinstance(group.body, BodySettings))
+
+
+def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:
+    radius, limit = footprint_radius_m(conf), episode_set.header.footprint_radius_m
+    if radius > limit + _ROUNDING_M:
+        raise ConfigError(
+            f"set={episode_set.name} has room for footprints of {limit:.2f} m ({episode_set.header.robot}), "
+            f"and the robot needs {radius:.2f} m: make a set for it with\n"
+            f"python -m dune_rl.episode_sets make NAME +world={episode_set.world} robot=..."
+        )

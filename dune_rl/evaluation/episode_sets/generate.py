@@ -1,0 +1,199 @@
+"""Samples the starts and goals of episode sets.
+
+The recipes of the package's sets are here too; their sites are such as training never draws.
+"""
+
+import shlex
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dune_rl.config.build import build_world, make_simulation
+from dune_rl.config.compose import compose_environment
+from dune_rl.config.schema import EnvConf
+from dune_rl.core.errors import WorldError
+from dune_rl.core.seeding import stream
+from dune_rl.evaluation.episode_sets.apply import footprint_radius_m, robot_group
+from dune_rl.evaluation.episode_sets.episode_set import SetEpisode
+from dune_rl.tasks.spawn import Placement, Spawner
+from dune_rl.worlds.world import World
+
+# conf/randomisation/worlds.yaml draws seeds from 1000 on, and the default sites have seed 0.
+FIRST_SITE = 500
+SITES = 50
+EPISODES = 200
+FAMILIES = ("flat", "inspection", "construction", "rubicon", "island")
+_TRIES = 2_000
+_SET_SEED = 140_000
+_NO_SEED = ", since the world has no seed"
+
+
+@dataclass(frozen=True)
+class SetVariant:
+    """A kind of sets, of which every world family has one.
+
+    `overrides` are settings beside the defaults; goals lie `goal_distance_m` from the start [m].
+    """
+
+    suffix: str
+    meaning: str
+    overrides: tuple[str, ...] = ()
+    goal_distance_m: tuple[float, float | None] = (2.0, None)
+
+
+VARIANTS = (
+    SetVariant("", "goals on the world's own square, two walkers"),
+    SetVariant(
+        "-site",
+        "starts and goals anywhere on the site, 15 to 50 m apart, two walkers",
+        (
+            "task.spawn.region=anywhere",
+            "task.spawn.min_goal_distance_m=15.0",
+            "task.terminations.time_limit.max_steps=6000",
+        ),
+        (15.0, 50.0),
+    ),
+    SetVariant("-crowd", "goals on the world's own square, eight walkers", ("actors.walker.count=8",)),
+)
+
+
+# What the sets of a variant need of one family: on the land of a smaller island no two places are 15 m apart.
+_OF_FAMILY = {("island", "-site"): ("world.radius_m=20",)}
+
+
+@dataclass(frozen=True)
+class SetRecipe:
+    """What a set is made from: a world, and `overrides` of the settings of its episodes.
+
+    `words` are those of the command line after the name, if it is not one of the package's sets. `seed` is
+    that of everything that the episodes draw. With several `sites`, these have world seeds from `FIRST_SITE`
+    on; one site is the world as its settings have it.
+    """
+
+    name: str
+    world: str
+    overrides: tuple[str, ...]
+    meaning: str
+    goal_distance_m: tuple[float, float | None]
+    seed: int
+    episodes: int = EPISODES
+    sites: int = SITES
+    words: tuple[str, ...] = ()
+
+    @cached_property
+    def settings(self) -> EnvConf:
+        """The settings of the episodes."""
+        return compose_environment(self.world, self.overrides)
+
+    def header(self, sites: int) -> dict[str, Any]:
+        """The header of the set's file; see `SetHeader`."""
+        data = self.settings.model_dump(mode="json")
+        determined = {key: data[key] for key in ("world", "weather", "actors", "randomisation")}
+        determined["task"] = {key: data["task"][key] for key in ("spawn", "terminations")}
+        seeded = self.words or hasattr(self.settings.world, "seed")
+        places = f"{sites} sites" if sites > 1 else "one site" + ("" if seeded else _NO_SEED)
+        return {
+            "name": self.name,
+            "description": f"{self.world}: {self.meaning}; {self.episodes} episodes on {places}",
+            "robot": robot_group(self.settings).body.name,
+            "footprint_radius_m": round(footprint_radius_m(self.settings), 4),
+            "episodes": self.episodes,
+            "sites": sites,
+            "goal_distance_m": list(self.goal_distance_m),
+            "seed": self.seed,
+            "settings": determined,
+            "command": shlex.join(["python", "-m", "dune_rl.episode_sets", "make", self.name, *self.words]),
+        }
+
+
+def all_recipes() -> dict[str, SetRecipe]:
+    """The recipes of the package's sets, by name."""
+    recipes = (_package_recipe(family, variant) for family in FAMILIES for variant in VARIANTS)
+    return {recipe.name: recipe for recipe in recipes}
+
+
+def _package_recipe(family: str, variant: SetVariant) -> SetRecipe:
+    return SetRecipe(
+        f"{family}{variant.suffix}-v1",
+        family,
+        ("robot=rover_zero", *variant.overrides, *_OF_FAMILY.get((family, variant.suffix), ())),
+        variant.meaning,
+        variant.goal_distance_m,
+        # Another one for each set.
+        _SET_SEED + 10 * FAMILIES.index(family) + VARIANTS.index(variant),
+    )
+
+
+def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
+    """All episodes of a recipe: as many on each site, site after site. Slow: it builds every site."""
+    conf = recipe.settings
+    if recipe.sites == 1 or not hasattr(conf.world, "seed"):
+        return tuple(generate_on_site(recipe, None, range(recipe.episodes)))
+    each = recipe.episodes // recipe.sites
+    found: list[SetEpisode] = []
+    seed = FIRST_SITE
+    while len(found) < recipe.episodes:
+        numbers = range(len(found), len(found) + each)
+        try:
+            _check_paths(recipe, conf, seed)
+            found += generate_on_site(recipe, seed, numbers)
+        except WorldError:
+            # A site without room, such as one where no goal is far enough: the next one takes its place.
+            if seed > FIRST_SITE + 2 * recipe.sites:
+                raise
+        seed += 1
+    return tuple(found)
+
+
+def _check_paths(recipe: SetRecipe, conf: EnvConf, world_seed: int) -> None:
+    """Raise WorldError if the walkers have no path on a site."""
+    world = conf.world.model_copy(update={"seed": world_seed})
+    make_simulation(conf.model_copy(update={"world": world}), 1, recipe.seed).close()
+
+
+def generate_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
+    """The episodes of these numbers, on the site of `world_seed` (None: the world has no seed)."""
+    conf = recipe.settings
+    world_conf = conf.world if world_seed is None else conf.world.model_copy(update={"seed": world_seed})
+    world = build_world(world_conf)
+    spawner = Spawner(world, conf.task.spawn, footprint_radius_m(conf))
+    return [_episode(recipe, conf, world, spawner, world_seed, number) for number in numbers]
+
+
+def _episode(
+    recipe: SetRecipe, conf: EnvConf, world: World, spawner: Spawner, world_seed: int | None, number: int
+) -> SetEpisode:
+    draws = stream(recipe.seed, "episode set", number)
+    room = footprint_radius_m(conf) + conf.task.spawn.margin_m
+    low, high = recipe.goal_distance_m
+    for _ in range(_TRIES):
+        placement = _rounded(spawner.sample(draws))
+        ends = np.array([[placement.x, placement.y], [placement.goal_x, placement.goal_y]])
+        distance = float(np.hypot(*(ends[1] - ends[0])))
+        apart = low <= distance and (high is None or distance <= high)
+        # Again, since rounding moves points.
+        free = (world.clearance(ends) >= room).all() and not any(spawner.why_not(x, y) for x, y in ends)
+        if apart and free:
+            return SetEpisode(
+                number,
+                world_seed,
+                (placement.x, placement.y, placement.yaw),
+                (placement.goal_x, placement.goal_y),
+            )
+    site = "the world" if world_seed is None else f"site {world_seed}"
+    apart_m = f"at least {low:g} m" if high is None else f"{low:g} to {high:g} m"
+    raise WorldError(f"{recipe.name}: {site} has no start and goal {apart_m} apart; take other distances")
+
+
+def _rounded(placement: Placement) -> Placement:
+    return replace(
+        placement,
+        x=round(placement.x, 3),
+        y=round(placement.y, 3),
+        yaw=round(placement.yaw, 4),
+        goal_x=round(placement.goal_x, 3),
+        goal_y=round(placement.goal_y, 3),
+    )

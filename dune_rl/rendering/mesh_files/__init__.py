@@ -1,0 +1,1 @@
+"""Triangle meshes with textures from files of several formats."""

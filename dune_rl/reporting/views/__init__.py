@@ -1,0 +1,1 @@
+"""Films, contact sheets and maps of episodes."""

@@ -1,0 +1,199 @@
+"""Maps of a world, with the starts and goals of episodes and the tracks of all agents."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from torch import no_grad
+
+from dune_rl.config.build import build_world, group_setups, make_torchrl_env, scene_class
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.controller_settings import reads_sensors
+from dune_rl.core.files import write_atomically
+from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.env.assembly import build_groups
+from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.episodes.start import EpisodeStart
+from dune_rl.env.goals import PathGoals, RegionGoals, place_groups
+from dune_rl.env.scene_manager import SceneManager
+from dune_rl.reporting.views.policies import SENSORS_OF_POLICIES, policy_factory
+from dune_rl.reporting.views.tracks import TrackRecorder
+from dune_rl.tasks.spawn import Placement, SpawnConf
+from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
+from dune_rl.visualization.site_map.figure import draw_site_map
+from dune_rl.visualization.site_map.layers import choose_spread_episodes, prop_footprints
+from dune_rl.visualization.site_map.panel import MapContent, Track
+
+_MOST_SCENES = 16
+# Distance between the ends of example episodes, relative to the region's side.
+_APART = 0.15
+
+
+def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
+    """A map of the world of `conf` (PNG); with a checkpoint or policy, also the tracks of its episodes."""
+    content = map_content(conf, drive_episodes(conf, console) if conf.checkpoint or conf.policy else [])
+    figure = draw_site_map(content, title(conf), subtitle(conf), conf.dpi)
+    with write_atomically(path) as temporary:
+        # Without the drawing library's version, the file stays the same when that changes.
+        figure.savefig(temporary, format="png", dpi=conf.dpi, metadata={"Software": None})
+    return path
+
+
+def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
+    """Content of the map: the episodes of `tracks`, or else examples with distant starts and goals."""
+    setups = group_setups(conf)
+    world = build_world(conf.world)
+    scenes = SceneManager(
+        world,
+        conf.weather,
+        DomainRandomizer.none(world, conf.weather),
+        scene_class(conf.physics.backend),
+        conf.physics,
+        num_scenes=1,
+    )
+    groups = build_groups(setups, scenes)
+    starter = EpisodeStart(groups, scenes)
+    starter.check_room(conf.seed, world)
+    starter.check_places(world, only_edge=False)
+    actors = starter.starts_on_trajectories(world)
+    viewed = _viewed_group(groups, conf.agent)
+    spawner = viewed.spawners.of(world)
+    if tracks:
+        episodes = {
+            episode: _place_agents(groups, conf.seed, episode, actors)
+            for episode in sorted({track.episode for track in tracks})
+        }
+    else:
+        xmin, xmax, ymin, ymax = spawner.region
+        episodes = choose_spread_episodes(
+            lambda episode: _place_agents(groups, conf.seed, episode, actors),
+            conf.episodes,
+            _APART * max(xmax - xmin, ymax - ymin),
+        )
+    return MapContent(
+        world=world,
+        spawner=spawner,
+        max_slope_deg=_spawn_conf(viewed).max_slope_deg,
+        goal_distance_m=_goal_distance_m(viewed),
+        footprints=prop_footprints(world, len(OBSTACLES)),
+        paths=_example_paths(groups),
+        episodes=episodes,
+        tracks=tracks,
+    )
+
+
+def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGroup:
+    """The group of `agent`, whose region and free space the map shows; by default the first external one."""
+    own = next((group for group in groups if agent in group.names), None)
+    return own or next((group for group in groups if group.is_external), groups[0])
+
+
+def _place_agents(
+    groups: tuple[AgentGroup, ...], seed: int, episode: int, actors: list[tuple[Placement, float]]
+) -> list[Placement]:
+    """Starts and goals of robots, and of others without a path that are there at the start of an episode.
+
+    They are away from the starts of `actors`.
+    """
+    placed = list(actors)
+    with_goals = [group for group in groups if isinstance(group.goals.source, RegionGoals)]
+    robots = [group.goals.source for group in with_goals if isinstance(group.body, ArticulatedBody)]
+    others = []
+    for group in with_goals:
+        if not isinstance(group.body, ArticulatedBody):
+            if group.visits is not None:
+                group.visits.begin(0, seed, episode)
+            others.append((group.goals.source, group.agents_of(0)))
+    for source in robots:
+        assert isinstance(source, RegionGoals)
+        placements = source.place(0, seed, episode, placed)
+        placed += [(placement, source.footprint_radius_m) for placement in placements]
+    found = [placement for placement, _ in placed[len(actors) :]]
+    return found + [one for group in place_groups(others, 0, seed, episode, placed) for one in group]
+
+
+def _spawn_conf(group: AgentGroup) -> SpawnConf:
+    return SpawnConf() if group.setup.task is None else group.setup.task.spawn
+
+
+def _goal_distance_m(group: AgentGroup) -> float:
+    """Distance at which a goal counts as reached [m]; 0 where none does."""
+    terminations = {} if group.setup.task is None else group.setup.task.terminations
+    return next(
+        (float(each.distance_m) for each in terminations.values() if hasattr(each, "distance_m")), 0.0
+    )
+
+
+def _example_paths(groups: tuple[AgentGroup, ...]) -> list[NDArray[np.float64]]:
+    """Some of the paths (P, 2) [m] of each agent that walks on paths."""
+    followers = [group.goals.source.follower for group in groups if isinstance(group.goals.source, PathGoals)]
+    agents = [(follower, agent) for follower in followers for agent in range(follower.count)]
+    each = max(1, len(PATHS) // max(1, len(agents)))
+    return [path for follower, agent in agents for path in follower.paths(agent)[:each]]
+
+
+@no_grad()
+def drive_episodes(conf: ViewConf, console: Console) -> list[Track]:
+    """Run the first episodes of the seed; returns the tracks of all agents."""
+    env = make_torchrl_env(_with_needed_sensors(conf), min(conf.episodes, _MOST_SCENES), conf.seed)
+    simulation = env.simulation
+    tracks: dict[int, list[Track]] = {}
+    try:
+        policy = policy_factory(conf, env)()
+        with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
+            task = bar.add_task("driving", total=conf.episodes)
+            env.set_seed(conf.seed)
+            observation = env.reset()
+            recorder = TrackRecorder(simulation)
+            while len(tracks) < conf.episodes:
+                after = env.step(policy(observation))
+                recorder.update()
+                done = np.flatnonzero(after["next", "done"].reshape(-1).numpy()).tolist()
+                for scene in done:
+                    episode = int(simulation.episodes[scene])
+                    if episode < conf.episodes:
+                        tracks[episode] = recorder.tracks(scene)
+                observation = env.maybe_reset(env.step_mdp(after))
+                for scene in done:
+                    recorder.reset(scene)
+                bar.update(task, completed=len(tracks))
+    finally:
+        env.close()
+    return [track for episode in sorted(tracks) for track in tracks[episode]]
+
+
+def _with_needed_sensors(conf: ViewConf) -> ViewConf:
+    """`conf` with only the sensors that a built-in policy reads, where nothing else reads any."""
+    if conf.checkpoint is not None or any(reads_sensors(group.controller) for group in conf.groups):
+        return conf
+    needed = SENSORS_OF_POLICIES.get(conf.policy or "", ("goal",))
+    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": needed})})
+
+
+def title(conf: ViewConf) -> str:
+    """The world's name, with the name of its file if it is read from one."""
+    path = getattr(conf.world, "path", None)
+    return conf.world.name if path is None else f"{conf.world.name}: {Path(path).name}"
+
+
+def subtitle(conf: ViewConf) -> str:
+    """The policy, the seed of the episodes, and the settings of the world."""
+    chosen = conf.world.model_dump(exclude={"name", "path"}, exclude_none=True)
+    settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items() if value not in ((), []))
+    policy: str | None = conf.policy
+    if conf.checkpoint is not None:
+        path = Path(conf.checkpoint)
+        policy = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"
+    head = f"{policy}, " if policy else ""
+    return f"{head}episodes of seed {conf.seed}" + (f"; world: {settings}" if settings else "")
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_plain(each) for each in value) + "]"
+    return str(value)

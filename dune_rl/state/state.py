@@ -1,0 +1,320 @@
+"""The state of one control step: what sensors, behaviours, rewards, terminations and metrics read.
+
+The simulation writes a `State` once a step and nothing else changes it. Arrays of a group have the leading
+axis N = M * G, of M scenes with G agents each, scene after scene: row m * G + g is agent g of scene m.
+Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.frames import rotation_from_angles, rotation_from_yaw, to_body
+from dune_rl.state.surroundings import GroupBodies, Surroundings
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Counts = NDArray[np.int64]
+
+
+class GroundQueries(Protocol):
+    """Queries of the ground and static obstacles of M scenes; points have the leading axis M."""
+
+    @property
+    def extents(self) -> Array:
+        """Rectangles (xmin, xmax, ymin, ymax) [m] of the terrains, (M, 4)."""
+        ...
+
+    def height(self, xy: Array, scenes: Counts | None = None) -> Array:
+        """Height of the ground [m], (M, ...), at points (M, ..., 2), or, of m `scenes` (m,), (m, ..., 2)."""
+        ...
+
+    def clearance(self, xy: Array, scenes: Counts | None = None) -> Array:
+        """Distance [m], (M, ...), from points (M, ..., 2) to the nearest obstacle; `scenes` as above."""
+        ...
+
+
+class ProximityQueries(Protocol):
+    """Clearances and neighbours of each group's agents at one control step, computed on first access."""
+
+    def clearance(self, group: str) -> Array:
+        """Distance [m], (N,), of each agent's outline from the nearest obstacle or other agent.
+
+        The array is new at every call.
+        """
+        ...
+
+    def neighbours(self, group: str) -> Array:
+        """Poses (N, K, 7) of the other moving bodies of each agent's scene: see `GroupState.neighbours`."""
+        ...
+
+
+class ScanQueries(Protocol):
+    """A LiDAR that measures agents for terms, beside those that the agents see with."""
+
+    def nearest_return(self, motion: "Motion", neighbours: Array) -> Array:
+        """Smallest range [m], (N,), of a scan from each agent; NaN where no beam returns."""
+        ...
+
+
+class BatteryModel(Protocol):
+    """The battery of a robot, for the terms that measure energy."""
+
+    @property
+    def capacity_wh(self) -> float:
+        """Energy of a full battery [W h]."""
+        ...
+
+    def drawn_wh(self, work_j: Array, time_s: float) -> Array:
+        """Energy [W h], (N,), drawn from the battery for motor work `work_j` (N,) [J] in `time_s` [s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class EnergyState:
+    """The motors' work in this control step [J], (N,), and the battery that feeds them."""
+
+    work_j: Array
+    battery: BatteryModel
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Angle [rad], speed [rad/s] and torque [N m] of the motors' joints, each (N, J).
+
+    Positive values roll a wheel forward. Wheel angles are not wrapped. Torques are those of the motors in
+    the last physics step.
+    """
+
+    angle: Array
+    speed: Array
+    torque: Array
+
+
+class Motion:
+    """True poses, velocities and accelerations of N bodies.
+
+    `position_w` (N, 3) is the origin's [m]; `roll_pitch_yaw` (N, 3) [rad]; `rotation` (N, 3, 3) turns body
+    to world; `velocity_w`, `angular_w` (N, 3) [m/s, rad/s] and the same in the body frame as `velocity_b`,
+    `angular_b`; `acceleration_b` (N, 3) [m/s²] is the mean acceleration of the origin over the last control
+    step without gravity; `joints` are the motors' joints, None if nothing reads them. `diverged` (N,) marks
+    bodies whose physics gave an invalid state: they keep their last valid one.
+
+    `frames` (N,) are the numbers of the frames in which sensors see bodies whose parts move (`MovingMesh`),
+    and 0 for all others.
+
+    Quantities that are not passed are computed on first access; those of rotation from `roll_pitch_yaw`.
+    """
+
+    def __init__(
+        self,
+        position_w: Array,
+        roll_pitch_yaw: Array,
+        velocity_w: Array,
+        angular_w: Array,
+        diverged: Flags,
+        joints: JointState | None = None,
+        **derived: Array,
+    ) -> None:
+        """`derived` may have `rotation`, `velocity_b`, `angular_b`, `acceleration_b` and `frames`."""
+        self.position_w, self.roll_pitch_yaw = position_w, roll_pitch_yaw
+        self.velocity_w, self.angular_w = velocity_w, angular_w
+        self.diverged, self.joints = diverged, joints
+        self.__dict__.update(derived)
+
+    @cached_property
+    def rotation(self) -> Array:
+        """Rotation matrices from body to world, (N, 3, 3)."""
+        angles = self.roll_pitch_yaw
+        return rotation_from_angles(angles) if angles[:, :2].any() else rotation_from_yaw(angles[:, 2])
+
+    @cached_property
+    def velocity_b(self) -> Array:
+        """Velocity of the origin in the body frame [m/s], (N, 3)."""
+        return to_body(self.rotation, self.velocity_w)
+
+    @cached_property
+    def angular_b(self) -> Array:
+        """Angular velocity in the body frame [rad/s], (N, 3)."""
+        return to_body(self.rotation, self.angular_w)
+
+    @cached_property
+    def acceleration_b(self) -> Array:
+        """Mean acceleration of the origin over the control step, in the body frame [m/s²], (N, 3)."""
+        return np.zeros_like(self.velocity_w)
+
+    @cached_property
+    def frames(self) -> Array:
+        """Numbers of the frames of the bodies' meshes, (N,), whole numbers."""
+        return np.zeros(len(self.position_w))
+
+    @property
+    def yaw(self) -> Array:
+        """Heading [rad], (N,)."""
+        return self.roll_pitch_yaw[:, 2]
+
+    @cached_property
+    def tilt(self) -> Array:
+        """Angle between the body's z and the world's [rad], (N,)."""
+        return np.arccos(np.minimum(np.maximum(self.rotation[:, 2, 2], -1.0), 1.0))
+
+
+@dataclass(frozen=True)
+class GoalState:
+    """Each agent's goal: `position_w` (N, 2) [m], its horizontal `distance` [m] now and one control step
+    before, and its `bearing` (N,) [rad] from the agent's heading, in [-pi, pi).
+    """
+
+    position_w: Array
+    distance: Array
+    previous_distance: Array
+    bearing: Array
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Contacts with anything but the ground in any physics step of this control step, each (N,).
+
+    `touching` marks agents in contact, `new` is the number of collisions that began (one per body touched,
+    for however long), `total` the number of collisions in the episode. `new_by_kind` are those of `new` by
+    the class of what was touched: static, robot, or the kind of a body such as person; classes without any
+    are left out.
+    """
+
+    touching: Flags
+    new: Counts
+    total: Counts
+    new_by_kind: Mapping[str, Counts] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class EpisodeState:
+    """Episode id and number of control steps of each agent.
+
+    `ids` (N,) are the episodes' numbers, `steps` (N,) the control steps since their start, each of `step_s`
+    [s]. Random draws of an agent depend on (`seed`, name, `streams` (N,), `steps`) alone: `streams` differ
+    between the agents of a scene, and equal `ids` for agent 0.
+    """
+
+    seed: int
+    ids: Counts
+    steps: Counts
+    streams: Counts
+    step_s: float
+
+
+@dataclass(frozen=True)
+class GroupState:
+    """One agent group after a control step; every array has the leading axis N = M * G.
+
+    `done` (N,) marks agents whose own episode ended in an earlier step, or has not begun, while their scene's
+    goes on. `episode.steps` of an agent that comes later count from then on.
+    `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
+    half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
+    any, and `reach_m` the radius of a disc that holds the outline. `kind` is the class of the bodies, such as
+    person or vehicle; `is_robot` marks those that physics simulates. `turning_radius_m` is that of the
+    tightest curve of bodies that cannot turn on the spot, 0 for all others; a rear axle runs on it,
+    `rear_axle_m` behind the origin. `avoids` is False for groups that are moved along paths, and give way to
+    nobody. `absent` (N,) marks agents that have not come yet, or are gone: they are far outside of the world,
+    at rest, and `done`; None where agents do not come and go. `energy` and `scanner` are None unless a term
+    needs them. `endings` has the flags (N,) of each termination term by name; rewards and metrics are
+    evaluated after these.
+    """
+
+    name: str
+    count: int
+    episode: EpisodeState
+    motion: Motion
+    contacts: ContactState
+    goal: GoalState
+    done: Flags
+    proximity: ProximityQueries
+    radius_m: float = 0.0
+    energy: EnergyState | None = None
+    endings: dict[str, Flags] = field(default_factory=dict)
+    wheel_radius_m: float | None = None
+    scanner: ScanQueries | None = None
+    kind: str = "robot"
+    turning_radius_m: float = 0.0
+    rear_axle_m: float = 0.0
+    reach_m: float = 0.0
+    is_robot: bool = False
+    avoids: bool = True
+    absent: Flags | None = None
+
+    @cached_property
+    def nearest_return(self) -> Array:
+        """Smallest range [m], (N,), of a scan as the paper's published code makes it; NaN where no beam
+        returns.
+
+        Raises ConfigError unless a term of the group has the attribute `needs_scan`.
+        """
+        if self.scanner is None:
+            raise ConfigError(
+                f"no scan is measured of {self.name}: give the term that reads it `needs_scan = True`"
+            )
+        return self.scanner.nearest_return(self.motion, self.neighbours)
+
+    @cached_property
+    def clearance(self) -> Array:
+        """Distance [m], (N,), from each outline to the nearest obstacle or other agent; 0 on contact, inf
+        without any.
+        """
+        apart = np.maximum(self.proximity.clearance(self.name), 0.0)
+        apart[self.contacts.touching] = 0.0
+        return apart
+
+    @cached_property
+    def neighbours(self) -> Array:
+        """Poses (N, K, 7) of the other moving bodies of each agent's scene.
+
+        x, y, z [m], yaw, roll and pitch [rad], and the number of the frame of its mesh: see `Motion.frames`.
+        """
+        return self.proximity.neighbours(self.name)
+
+    def ended_by(self, termination: str) -> Flags:
+        """Flags (N,) of the termination term of this name; all False if the task has no such term."""
+        flags = self.endings.get(termination)
+        return np.zeros(len(self.done), bool) if flags is None else flags
+
+    def by_scene(self, values: NDArray[Any]) -> NDArray[Any]:
+        """`values` (N, ...) reshaped to (M, G, ...)."""
+        return values.reshape(-1, self.count, *values.shape[1:])
+
+
+@dataclass(frozen=True)
+class State:
+    """State of all agent groups of M scenes by name, and queries of the ground."""
+
+    groups: Mapping[str, GroupState]
+    ground: GroundQueries
+    num_scenes: int
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """All bodies of each scene, and the obstacles nearest to them, for behaviours."""
+        bodies = [
+            GroupBodies(
+                group.name,
+                group.count,
+                group.motion.position_w[:, :2],
+                group.motion.velocity_w[:, :2],
+                group.motion.yaw,
+                group.reach_m,
+                group.is_robot,
+                group.avoids,
+                group.absent,
+            )
+            for group in self.groups.values()
+        ]
+        return Surroundings(bodies, self.ground.clearance, self.ground.extents)
+
+    def extents(self, group: GroupState) -> Array:
+        """Rectangle (xmin, xmax, ymin, ymax) [m] of the terrain of each agent of `group`, (N, 4)."""
+        extents = self.ground.extents
+        return extents if group.count == 1 else np.repeat(extents, group.count, axis=0)

@@ -1,0 +1,1 @@
+"""Intervals, paired tests and tables of measured episodes; no simulation, no PyTorch."""
