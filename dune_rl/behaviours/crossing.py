@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.behaviours.ranges import Speed
-from dune_rl.behaviours.steering import Array, Flags, SteeredBehaviour, nearest_of
+from dune_rl.behaviours.steering import SteeredBehaviour, nearest_of
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.state.state import GroupState, State
 
 # A slower robot is standing: nothing crosses its way [m/s].

@@ -4,12 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.behaviours.steering import SteeredBehaviour, draws_of
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state.state import GroupState, State
 from dune_rl.state.surroundings import EDGE_M
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Random places that are looked at, points on the way to each, and the shortest way.
 _CANDIDATES = 24

@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.behaviours.ranges import Speed, Who
-from dune_rl.behaviours.steering import Array, SteeredBehaviour, nearest_of
+from dune_rl.behaviours.steering import SteeredBehaviour, nearest_of
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state.state import GroupState, State
 

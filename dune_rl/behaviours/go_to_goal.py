@@ -3,9 +3,9 @@
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.state.state import GroupState, State
 
 Speed = Annotated[float, Field(gt=0.0, le=50.0, description="speed toward the goal [m/s]")]
@@ -30,11 +30,11 @@ class GoToGoal:
         self._speed_mps = speed_mps
         self._turns = np.ones(num_rows, bool)
 
-    def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
+    def reset(self, mask: Flags, group: GroupState) -> None:
         """The agents in `mask` (N,) may turn at once."""
         self._turns = self._turns | mask
 
-    def act(self, state: State, group: GroupState) -> NDArray[np.float64]:
+    def act(self, state: State, group: GroupState) -> Array:
         """Head for the goal."""
         bearing = group.goal.bearing
         least = _TURNING_SHARE if group.turning_radius_m else 0.0
@@ -46,10 +46,10 @@ class GoToGoal:
         return np.stack([speed, bearing], axis=1)
 
 
-def _distance_from_curve(group: GroupState) -> NDArray[np.float64]:
+def _distance_from_curve(group: GroupState) -> Array:
     """Distances (N,) of the goals from the middles of the tightest curves towards them, over their radius."""
     goal, radius, rear = group.goal, group.turning_radius_m, group.rear_axle_m
     ahead = goal.distance * np.cos(goal.bearing) + rear
     aside = goal.distance * np.abs(np.sin(goal.bearing)) - radius
-    share: NDArray[np.float64] = np.hypot(ahead, aside) / np.hypot(radius, rear)
+    share: Array = np.hypot(ahead, aside) / np.hypot(radius, rear)
     return share

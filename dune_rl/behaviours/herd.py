@@ -7,7 +7,8 @@ from pydantic import Field
 
 from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed
-from dune_rl.behaviours.steering import Array, Flags, nearest_of
+from dune_rl.behaviours.steering import nearest_of
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state.state import GroupState, State
 

@@ -5,7 +5,7 @@ import numpy as np
 from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed
 from dune_rl.behaviours.reactions import Notice, Reaction, Reactions
-from dune_rl.behaviours.steering import Array
+from dune_rl.geometry.arrays import Array
 from dune_rl.state.state import GroupState, State
 
 # Time over which what pushes a scared person acts [s].

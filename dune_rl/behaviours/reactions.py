@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.behaviours.steering import nearest_of
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import unit_vectors, wrap_angle
 from dune_rl.state.state import GroupState, State
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 ReactionName = Literal["regular", "impassive", "surprised", "curious", "scared", "threatening"]
 Reaction = Annotated[ReactionName, Field(description="to robots; see docs/how_to/behaviours.md")]
 Notice = Annotated[float, Field(gt=0.0, le=100.0, description="how near robots are noticed [m]")]

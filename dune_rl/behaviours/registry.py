@@ -2,11 +2,11 @@
 
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags
 from dune_rl.state.state import GroupState, State
 
 
@@ -18,7 +18,7 @@ class Behaviour(Protocol):
     `motion_models` of a class has the models of motion of the bodies that it can move; without it, all.
     """
 
-    def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
+    def reset(self, mask: Flags, group: GroupState) -> None:
         """Clear the history of the agents in `mask` (N,), whose episodes begin."""
         ...
 

@@ -9,7 +9,7 @@ from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
 from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed
 from dune_rl.behaviours.reactions import Notice, Reaction, Reactions
 from dune_rl.behaviours.social_force_loops import add_social_forces
-from dune_rl.behaviours.steering import Array
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state.state import GroupState, State
 

@@ -3,17 +3,14 @@
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.behaviours.avoidance.orca_loops import avoid_collisions
 from dune_rl.behaviours.drivers.context import DriverContext
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Below this speed a body keeps its heading [m/s].
 _STANDS_MPS = 0.03

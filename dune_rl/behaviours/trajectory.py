@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import WorldWarning
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.world import World
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Scenes = NDArray[np.int64]
 SamplePoints = Callable[[np.random.Generator, int, float], Array]
 

@@ -3,10 +3,10 @@
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.bodies.settings import BodySettings, MotionLimits
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.physics.shapes import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, Segment
@@ -152,7 +152,7 @@ def _capsule_in_clothes(radius_m: float, height_m: float) -> ColouredMesh:
     )
 
 
-def _clothes_colour(share: NDArray[np.float64]) -> NDArray[np.float32]:
+def _clothes_colour(share: Array) -> Floats:
     """Linear RGB (F, 3) at shares (F,) of the height."""
     tops = np.array([top for top, _ in _CLOTHES])
     colours = srgb_to_linear(np.array([colour for _, colour in _CLOTHES]))

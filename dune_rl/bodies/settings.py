@@ -5,7 +5,6 @@ from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.bodies.fields import (
     Acceleration,
@@ -28,12 +27,12 @@ from dune_rl.bodies.fields import (
     Width,
 )
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.shapes import KinematicBox, KinematicShape
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh
 from dune_rl.state.sensor_carrier import SensorCarrier
 
-Array = NDArray[np.float64]
 MotionModel = Literal["unicycle", "bicycle", "holonomic", "flying"]
 
 

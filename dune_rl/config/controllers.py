@@ -4,7 +4,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.behaviours.destinations import DestinedBehaviour
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
@@ -15,6 +14,7 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.driver_context import bind_to_group
+from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.sensor import Reading
 
 
@@ -65,7 +65,7 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
         raise CheckpointError("\n".join([f"{setting}: {lines[0]}", *lines[1:]])) from None
     policy = Deterministic(found)
 
-    def act(readings: dict[str, Reading]) -> NDArray[np.float64]:
+    def act(readings: dict[str, Reading]) -> Array:
         rows = group.num_rows
         observation = {
             key: torch.from_numpy(reading).reshape(-1, group.count, *reading.shape[1:])

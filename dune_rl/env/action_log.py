@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from dune_rl.geometry.arrays import Floats
 
 _FIRST_LENGTH = 64
 

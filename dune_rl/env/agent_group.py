@@ -18,6 +18,7 @@ from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
 from dune_rl.env.group_metrics import GroupMetrics
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.visits import Visits
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
@@ -27,10 +28,6 @@ from dune_rl.state.state import EnergyState, GoalState, GroupState, ScanQueries,
 from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.task import Task, TaskConf
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 RobotFactory = Callable[[int], Robot]
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Array, Floats
 
 
 def check_whole(name: str, value: object, *, at_least: int) -> None:
@@ -30,7 +30,7 @@ def random_seed() -> int:
     return int(np.random.SeedSequence().generate_state(1)[0])
 
 
-def action_numbers(values: Any) -> NDArray[np.float32]:
+def action_numbers(values: Any) -> Floats:
     """`values` in the precision of actions, float32; empty if they are not numbers.
 
     Restored episodes repeat actions in this precision.
@@ -41,7 +41,7 @@ def action_numbers(values: Any) -> NDArray[np.float32]:
         return np.zeros(0, np.float32)
 
 
-def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[np.float32]:
+def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> Floats:
     """The action of an agent, (size,); raises ValueError where it is none."""
     if not isinstance(actions, Mapping):
         raise ValueError(f"step needs a mapping from agents to actions (got {type(actions).__name__})")
@@ -55,7 +55,7 @@ def agent_action(actions: Mapping[str, Any], agent: str, size: int) -> NDArray[n
     return action.reshape(size)
 
 
-def group_actions(group: str, values: Any, shape: tuple[int, int, int]) -> NDArray[np.float64]:
+def group_actions(group: str, values: Any, shape: tuple[int, int, int]) -> Array:
     """The actions of a group as rows (M G, A); raises ValueError unless they are (M, G, A) numbers."""
     rows = np.asarray(values, np.float64)
     if rows.size != shape[0] * shape[1] * shape[2] or rows.shape[-1] != shape[2]:

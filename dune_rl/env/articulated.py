@@ -1,7 +1,6 @@
 """Robots in physics: N = M * G of one kind, from actions to motor commands and from the engine to motion."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.env.body import Engines
 from dune_rl.env.drag import drag_forces
@@ -9,6 +8,7 @@ from dune_rl.env.latency import Latency
 from dune_rl.env.proximity import Outline
 from dune_rl.env.robot_mesh import robot_mesh
 from dune_rl.env.traction import Traction
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frame_loops import derive_motion
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -18,9 +18,6 @@ from dune_rl.state.sensor_carrier import SensorCarrier, WheelMotion
 from dune_rl.state.state import EnergyState, JointState, Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Limits of position, quaternion, velocity and angular velocity [SI] beyond which physics has diverged: robots
 # are slower, worlds are smaller, and components of unit quaternions are at most 1.

@@ -3,18 +3,14 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dune_rl.env.proximity import Outline
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import EnergyState, Motion
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Engines = Sequence[PhysicsRobot]
 
 

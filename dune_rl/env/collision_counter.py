@@ -3,11 +3,9 @@
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Counts, Flags
 from dune_rl.state.state import ContactState
-
-Counts = NDArray[np.int64]
 
 
 class CollisionCounter:
@@ -32,7 +30,7 @@ class CollisionCounter:
             unseen = np.full((len(self._last), more), -self._gap - 1, np.int64)
             self._last = np.concatenate([self._last, unseen], axis=1)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Clear all contacts of the agents in `mask` (N,)."""
         self._last[mask] = -self._gap - 1
         self._total = np.where(mask, 0, self._total)

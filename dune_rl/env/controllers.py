@@ -4,14 +4,12 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.behaviours.registry import Behaviour
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState, State
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Observe = Callable[[], dict[str, Reading]]
 Policy = Callable[[dict[str, Reading]], Array]
 

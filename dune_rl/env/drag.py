@@ -1,15 +1,13 @@
 """Drag of tall grass on robots."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import Rows, agent_rows
 from dune_rl.robots.robot import Robot
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.grass import Grass
-
-Array = NDArray[np.float64]
 
 _ALL = slice(None)
 

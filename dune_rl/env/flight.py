@@ -1,16 +1,13 @@
 """Heights of flying bodies: above the ground, and over obstacles that are lower."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings, FlightBand
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.shared_per_scene import query_grouped
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.passage import roof_height
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _CLIMB = 2
 

@@ -11,6 +11,7 @@ from dune_rl.behaviours.paths.follower import PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.state.state import GoalState, Motion
@@ -18,8 +19,6 @@ from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
 from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.world import World
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Rows = NDArray[np.int64]
 
 # How often agents are placed anew where there is no room for the last of them.

@@ -6,8 +6,9 @@ import numpy as np
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.articulated import ArticulatedBody
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.metrics.episode import MetricsConf, MetricSet
-from dune_rl.state.state import Array, Flags, GroupState, State
+from dune_rl.state.state import GroupState, State
 
 if TYPE_CHECKING:
     from dune_rl.env.agent_group import AgentGroup

@@ -17,9 +17,9 @@ from dune_rl.env.observation_layout import ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
+from dune_rl.geometry.arrays import Array, Flags, Floats
 
-Flags = NDArray[np.bool_]
-Observations = dict[str, NDArray[Any]] | NDArray[np.float32]
+Observations = dict[str, NDArray[Any]] | Floats
 
 
 class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
@@ -119,9 +119,7 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
             )
         return mask
 
-    def step(
-        self, actions: NDArray[np.floating]
-    ) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+    def step(self, actions: NDArray[np.floating]) -> tuple[Observations, Array, Flags, Flags, dict[str, Any]]:
         """Advance all scenes by a control step of 1 / control_hz seconds with `actions` (M, A).
 
         Returns observations, rewards (M,), flags (M,) of terminated and of truncated episodes, and infos: the

@@ -5,7 +5,6 @@ dynamics.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.body import Engines
@@ -14,6 +13,7 @@ from dune_rl.env.motion_models import Step, advance, stopping_distance
 from dune_rl.env.proximity import Outline
 from dune_rl.env.room import Room
 from dune_rl.env.standing import Stance, turning_rates
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -22,9 +22,6 @@ from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Counts = NDArray[np.int64]
 Scenes = Counts
 
 # x, y, z [m], yaw, roll, pitch [rad].

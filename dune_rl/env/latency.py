@@ -1,9 +1,8 @@
 """Latency of motor commands."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 LONGEST_S = 1.0
 

@@ -8,13 +8,10 @@ a step: all of it where nothing limits its turning, whatever the heading is.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import MotionLimits
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Step(NamedTuple):

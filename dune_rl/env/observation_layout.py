@@ -4,12 +4,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.geometry.arrays import Floats
 from dune_rl.sensors.sensor import Bounds, Reading
 
-Observation = dict[str, Reading] | NDArray[np.float32]
+Observation = dict[str, Reading] | Floats
 
 
 class ObservationLayout:

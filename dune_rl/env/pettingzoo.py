@@ -22,6 +22,7 @@ from dune_rl.env.registration import RENDER_MODES
 from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.env.window import Window
+from dune_rl.geometry.arrays import Floats
 
 # Numbers of each agent in the state.
 _STATE_SIZE = 14
@@ -147,7 +148,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
             found += [name for name, has_ended in zip(group.names, ended, strict=True) if not has_ended]
         return found
 
-    def _actions(self, group: AgentGroup, actions: dict[str, NDArray[np.floating]]) -> NDArray[np.float32]:
+    def _actions(self, group: AgentGroup, actions: dict[str, NDArray[np.floating]]) -> Floats:
         """The actions of a group's agents, (1, G, A)."""
         rest = group.rest_action.astype(np.float32)
         each = [
@@ -202,7 +203,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         if self._window is not None:
             self._window.show(self._pictures.from_behind())
 
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Floats:
         """The true state of all groups, scripted ones as well, in `state_space`: what no agent observes.
 
         For each agent x, y, z [m], roll, pitch, yaw [rad], the velocity (3) [m/s], the angular velocity (3)

@@ -11,6 +11,7 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -22,7 +23,6 @@ from dune_rl.worlds.appearance import bake_in_weather
 from dune_rl.worlds.batched_worlds import WorldAppearance
 from dune_rl.worlds.world import Rectangle, World
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 _BEHIND_M, _ABOVE_M, _LOOK_AHEAD_M = 2.6, 1.35, 0.9

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import POSE_COLUMNS
 from dune_rl.state.state import GroundQueries, Motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.bodies.settings import BodySettings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.geometry.shared_per_scene import query_grouped
@@ -15,9 +15,6 @@ from dune_rl.state.surroundings import EDGE_M
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.passage import GridField, GroundLimits, body_clearance, ground_passage, roof_height
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _LEVEL, _ANY_DEPTH = 90.0, 100.0
 # Headings that `Room.headings_with_way` tries, relative to those drawn [rad], and points on the way of each.

@@ -6,11 +6,11 @@ from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.env.domain_randomizer import DomainRandomizer, Values
 from dune_rl.env.scene_spec import scene_spec
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene, SceneSpec, step_scene
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape
@@ -149,7 +149,7 @@ class SceneManager:
         """The present worlds of the scenes, and the first one."""
         return {world for world, _ in self.worlds.worlds.groups} | {self._world}
 
-    def reset(self, scene: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def reset(self, scene: int, kinematic_poses: Array) -> None:
         """Reset a scene: robots to their start poses, kinematic bodies to `kinematic_poses` (K, 6)."""
         self._kinematic_poses[scene] = kinematic_poses
         self._scene(scene).reset(kinematic_poses)
@@ -159,15 +159,13 @@ class SceneManager:
         count = round(_SETTLE_S * self.conf.physics_hz)
         step_scene(self._scene(scene), count, self._kinematic_poses[scene])
 
-    def move_kinematic(self, scene: int, index: int, pose: NDArray[np.float64]) -> None:
+    def move_kinematic(self, scene: int, index: int, pose: Array) -> None:
         """Put a kinematic body of a scene at a pose (6), between control steps."""
         self._scene(scene).move_kinematic(index, pose)
 
     # -- a step -----------------------------------------------------------------------------------
 
-    def step(
-        self, kinematic_poses: NDArray[np.float64], resting: NDArray[np.bool_]
-    ) -> dict[int, NDArray[np.float64]]:
+    def step(self, kinematic_poses: Array, resting: Flags) -> dict[int, Array]:
         """Advance the physics by a control step in the scenes that are not `resting` (M,).
 
         Kinematic bodies move to poses (M, K, 6). Returns, by scene, the poses (K, 6) reached where a robot
@@ -220,6 +218,6 @@ class SceneManager:
                 physics.close()
 
 
-def scene_rows(mask: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+def scene_rows(mask: Flags, count: int) -> Flags:
     """`mask` (M,) of scenes, repeated for the `count` agents of each: (M * count,)."""
     return mask if count == 1 else np.repeat(mask, count)

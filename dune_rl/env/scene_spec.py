@@ -1,8 +1,8 @@
 """Builds the physics engine's `SceneSpec` from a world, robots and kinematic bodies."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec
 from dune_rl.physics.robot_body import RobotBody
@@ -10,8 +10,6 @@ from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.robots.robot import Robot
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 # Room under the wheels at the start, so that no contact begins with penetration.
 _DROP_M = 0.005

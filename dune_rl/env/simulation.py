@@ -21,6 +21,7 @@ from dune_rl.env.restore import RestoreError, check_arrival, state_digest
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.env.turnover import Turnover
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.weather import WeatherConf
@@ -28,10 +29,6 @@ from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 _CLEAR = WeatherConf()
 _CLOSED = "the environment is closed: make another"

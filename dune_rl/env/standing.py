@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
-Array = NDArray[np.float64]
 Scenes = NDArray[np.int64]
 
 

@@ -11,12 +11,10 @@ from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import GroupLayout, Proximity
 from dune_rl.env.scene_manager import scene_rows
+from dune_rl.geometry.arrays import Counts, Flags
 from dune_rl.state.state import ContactState, EpisodeState, GoalState, GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Contacts = list[tuple[int, int]]
 
 # Random draws of the agents of a group are apart by _STREAM_STRIDE in their stream's number, those of groups

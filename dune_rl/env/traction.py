@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.constants import GRAVITY_MPS2
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import Robot
@@ -16,8 +17,6 @@ from dune_rl.state.state import Motion
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 # A wheel higher than this over what is below it bears no load.
 _OFF_GROUND_M = 0.05

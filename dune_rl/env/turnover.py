@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.behaviours.paths.follower import PathFollower
 from dune_rl.core.errors import WorldError
@@ -15,12 +14,9 @@ from dune_rl.env.goals import PathGoals, RegionGoals
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager, scene_rows
 from dune_rl.env.visits import Visits
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.state.state import GroupState, State
 from dune_rl.tasks.spawn import Placement
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 class Turnover:

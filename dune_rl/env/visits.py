@@ -1,13 +1,10 @@
 """When each agent of a group is in its scene, where agents come and go."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.tasks.presence import PresenceConf
-
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 _FOREVER = np.iinfo(np.int64).max
 # An agent that finds no room when it is due tries again after this time.
@@ -42,7 +39,7 @@ class Visits:
         self.came[rows] = self._due[rows] == 0
         self.absent[rows] = ~self.came[rows]
 
-    def _steps(self, bounds_s: tuple[float, float], draws: NDArray[np.float64]) -> Counts:
+    def _steps(self, bounds_s: tuple[float, float], draws: Array) -> Counts:
         low, high = bounds_s
         steps: Counts = np.rint((low + (high - low) * draws) / self._step_s).astype(np.int64)
         return steps

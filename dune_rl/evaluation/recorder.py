@@ -9,12 +9,12 @@ from tensordict import TensorDictBase
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.state.state import GroupState
 from dune_rl.statistics.measures import MetricsRow
 
 StepRow = dict[str, Any]
-Array = NDArray[np.float64]
 START_COLUMNS = (
     *("start_x_m", "start_y_m", "start_yaw_rad", "goal_x_m", "goal_y_m"),
     *("goal_distance_m", "slope_deg"),
@@ -60,7 +60,7 @@ class EpisodeRecorder:
         for scene in np.flatnonzero(fresh).tolist():
             self._steps[scene] = []
 
-    def _note_starts(self, group: AgentGroup, chosen: NDArray[np.bool_]) -> None:
+    def _note_starts(self, group: AgentGroup, chosen: Flags) -> None:
         """Note where the agents in `chosen` (N,) are and are to go."""
         state = self._simulation.state.groups[group.name]
         found = np.column_stack([state.motion.position_w[:, :2], state.motion.yaw, state.goal.position_w])
@@ -89,9 +89,7 @@ class EpisodeRecorder:
             state = self._simulation.state.groups[group.name]
             self._record(group.names, np.repeat(due, group.count) & ~state.done, self._columns(state))
 
-    def _record(
-        self, agents: tuple[str, ...], chosen: NDArray[np.bool_], columns: Mapping[str, NDArray[Any]]
-    ) -> None:
+    def _record(self, agents: tuple[str, ...], chosen: Flags, columns: Mapping[str, NDArray[Any]]) -> None:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.stable_baselines_network import take_images, take_layers
+from dune_rl.geometry.arrays import Floats
 from dune_rl.learning.policy_spec import PolicySpec
 
 _LARGEST_DATA, _LARGEST_WEIGHTS = 64 * 2**20, 2**30
@@ -53,7 +54,7 @@ class StableBaselinesPolicy:
 
     path: Path
     sensors: tuple[str, ...] | None
-    bounds: tuple[NDArray[np.float32], NDArray[np.float32]]
+    bounds: tuple[Floats, Floats]
     squashes: bool
     inputs: int
     images: Mapping[str, nn.Module]
@@ -85,7 +86,7 @@ class StableBaselinesPolicy:
                 f"policy={self.path} was trained on {self.inputs} values, and {', '.join(names)} have "
                 f"{features.shape[1]}; take the sensors and the robot that it was trained with"
             )
-        actions: NDArray[np.float32] = self.layers(features).numpy()
+        actions: Floats = self.layers(features).numpy()
         if not self.squashes:
             return actions
         low, high = self.bounds
@@ -200,7 +201,7 @@ def _sensors(path: Path, space: Mapping[str, Any]) -> tuple[str, ...] | None:
     return tuple(names)
 
 
-def _bounds(path: Path, data: Mapping[str, Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _bounds(path: Path, data: Mapping[str, Any]) -> tuple[Floats, Floats]:
     space = _readable(data, "action_space")
     found = []
     for name in ("low", "high"):

@@ -5,12 +5,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import Hits, RayScene
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene, query_grouped
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 class BatchedRayScenes:
@@ -59,7 +57,7 @@ class BatchedRayScenes:
             normal.reshape(scenes, -1, 3)[rows] = hit.normal.reshape(-1, count, 3)
         return Hits(face, ranges, normal)
 
-    def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+    def any_hit(self, origins: Floats, directions: Floats) -> Flags:
         """As `RayScene.any_hit`."""
         groups = self._scenes.groups
         if len(groups) == 1:

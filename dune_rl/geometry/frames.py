@@ -1,11 +1,9 @@
 """Rotations and angles of batches. Quaternions are xyzw; suffixes name frames: `_w` world, `_b` body."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frame_loops import find_angles, rotate
-
-Array = NDArray[np.float64]
 
 # Of a body in its scene: x, y, z [m], yaw, roll, pitch [rad], and the number of the frame of its mesh.
 POSE_COLUMNS = 7

@@ -5,13 +5,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.grid_loops import (
     find_and_interpolate_triangles,
     find_triangles,
     interpolate_triangles,
 )
-
-Array = NDArray[np.float64]
 
 
 class HeightField:

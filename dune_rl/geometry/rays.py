@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.embree.triangle_scene import TriangleScene
-
-Floats = NDArray[np.float32]
 
 Order = NDArray[np.int64] | None
 
@@ -75,6 +74,6 @@ class RayScene:
         )
         return hit.range, hit.normal
 
-    def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+    def any_hit(self, origins: Floats, directions: Floats) -> Flags:
         """Whether each ray, of unlimited length, hits any triangle, (N,)."""
         return self.triangles.occluded(origins, directions)

@@ -6,9 +6,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.metrics.registry import METRICS, MetricTermConf, MetricTerms, Reduction
-from dune_rl.state.state import Array, Counts, Flags, GroupState, State
+from dune_rl.state.state import GroupState, State
 from dune_rl.state.terms import bind_terms, note_term
 
 BUILT_IN = ("episode", "steps", "return")

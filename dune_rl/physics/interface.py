@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, Self, get_args
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.physics.varied_body import BodyVariation
@@ -180,7 +179,7 @@ class PhysicsScene(Protocol):
         """The robots, in the order of `SceneSpec.robots`. They stay the same objects over `reset`."""
         ...
 
-    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+    def reset(self, kinematic_poses: Array) -> None:
         """Put robots at their start poses, at rest, and kinematic bodies at theirs (K, 6).
 
         Poses are x, y, z [m], yaw, roll and pitch [rad]; capsules stand upright at any.
@@ -188,14 +187,14 @@ class PhysicsScene(Protocol):
         """
         ...
 
-    def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
+    def move_kinematic(self, index: int, pose: Array) -> None:
         """Put a kinematic body at a pose (6), as for `reset`, between control steps.
 
         The next step moves it from there. No robot may touch it before or after.
         """
         ...
 
-    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: Array) -> None:
         """Prepare the `count` physics steps of a control step, under the robots' present commands and forces.
 
         Kinematic bodies reach `kinematic_poses` (K, 6), as for `reset`, at the
@@ -208,7 +207,7 @@ class PhysicsScene(Protocol):
         """Advance by the control step that `begin_step` prepared."""
         ...
 
-    def held_back_poses(self) -> NDArray[np.float64] | None:
+    def held_back_poses(self) -> Array | None:
         """Where the kinematic bodies are after a step in which a robot held any of them back, else None.
 
         Poses (K, 6) as for `reset`, of which x and y alone differ from those commanded. The next step
@@ -225,7 +224,7 @@ class PhysicsScene(Protocol):
         ...
 
 
-def step_scene(scene: PhysicsScene, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+def step_scene(scene: PhysicsScene, count: int, kinematic_poses: Array) -> None:
     """Advance a scene by `count` physics steps: see `PhysicsScene.begin_step`."""
     scene.begin_step(count, kinematic_poses)
     scene.finish_step()

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
+
 Faces = NDArray[np.int32]
 
 

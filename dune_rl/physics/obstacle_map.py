@@ -4,13 +4,11 @@ from collections.abc import Iterator
 from weakref import WeakValueDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.gate_loops import find_boxes, find_distance
 from dune_rl.physics.shapes import StaticBody
-
-Array = NDArray[np.float64]
 
 _CELL_M = 0.1
 _MAX_CELLS = 1_000_000

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
+
 # Friction coefficient of kinematic bodies.
 KINEMATIC_FRICTION = 0.5
 
@@ -20,7 +22,7 @@ class StaticBody:
     """
 
     name: str
-    vertices: NDArray[np.float64]
+    vertices: Array
     faces: NDArray[np.int32]
     friction: float
     ground: bool

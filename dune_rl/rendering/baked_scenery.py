@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import Light, tone_map_to_srgb
 from dune_rl.rendering.mesh_texture import TextureSampler
 from dune_rl.rendering.scenery import ColouredMesh, Scenery, Segment, join_meshes, subdivide_mesh
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
 
 # Longest edge of props' triangles, so that shadows can cover parts of a prop.
 _LONGEST_EDGE_M = 0.6

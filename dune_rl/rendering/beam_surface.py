@@ -6,10 +6,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 from dune_rl.rendering.scenery import Segment
-
-Floats = NDArray[np.float32]
 
 # Weights of linear red, green and blue (ITU-R BT.709).
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)

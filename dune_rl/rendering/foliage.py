@@ -5,15 +5,12 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 from dune_rl.rendering.foliage_marching import TEXELS, march, sample_density
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 # Marching steps: constant part [m], and growth with the distance. For LiDAR beams, for small pictures, whose
 # pixels cover more at a distance, and for large pictures, which show single tufts.

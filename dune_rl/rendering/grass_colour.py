@@ -1,11 +1,9 @@
 """Colours of tall grass."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.light import Light, srgb_to_linear
-
-Floats = NDArray[np.float32]
 
 # sRGB of shaded, fresh and dry blades.
 _SHADED, _FRESH, _DRY = (0.15, 0.20, 0.07), (0.42, 0.50, 0.20), (0.68, 0.64, 0.38)

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Floats
 
-Floats = NDArray[np.float32]
 Channel = Annotated[float, Field(ge=0.0, le=1.0)]
 
 _SUN_HIGH, _SUN_LOW = np.array([2.05, 1.96, 1.80]), np.array([1.75, 0.95, 0.45])

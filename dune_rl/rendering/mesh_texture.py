@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.rendering.light import srgb_to_linear
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
 # Largest side of a picture: sides are powers of two, so that mipmaps halve evenly down to one texel.
@@ -119,7 +118,7 @@ class TextureSampler:
         # Texels per metre, the larger value of both directions.
         density = np.linalg.norm(self._maps[..., :3], axis=2)
         fine = (density > 1.0 / _SMALLEST_TILE_M).any(axis=1)
-        self.textured: NDArray[np.bool_] = (texture.picture >= 0) & ~fine
+        self.textured: Flags = (texture.picture >= 0) & ~fine
         self._sharpness = np.log2(np.maximum((density * sides).max(axis=1), 1e-9)).astype(np.float32)
 
     def albedo(

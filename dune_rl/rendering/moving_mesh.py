@@ -5,14 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.embree.posed_scenes import PosedHits, PosedScenes
 from dune_rl.rendering.baked_scenery import to_srgb_bytes
 from dune_rl.rendering.light import Light
 from dune_rl.rendering.posed_mesh import RayMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 class MovingMesh:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage, FoliageTransmission
 from dune_rl.rendering.grass_colour import grass_colours
 from dune_rl.rendering.light import Light, tone_map_to_srgb
 from dune_rl.rendering.weather import Haze
 
-Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
 _TONES, _BRIGHTEST = 4096, 4.0
@@ -44,7 +44,7 @@ class ParticipatingMedia:
         self,
         colours: Bytes,
         ranges: Floats,
-        nothing: NDArray[np.bool_],
+        nothing: Flags,
         transmission: FoliageTransmission | None,
         light: Light,
     ) -> Bytes:

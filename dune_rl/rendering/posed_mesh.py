@@ -6,11 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.rays import Hits, RayScene
 from dune_rl.rendering.scenery import ColouredMesh
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 class RayMesh:
@@ -65,7 +63,7 @@ class PosedMesh:
         face, ranges, normal = self.solid.rays.hits(local, turned, ranges.copy())
         return Hits(face, ranges, normal @ self.rotation.T.astype(np.float32))
 
-    def any_hit(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+    def any_hit(self, origins: Floats, directions: Floats) -> Flags:
         """Whether each of the world rays (R, 3) hits the mesh, (R,)."""
         local, turned = self._to_own_frame(origins, directions)
         return self.solid.rays.any_hit(local, turned)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.baked_scenery import BakedScenery, smooth_normals
 from dune_rl.rendering.foliage import Foliage, FoliageTransmission
 from dune_rl.rendering.grass_colour import grass_colours
@@ -15,9 +16,6 @@ from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.posed_mesh import PosedMesh
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.sky import Sky
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _RAYS_AT_ONCE = 65_536
 _FAR_M = 2_000.0

@@ -6,10 +6,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
-
-Floats = NDArray[np.float32]
 
 
 class Segment(IntEnum):
@@ -32,7 +31,7 @@ class ColouredMesh:
     On faces with a `texture`, `albedo` is its mean.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     faces: NDArray[np.int32]
     albedo: Floats
     segments: NDArray[np.uint8]

@@ -1,13 +1,11 @@
 """The sky of pictures: the light's colours, a glow around the sun, and fair-weather clouds."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.light import Light
 from dune_rl.rendering.weather import Haze
-
-Floats = NDArray[np.float32]
 
 _TEXELS = 512
 # Size of the repeated tile of clouds, in heights of the cloud layer.

@@ -3,13 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.light import Channel, Light, LightConf, srgb_to_linear
-
-Floats = NDArray[np.float32]
 
 # Koschmieder (1924): black objects are visible up to a contrast of 2 % with the sky; -ln 0.02 = 3.912.
 _KOSCHMIEDER = 3.912

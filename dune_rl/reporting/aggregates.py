@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.runs import Row
 from dune_rl.statistics.intervals import CONFIDENCE, Estimate
 
-Array = NDArray[np.float64]
 # The scores of a method: for each set of cases those of its units, (U,) each.
 Scores = Mapping[str, Array]
 RESAMPLES = 2_000

@@ -1,15 +1,13 @@
 """Ackermann drive: steering angles and wheel speeds for a commanded speed and heading."""
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.steering_geometry import SteeringGeometry
-
-Array = NDArray[np.float64]
 
 # A heading error below this share of a radian does not steer fully, however slow the robot is: otherwise the
 # wheels would swing from stop to stop at noise.
@@ -62,7 +60,7 @@ class AckermannDrive:
         """Radius [m] of the smallest circle to the side that turns less, of the middle of the axle."""
         return 1.0 / min(self._highest, -self._lowest)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Stand still with straight wheels, and clear the heading controller, in `mask` (N,)."""
         self._heading.reset(mask)
         self._speed[mask] = 0.0

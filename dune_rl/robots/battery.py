@@ -1,12 +1,10 @@
 """Energy that a robot draws from its battery."""
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array
 
-Array = NDArray[np.float64]
 _JOULES_PER_WH = 3600.0
 
 

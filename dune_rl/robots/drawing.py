@@ -5,10 +5,10 @@ from typing import cast
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
+
 Mesh = trimesh.Trimesh
 Triple = tuple[float, float, float]
 

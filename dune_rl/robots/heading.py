@@ -1,13 +1,11 @@
 """PID controller from a commanded heading to a yaw rate."""
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip, wrap_angle
-
-Array = NDArray[np.float64]
 
 
 class HeadingConf(Settings):
@@ -27,7 +25,7 @@ class HeadingController:
         self._integral = np.zeros(num_robots)
         self._previous = np.full(num_robots, np.nan)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Clear integral and previous error of the robots in `mask` (N,)."""
         self._integral[mask] = 0.0
         self._previous[mask] = np.nan

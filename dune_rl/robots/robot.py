@@ -4,15 +4,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.steering_geometry import SteeringGeometry
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class BodyMotion(Protocol):

@@ -3,13 +3,11 @@
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
-
-Array = NDArray[np.float64]
 
 # Limit of the integral, so that a rover that cannot turn does not wind it up.
 _MAX_CORRECTION_RADPS = 2.0
@@ -61,7 +59,7 @@ class SkidSteerDrive:
         self._yaw_rate = np.zeros(num_robots)
         self._correction = np.zeros(num_robots)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Set the twist to zero and clear the yaw rate's loop for the robots in `mask` (N,)."""
         self._speed[mask] = 0.0
         self._yaw_rate[mask] = 0.0

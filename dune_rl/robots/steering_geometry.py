@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array, Flags
 
 _NO_LEVER_M = 1e-3
 
@@ -41,7 +40,7 @@ class SteeringGeometry:
     pivots: SteeredPivots
     wheel_pivots_b: Array
     wheel_offsets_m: Array
-    steered: NDArray[np.bool_]
+    steered: Flags
     wheel_radius_m: float
 
     @property

@@ -8,14 +8,12 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import trimesh
 from defusedxml.ElementTree import parse
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.urdf.meshes import UrdfMeshes
-
-Array = NDArray[np.float64]
 
 _SECTIONS = 28
 _GREY = (0.6, 0.6, 0.6)

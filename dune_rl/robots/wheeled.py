@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import RobotBody
@@ -13,8 +13,6 @@ from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.robot import BodyMotion, RectangularHull, WheelLayout, speed_and_heading_bounds
 from dune_rl.robots.skid_steer import SkidSteerConf, SkidSteerDrive
-
-Array = NDArray[np.float64]
 
 
 class WheeledRobot(RectangularHull):
@@ -84,7 +82,7 @@ class WheeledRobot(RectangularHull):
         """Zero speed and no turn, (2,)."""
         return np.zeros(2)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Reset the controllers of the robots in `mask` (N,)."""
         self._heading.reset(mask)
         self._drive.reset(mask)

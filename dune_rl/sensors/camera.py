@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
 from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -16,9 +17,6 @@ from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 from dune_rl.sensors.sensor import Mount, mount_position
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _CLEAR = ParticipatingMedia()
 

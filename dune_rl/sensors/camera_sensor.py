@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Flags
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera, Cameras
-from dune_rl.sensors.sensor import Bounds, Flags, Reading
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 

@@ -6,8 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
+from dune_rl.sensors.sensor import Bounds, Reading, joints_of
 from dune_rl.state.state import GroupState, State
 
 

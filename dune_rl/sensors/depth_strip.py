@@ -4,20 +4,17 @@ from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.batched import AnyRays
 from dune_rl.rendering.foliage import BatchedFoliage
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
-from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading
+from dune_rl.sensors.sensor import Bounds, Mount, Reading
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _CLEAR = ParticipatingMedia()
 

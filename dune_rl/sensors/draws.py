@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from dune_rl.sensors.sensor import Counts
+from dune_rl.geometry.arrays import Counts, Floats
 
-Floats = NDArray[np.float32]
 Words = NDArray[np.uint64]
 
 # The constants of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).

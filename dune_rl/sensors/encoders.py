@@ -3,15 +3,13 @@
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.sensor import Bounds, Flags, Reading, joints_of
+from dune_rl.sensors.sensor import Bounds, Reading, joints_of
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
 
 
 class EncodersConf(Settings):

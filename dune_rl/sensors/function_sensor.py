@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.errors import RegistryError
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.sensors.registry import ReadingBounds
-from dune_rl.sensors.sensor import Bounds, Flags, Reading
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 # f(state, group, *, params) -> (N, size) or, for a size of 1, (N,).
@@ -36,7 +37,7 @@ class FunctionSensor:
         self._low, self._high = (np.broadcast_to(end, (bounds.size,)).copy() for end in ends)
         if not (self._low <= self._high).all():
             raise RegistryError(f"{origin}, whose low {bounds.low} must be at most its high {bounds.high}.")
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, bounds.size), np.float32)
+        self._reading: Floats = np.zeros((num_rows, bounds.size), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """As given."""

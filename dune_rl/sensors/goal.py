@@ -1,9 +1,9 @@
 """The goal sensor: distance and bearing of an agent's goal."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
+from dune_rl.geometry.arrays import Flags, Floats
+from dune_rl.sensors.sensor import PI32, Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 
@@ -15,7 +15,7 @@ class Goal:
 
     def __init__(self, num_rows: int, farthest_m: float, name: str = "goal") -> None:
         self._name, self._farthest_m = name, farthest_m
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, 2), np.float32)
+        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Distances up to the farthest, and whole turns."""

@@ -3,17 +3,14 @@
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.batched import AnyRays, AnyTerrain
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.sensor import Bounds, Flags, Reading
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 # No hill or wall rises farther than this over a rover.
 _HIGHEST_M = 1_000.0

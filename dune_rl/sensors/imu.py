@@ -3,17 +3,15 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import cross
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Mount, Reading, mount_position
+from dune_rl.sensors.sensor import PI32, Bounds, Mount, Reading, mount_position
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
 
 
 class ImuConf(Settings):
@@ -37,7 +35,7 @@ class Imu:
         self.acceleration_b = np.zeros((num_rows, 3))
         self._mount = mount_position(conf.mount_b)
 
-    def begin(self, mask: NDArray[np.bool_], rotation: Array, velocity_w: Array, angular_w: Array) -> None:
+    def begin(self, mask: Flags, rotation: Array, velocity_w: Array, angular_w: Array) -> None:
         """Start from the present motion, unaccelerated, in the scenes in `mask` (M,)."""
         velocity = self._mount_velocity(rotation, velocity_w, angular_w)
         self._previous_velocity = np.where(mask[:, None], velocity, self._previous_velocity)
@@ -66,7 +64,7 @@ class Imu:
         self._previous_velocity = velocity
         return self.acceleration_b
 
-    def reading(self, rotation: Array, angular_b: Array, roll_pitch_yaw: Array) -> NDArray[np.float32]:
+    def reading(self, rotation: Array, angular_b: Array, roll_pitch_yaw: Array) -> Floats:
         """Specific force [m/s²], angular velocity [rad/s], and roll, pitch, yaw [rad], body frame, (M, 9).
 
         At rest on level ground the accelerometer reads (0, 0, +9.81).

@@ -4,13 +4,11 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.optimize import brentq
 
 from dune_rl.core.settings import Settings
-
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 _WIDEST_PINHOLE_DEG = 170.0
 # Angles from the axis up to which a projection is tabulated [rad].

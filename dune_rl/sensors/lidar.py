@@ -4,17 +4,15 @@ from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.batched import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, turn_beams
 from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.sensor import Mount, mount_position
-
-Array = NDArray[np.float64]
 
 # Farther than any LiDAR sees.
 _NOWHERE_M = 1e6
@@ -101,7 +99,7 @@ class Beams:
         """Where the rays start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
         return position_w + rotation @ self._mount_b
 
-    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
+    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
         """Range along every ray [m], (N, P): `range_m` where nothing returns.
 
         `position_w` (N, 3) and `rotation` (N, 3, 3) are the robots' poses, `neighbours` (N, K, 7) the
@@ -138,9 +136,7 @@ class Lidar:
         """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
         return self._beams.origin(position_w, rotation)
 
-    def store_ends(
-        self, origin: Array, rotation: Array, ranges: NDArray[np.float32], found: NDArray[np.float32]
-    ) -> None:
+    def store_ends(self, origin: Array, rotation: Array, ranges: Floats, found: Floats) -> None:
         """Write where beams of `ranges` (M, n_beams) end in the world [m] into `found` (M, n_beams, 3).
 
         A beam that meets nothing ends far away, not as a wall at its range.
@@ -148,7 +144,7 @@ class Lidar:
         limits = np.float32(self.conf.range_m), np.float32(_NOWHERE_M)
         find_ends(self.directions_b, ranges, limits, origin, rotation, found)
 
-    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> NDArray[np.float32]:
+    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
         """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
 
         `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
@@ -157,7 +153,7 @@ class Lidar:
         ranges = self._beams.ranges(position_w, rotation, neighbours)
         return np.maximum(ranges, np.float32(self.conf.min_range_m), out=ranges)
 
-    def segments(self, ranges: NDArray[np.float32]) -> NDArray[np.float32]:
+    def segments(self, ranges: Floats) -> Floats:
         """Nearest return of each segment of neighbouring beams [m], (M, n_segments)."""
         nearest = np.empty((len(ranges), self.conf.n_segments), np.float32)
         nearest_in_segments(ranges, nearest)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.batched import AnyRays, BatchedRayScenes
 from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
 from dune_rl.rendering.moving_mesh import MovingMesh
@@ -16,11 +17,9 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
 from dune_rl.sensors.mesh_columns import columns_by_mesh
-from dune_rl.sensors.sensor import Bounds, Flags, Mount, Reading, mount_position
+from dune_rl.sensors.sensor import Bounds, Mount, Reading, mount_position
 from dune_rl.state.state import GroupState, State
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 _CLEAR = ParticipatingMedia()

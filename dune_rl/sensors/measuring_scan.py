@@ -1,13 +1,11 @@
 """The LiDAR of the paper's published code, which measures for terms and is no sensor of an agent."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import Beams, LidarConf, beam_angles, fan
 from dune_rl.state.state import Motion
-
-Array = NDArray[np.float64]
 
 # 20 beams for each of the 32 segments that its agents see.
 DUNE_CODE_LIDAR = LidarConf(n_beams=640, n_segments=32, range_m=10.0, min_range_m=0.15)

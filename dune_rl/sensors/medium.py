@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.grass_colour import grass_albedo
@@ -14,9 +15,6 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.draws import uniform
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.state.state import GroupState
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 # Beam and receiver hardly overlap any nearer.
 _OVERLAP_M = 0.5

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.frames import rotation_from_angles, wrap_angle
-from dune_rl.sensors.sensor import PI32, Array, Bounds, Flags, Reading, Sensor
+from dune_rl.sensors.sensor import PI32, Bounds, Reading, Sensor
 from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS
 from dune_rl.state.state import GroupState, State
 
@@ -86,7 +86,7 @@ class EstimatedVelocity:
     def __init__(self, speed: Sensor, imu: Sensor, num_rows: int) -> None:
         self._speed, self._imu = speed, imu
         self._highest = np.array([MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS], np.float32)
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, 2), np.float32)
+        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """As of the true velocity."""
@@ -117,7 +117,7 @@ class EstimatedGoal:
 
     def __init__(self, navigation: Navigation, num_rows: int, farthest_m: float, name: str = "goal") -> None:
         self._navigation, self._farthest_m, self._name = navigation, farthest_m, name
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, 2), np.float32)
+        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """As of the true goal."""

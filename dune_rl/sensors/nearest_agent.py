@@ -1,13 +1,13 @@
 """The nearest-agent sensor: where the nearest agent of other groups is, and how it moves."""
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.others import find_others
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
+from dune_rl.sensors.sensor import PI32, Bounds, Reading
 from dune_rl.sensors.velocity import heading_frame
 from dune_rl.state.state import GroupState, State
 
@@ -40,7 +40,7 @@ class NearestAgent:
     ) -> None:
         self._groups, self._name = conf.groups, name
         self._farthest_m, self._max_closing_mps = farthest_m, max_closing_mps
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, 4), np.float32)
+        self._reading: Floats = np.zeros((num_rows, 4), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Distances up to the farthest, whole turns, and closing speeds."""

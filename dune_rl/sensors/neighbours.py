@@ -1,13 +1,13 @@
 """The neighbours sensor: a list of the nearest other agents, of all groups."""
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.others import find_goals, find_others
-from dune_rl.sensors.sensor import Bounds, Flags, Reading
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 # Of each neighbour, without and with the goals of robots.
@@ -42,7 +42,7 @@ class Neighbours:
     ) -> None:
         self._conf, self._name, self._max_closing_mps = conf, name, max_closing_mps
         self._values = _VALUES_WITH_GOAL if conf.goals else _VALUES
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, conf.number * self._values), np.float32)
+        self._reading: Floats = np.zeros((num_rows, conf.number * self._values), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Places within the range, closing speeds, and radii up to the range."""

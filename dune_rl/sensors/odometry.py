@@ -5,17 +5,15 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.encoders import EncodersConf, WheelCounter
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading, joints_of
+from dune_rl.sensors.sensor import PI32, Bounds, Reading, joints_of
 from dune_rl.state.sensor_carrier import WheelMotion
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
 
 
 class OdometryConf(Settings):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dune_rl.sensors.sensor import Array, Flags
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.state.state import GroupState, State
 
 

@@ -1,13 +1,10 @@
 """The scan of a moment ago as it would look from here: what differs from the present one has moved."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.sensors.beam_loops import nearest_seen_from
 from dune_rl.sensors.lidar import LidarConf
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 class PastScan:
@@ -28,7 +25,7 @@ class PastScan:
         self._full_circle = bool(np.isclose(fov_rad, 2 * np.pi))
         self._limits = np.float32(conf.min_range_m), np.float32(conf.range_m)
 
-    def restart(self, mask: NDArray[np.bool_], ends_w: Array | Floats) -> None:
+    def restart(self, mask: Flags, ends_w: Array | Floats) -> None:
         """Let the rows in `mask` (N,) have seen nothing but the end points `ends_w` (N, n_beams, 3)."""
         self._ends_w[:, mask] = ends_w[mask]
 

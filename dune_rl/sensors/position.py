@@ -1,16 +1,14 @@
 """Position and heading in the world, as a satellite receiver and a compass tell them."""
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.draws import normal
-from dune_rl.sensors.sensor import PI32, Bounds, Flags, Reading
+from dune_rl.sensors.sensor import PI32, Bounds, Reading
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
 
 # An error beyond this many standard deviations, one reading in 16,000, is clipped at the world's edge.
 _FARTHEST_DRIFT = 4.0
@@ -88,7 +86,7 @@ class Position:
         )
         self._reading = clip(reading, self._low, self._high).astype(np.float32)
 
-    def _draws(self, now: GroupState) -> NDArray[np.float32]:
+    def _draws(self, now: GroupState) -> Floats:
         """Standard normal numbers (N, 3) of the present steps of the episodes."""
         episode = now.episode
         return normal(episode.seed, self._drift_name, episode.streams, episode.steps, 3)
@@ -98,6 +96,6 @@ class Position:
         return {self._name: self._reading.copy()}
 
 
-def _draws(now: GroupState) -> NDArray[np.float32]:
+def _draws(now: GroupState) -> Floats:
     """Standard normal numbers (M, 3) of the present steps of the episodes."""
     return normal(now.episode.seed, "position_drift", now.episode.streams, now.episode.steps, 3)

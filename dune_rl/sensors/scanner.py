@@ -4,11 +4,12 @@ from collections.abc import Collection
 
 import numpy as np
 
+from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.medium import RangeEffect
 from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.past_scan import PastScan
-from dune_rl.sensors.sensor import Bounds, Flags, Reading
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 

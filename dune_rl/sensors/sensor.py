@@ -5,11 +5,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.state.state import GroupState, JointState, State
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Counts = NDArray[np.int64]
 Reading = NDArray[Any]
 # Forward, left and up of the body's origin [m]; None is where the body carries such a sensor.
 Mount = tuple[float, float, float] | None

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.kinds import SensorRequest, build_navigation, build_sensor
 from dune_rl.sensors.navigation import ControllerMotion, Navigation
-from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
+from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, Motion, State
 
 

@@ -1,9 +1,9 @@
 """Velocity sensors: forward speed and yaw rate of a robot, and the planar velocity of any body."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dune_rl.sensors.sensor import Bounds, Flags, Reading
+from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 MAX_SENSED_SPEED_MPS = 10.0
@@ -19,7 +19,7 @@ class Velocity:
 
     def __init__(self, num_rows: int, name: str = "velocity") -> None:
         self._name = name
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, 2), np.float32)
+        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Symmetric: 10 m/s and 34.9 rad/s."""
@@ -51,7 +51,7 @@ class PlanarVelocity:
     def __init__(self, num_rows: int, max_speed_mps: float, name: str = "planar_velocity") -> None:
         self._name = name
         self._highest = np.full(2, max_speed_mps * _SPEED_MARGIN, np.float32)
-        self._reading: NDArray[np.float32] = np.zeros((num_rows, 2), np.float32)
+        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Symmetric: the top speed and one percent."""
@@ -71,7 +71,7 @@ class PlanarVelocity:
         return {self._name: self._reading.copy()}
 
 
-def heading_frame(vector_w: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+def heading_frame(vector_w: Array, yaw: Array) -> Array:
     """Components (N, 2) along headings `yaw` (N,) [rad] and to their left, of world vectors (N, 2 or 3)."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = vector_w[:, 0], vector_w[:, 1]

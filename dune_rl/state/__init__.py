@@ -1,13 +1,11 @@
 """The state of one control step, and what it says of what is around each agent."""
 
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.state.state import (
-    Array,
     BatteryModel,
     ContactState,
-    Counts,
     EnergyState,
     EpisodeState,
-    Flags,
     GoalState,
     GroundQueries,
     GroupState,

@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from dune_rl.geometry.arrays import Array
 
-Array = NDArray[np.float64]
 Position = tuple[float, float, float]
 
 

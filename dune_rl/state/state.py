@@ -14,12 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.frames import rotation_from_angles, rotation_from_yaw, to_body
 from dune_rl.state.surroundings import GroupBodies, Surroundings
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Counts = NDArray[np.int64]
 
 
 class GroundQueries(Protocol):

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from dune_rl.geometry.arrays import Array, Flags
 
 # Kinematic bodies stop this far from the world's edge [m].
 EDGE_M = 1.0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dune_rl.core.errors import RegistryError
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags
 
 if TYPE_CHECKING:
     from dune_rl.state.state import GroupState, State
@@ -20,7 +21,7 @@ Term = Callable[["State", "GroupState"], NDArray[Any]]
 class StatefulTerm(Protocol):
     """A term with memory for each of N agents; its constructor takes N as `num_rows`."""
 
-    def reset(self, mask: NDArray[np.bool_], group: "GroupState") -> None:
+    def reset(self, mask: Flags, group: "GroupState") -> None:
         """Clear the memory of the agents in `mask` (N,), whose episodes begin."""
         ...
 

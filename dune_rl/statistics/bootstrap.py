@@ -5,17 +5,15 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 
 _RESAMPLES = 5_000
 # Up to so many numbers are drawn once and kept; more are drawn in parts of at most so many.
 _MOST_KEPT, _MOST_AT_A_TIME = 2**23, 2**20
 # Relative errors below this are rounding: all entries are equal.
 ROUNDING = 1e-9
-
-Array = NDArray[np.float64]
 
 
 def studentised_interval(above: Array, below: Array, confidence: float) -> tuple[float, float]:

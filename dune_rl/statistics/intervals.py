@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.statistics.bootstrap import ROUNDING, studentised_interval
 
 CONFIDENCE = 0.95
@@ -21,8 +22,6 @@ _FEW_EVENTS = 10
 _LEAST_UNITS = 2
 # Of fewer a bootstrap sees too little: its intervals of 95 % cover 51 % of means of two, 82 % of three.
 _LEAST_DRAWN = 4
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
+from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import measures_of
 from dune_rl.metrics.measure import Measure
 from dune_rl.statistics.intervals import (
@@ -101,7 +102,7 @@ def _numbers(keys: Sequence[object]) -> NDArray[np.int64]:
     return np.array([known.setdefault(key, len(known)) for key in keys], np.int64)
 
 
-def _column(rows: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
+def _column(rows: Sequence[Mapping[str, Any]], name: str) -> Array:
     return np.array([row[name] for row in rows], float)
 
 
@@ -113,7 +114,7 @@ def _value(measure: Measure, rows: Sequence[Mapping[str, float]]) -> float:
     return float(np.nansum(values)) / total if total else math.nan
 
 
-def _mean(values: NDArray[np.float64]) -> float:
+def _mean(values: Array) -> float:
     seen = values[~np.isnan(values)]
     return float(seen.mean()) if len(seen) else math.nan
 

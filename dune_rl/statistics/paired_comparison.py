@@ -6,8 +6,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import measures_of
 from dune_rl.metrics.measure import Measure
 from dune_rl.statistics.intervals import (
@@ -19,7 +19,6 @@ from dune_rl.statistics.intervals import (
 from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows
 from dune_rl.statistics.paired_tests import mcnemar_test, ratio_exchange_test, sign_flip_test
 
-Array = NDArray[np.float64]
 Rows = Sequence[Mapping[str, Any]]
 
 # What tells the cases of two evaluations apart, where rows have it.

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.statistics.bootstrap import ROUNDING
 from dune_rl.statistics.intervals import sum_by_cluster
-
-Array = NDArray[np.float64]
 
 _PERMUTATIONS = 9_999
 _EXACT_UP_TO = 13

@@ -13,8 +13,9 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import unit_vectors
-from dune_rl.state.state import Array, Flags, GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Metres = Annotated[float, Field(gt=0.0)]
 

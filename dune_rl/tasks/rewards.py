@@ -11,7 +11,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.state.state import Array, Counts, Flags, GroupState, State
+from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.state.state import GroupState, State
 
 
 def distance(

@@ -5,17 +5,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.world import Rectangle, World
-
-Array = NDArray[np.float64]
 
 _GOAL_TRIES = 16
 
@@ -70,7 +68,7 @@ class Spawner:
         world: World,
         conf: SpawnConf,
         footprint_radius_m: float,
-        is_passable: Callable[[World, Array], NDArray[np.bool_]] | None = None,
+        is_passable: Callable[[World, Array], Flags] | None = None,
         body: SpawnedBody = _ROBOT,
     ) -> None:
         self._is_passable, self._body = is_passable, body
@@ -110,7 +108,7 @@ class Spawner:
         """The region and the world, as errors begin with them."""
         return f"{self._body.spawn}.region {_rectangle(self.region)} of the world {self._world.name!r}"
 
-    def _in_region(self, free: FreeSpace) -> NDArray[np.bool_]:
+    def _in_region(self, free: FreeSpace) -> Flags:
         # Whole cells, so that a point moved about within its cell stays in the region.
         half = free.cell_m / 2 - 1e-9
         xmin, xmax, ymin, ymax = self.region
@@ -146,7 +144,7 @@ class Spawner:
         part = int(np.bincount(free.components[usable]).argmax())
         return part, free.centres(usable & (free.components == part))
 
-    def _why_none(self, free: FreeSpace, in_region: NDArray[np.bool_], clearance_m: float) -> str:
+    def _why_none(self, free: FreeSpace, in_region: Flags, clearance_m: float) -> str:
         where, spawn = self._where, self._body.spawn
         if not in_region.any():
             return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen {spawn}.region."
@@ -292,21 +290,21 @@ class Spawner:
             f"{body.spawn}.robots_apart_m, or choose a smaller body."
         )
 
-    def _far(self, goals: Array, start: Array) -> NDArray[np.bool_]:
+    def _far(self, goals: Array, start: Array) -> Flags:
         away = goals - start
-        far: NDArray[np.bool_] = np.hypot(away[..., 0], away[..., 1]) >= self._conf.min_goal_distance_m
+        far: Flags = np.hypot(away[..., 0], away[..., 1]) >= self._conf.min_goal_distance_m
         return far
 
-    def _fits(self, xy: Array) -> NDArray[np.bool_]:
+    def _fits(self, xy: Array) -> Flags:
         clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m
-        gentle: NDArray[np.bool_] = self._world.terrain.slope(xy) <= self._max_slope
+        gentle: Flags = self._world.terrain.slope(xy) <= self._max_slope
         fits = gentle & clear
         if self._is_passable is not None:
             return fits & self._is_passable(self._world, xy)
         return fits & self._is_shallow(xy) if self._is_wet else fits
 
-    def _is_shallow(self, xy: Array) -> NDArray[np.bool_]:
-        shallow: NDArray[np.bool_] = water_depth(self._world, xy) <= self._conf.max_water_m
+    def _is_shallow(self, xy: Array) -> Flags:
+        shallow: Flags = water_depth(self._world, xy) <= self._conf.max_water_m
         return shallow
 
     def sample_points(self, rng: np.random.Generator, n: int, radius_m: float) -> Array:

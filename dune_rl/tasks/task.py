@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
-from dune_rl.state.state import Array, Flags, GroupState, State
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.state.state import GroupState, State
 from dune_rl.state.terms import bind_terms, note_term
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTerms, TerminationTerms
 from dune_rl.tasks.spawn import SpawnConf

@@ -10,7 +10,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.state.state import Flags, GroupState, State
+from dune_rl.geometry.arrays import Flags
+from dune_rl.state.state import GroupState, State
 
 
 def goal_reached(

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.figure import fit_rectangle, frame_panel, obstacle_tints
 from dune_rl.visualization.site_map.layers import GroundGrid, PropFootprints, prop_footprints
@@ -28,8 +28,6 @@ from dune_rl.visualization.site_map.panel import (
 )
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.world import Rectangle, World
-
-Array = NDArray[np.float64]
 
 _WORLD = PageRectangle(0.62, 2.35, 4.9, 4.65)
 _CLOSER = PageRectangle(6.2, 2.35, 4.9, 4.65)

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from dune_rl.core.errors import WorldError
+from dune_rl.geometry.arrays import Array
 from dune_rl.worlds.actor_trajectory import MOST_WAY_POINTS, ActorTrajectory, unwrap_yaw
 from dune_rl.worlds.walkable_points import TerrainLimits, check_stretches, check_way_points
 from dune_rl.worlds.world import World
 
-Array = NDArray[np.float64]
 Mode = Literal["once", "loop", "back_and_forth"]
 
 SPACING_M = 0.05

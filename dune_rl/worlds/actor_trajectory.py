@@ -4,11 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
-
-Array = NDArray[np.float64]
 
 # Limits of files: way-points of an actor, when its last is reached [s], and how far off one may be [m].
 MOST_WAY_POINTS, LONGEST_S, FARTHEST_M = 20_000, 1e6, 1e6

@@ -4,8 +4,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.baked_scenery import LAST_CACHED, BakedScenery
 from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, join_meshes
@@ -67,7 +67,7 @@ def is_appearance_cached(disk_cache: DiskCache) -> bool:
     return disk_cache.contains(LAST_CACHED)
 
 
-def _ground_albedo(world: World) -> NDArray[np.float32]:
+def _ground_albedo(world: World) -> Floats:
     if world.picture is None:
         ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
     else:
@@ -82,7 +82,7 @@ def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
     return weather.model_copy(update={"light": world.light})
 
 
-def _shade_by_grass(albedo: NDArray[np.float32], grass: Grass) -> NDArray[np.float32]:
+def _shade_by_grass(albedo: Floats, grass: Grass) -> Floats:
     """Ground albedo (rows, columns, 3), reduced by the light that the grass on it absorbs."""
     rows, columns = albedo.shape[:2]
     xmin, xmax, ymin, ymax = grass.terrain.extent

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.worlds.appearance import with_own_sun
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
 """Segments and luminances of a world's solid surfaces, for LiDAR beams."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.beam_surface import BeamSurface
 from dune_rl.rendering.scenery import Segment
@@ -33,7 +33,7 @@ def _build_beam_surface(world: World) -> BeamSurface:
     )
 
 
-def _face_albedo(terrain: HeightField, texture: NDArray[np.float32]) -> NDArray[np.float32]:
+def _face_albedo(terrain: HeightField, texture: Floats) -> Floats:
     """Linear RGB (F, 3) of the terrain's faces: the texture's mean over a square of a cell's size."""
     rows, columns = texture.shape[:2]
     xmin, xmax, ymin, ymax = terrain.extent

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.grid_loops import interpolate_bilinear
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.props import Mesh, merge_meshes
-
-Array = NDArray[np.float64]
 
 # Every robot of the package drives over what is lower, and under what is higher.
 BAND_BOTTOM_M = 0.03
@@ -49,9 +48,9 @@ class ClearanceField:
         self._inverse_cell = 1.0 / self.cell_m
         self._last = np.array([self.columns - 1, self.rows - 1], dtype=np.float64)
         self._strides = np.array([1, self.columns])
-        self.distance: NDArray[np.float32] | None = self._build(blocking, decks) if blocking else None
+        self.distance: Floats | None = self._build(blocking, decks) if blocking else None
 
-    def _build(self, blocking: Sequence[Mesh], decks: Sequence[Mesh]) -> NDArray[np.float32] | None:
+    def _build(self, blocking: Sequence[Mesh], decks: Sequence[Mesh]) -> Floats | None:
         rows, columns = np.nonzero(self._in_bounding_boxes(blocking))
         xy = self._origin + self.cell_m * np.stack([columns, rows], axis=-1)
         ground = self._terrain.height(xy)
@@ -69,7 +68,7 @@ class ClearanceField:
         distance = distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
         return np.maximum(distance, 0.0).astype(np.float32).reshape(-1)
 
-    def _in_bounding_boxes(self, meshes: Sequence[Mesh]) -> NDArray[np.bool_]:
+    def _in_bounding_boxes(self, meshes: Sequence[Mesh]) -> Flags:
         near = np.zeros((self.rows, self.columns), dtype=bool)
         for vertices, _ in meshes:
             low = np.floor((vertices[:, :2].min(axis=0) - self._origin) * self._inverse_cell)
@@ -109,7 +108,7 @@ def _deck_height(scene: RayScene, xy: Array) -> Array:
     return np.where(hit < 2 * _RAY_RANGE_M, top - hit, -np.inf)
 
 
-def _is_band_occupied(scene: RayScene, xy: Array, ground: Array, band_m: float) -> NDArray[np.bool_]:
+def _is_band_occupied(scene: RayScene, xy: Array, ground: Array, band_m: float) -> Flags:
     # A vertical ray from the band's bottom: a hit within the band is an obstacle. So is a solid that the
     # ray starts in: the ray leaves it once more often than it enters it.
     occupied = np.zeros(len(xy), dtype=bool)

@@ -1,9 +1,8 @@
 """Random self-affine height fields, as a model of natural terrain."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 
 def rough_field(

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import label
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 _MAX_CELLS = 4_000_000
 _CELLS_AT_ONCE = 16_384
@@ -35,7 +34,7 @@ class FreeSpace:
         self.x: Array = np.arange(xmin + self.cell_m / 2, xmax, self.cell_m)
         self.y: Array = np.arange(ymin + self.cell_m / 2, ymax, self.cell_m)
         self.clearance: Array = np.empty((len(self.y), len(self.x)))
-        self.steep: NDArray[np.bool_] = np.empty(self.clearance.shape, bool)
+        self.steep: Flags = np.empty(self.clearance.shape, bool)
         # In parts: what queries need on the way is ten times as large as what they give.
         rows = max(1, _CELLS_AT_ONCE // len(self.x))
         for first in range(0, len(self.y), rows):
@@ -43,7 +42,7 @@ class FreeSpace:
             centres = np.stack(np.meshgrid(self.x, self.y[part]), axis=-1)
             self.clearance[part] = world.clearance(centres)
             self.steep[part] = world.terrain.slope(centres) > np.deg2rad(max_slope_deg)
-        self.blocked: NDArray[np.bool_] = self.clearance < footprint_radius_m
+        self.blocked: Flags = self.clearance < footprint_radius_m
         for prop in world.props:
             if prop.solid and prop.drivable:
                 low, high = prop.vertices.min(axis=0), prop.vertices.max(axis=0)
@@ -53,12 +52,12 @@ class FreeSpace:
                 self.blocked |= over_y[:, None] & over_x
         inside_x = (self.x >= xmin + edge_m) & (self.x <= xmax - edge_m)
         inside_y = (self.y >= ymin + edge_m) & (self.y <= ymax - edge_m)
-        self.inside: NDArray[np.bool_] = inside_y[:, None] & inside_x
-        self.traversable: NDArray[np.bool_] = self.inside & ~self.steep & ~self.blocked
+        self.inside: Flags = inside_y[:, None] & inside_x
+        self.traversable: Flags = self.inside & ~self.steep & ~self.blocked
         self.components: NDArray[np.int32]
         self.components, _ = label(self.traversable)
 
-    def centres(self, cells: NDArray[np.bool_]) -> Array:
+    def centres(self, cells: Flags) -> Array:
         """Centres (K, 2) [m] of the True cells of a grid (rows, columns)."""
         rows, columns = np.nonzero(cells)
         return np.stack([self.x[columns], self.y[rows]], axis=-1)

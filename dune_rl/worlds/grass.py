@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage
 from dune_rl.worlds.props import merge_meshes
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Mesh = tuple[Array, NDArray[np.int32]]
 
 _CELL_M = 0.25
@@ -103,9 +102,7 @@ def grow_grass(
     return Grass(terrain, density.astype(np.float32), height_m)
 
 
-def _occupied_cells(
-    terrain: HeightField, obstacles: Sequence[Mesh], rows: int, columns: int
-) -> NDArray[np.bool_]:
+def _occupied_cells(terrain: HeightField, obstacles: Sequence[Mesh], rows: int, columns: int) -> Flags:
     """Cells (rows, columns) with an obstacle on or above them, and their neighbours."""
     occupied = np.zeros((rows, columns), bool)
     if not obstacles:

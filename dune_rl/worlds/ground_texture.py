@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import GroundTexture
 from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.surface_map import SurfaceMap
 
-Floats = NDArray[np.float32]
 Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.1
@@ -65,7 +65,7 @@ class GroundPicture:
     """
 
     colours: Floats
-    detailed: NDArray[np.bool_]
+    detailed: Flags
 
 
 def texture_shape(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int, int]:
@@ -130,7 +130,7 @@ def ground_texture(
 
 def _surface_layers(
     surfaces: SurfaceMap, numbers: NDArray[np.uint8], ground: GroundColours, blend: float
-) -> list[tuple[GroundColours, NDArray[np.float64]]]:
+) -> list[tuple[GroundColours, Array]]:
     """Colours of each surface in `numbers` and its blended share (rows, columns); default `ground`."""
     return [
         (
@@ -143,7 +143,7 @@ def _surface_layers(
 
 def _noise(
     rng: np.random.Generator, rows: int, columns: int, wavelengths_m: list[float], texel_m: float
-) -> NDArray[np.float64]:
+) -> Array:
     # Value noise of several wavelengths, weaker at shorter ones, of about unit variance.
     total, power = np.zeros((rows, columns)), 0.0
     for level, wavelength in enumerate(wavelengths_m):

@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.fractal_terrain import rough_field, smooth_step
 from dune_rl.worlds.grass import Grass, grow_grass
@@ -19,8 +19,6 @@ from dune_rl.worlds.props import unit_vector, upright_box
 from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import Colour, Prop, World
-
-Array = NDArray[np.float64]
 
 # Four points per metre, the shortest bump length; a wheel's radius is about half a spacing.
 SPACING_M = 0.25

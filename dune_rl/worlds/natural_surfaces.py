@@ -9,11 +9,10 @@ from scipy import ndimage
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.surface_map import CELL_M, MOST_CELLS, SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice, SurfaceName
-
-Array = NDArray[np.float64]
 
 _PATCH_M = 4.5
 _SHARE_ROUNDS = 30

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.worlds.clearance import ClearanceField
-
-Array = NDArray[np.float64]
 
 
 class NearestObstacle(NamedTuple):

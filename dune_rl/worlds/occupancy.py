@@ -1,11 +1,10 @@
 """Occupied areas of a layout, to keep props apart while they are placed."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.worlds.props import unit_vector
-
-Array = NDArray[np.float64]
 
 
 class OccupiedRectangles:

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter, uniform_filter
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.grid_loops import interpolate_bilinear
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _CELL_M = 0.25
 _MAX_CELLS = 1_000_000

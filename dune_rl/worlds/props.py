@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
+
 Indices = NDArray[np.signedinteger[Any]]
 Mesh = tuple[Array, NDArray[np.int32]]
 

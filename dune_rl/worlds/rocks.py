@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.props import Mesh, merge_meshes, unit_vector
 from dune_rl.worlds.world import Colour, Prop
-
-Array = NDArray[np.float64]
 
 SMALLEST_M, LARGEST_M = 0.05, 2.0
 # Smallest width that `rocks_per_100m2` counts.

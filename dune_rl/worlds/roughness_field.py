@@ -1,11 +1,10 @@
 """Roughness of the ground: RMS height about the plane of best fit, on a grid."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
-
-Array = NDArray[np.float64]
 
 # Lattice spacings per radius: 197 points in a disc.
 _RESOLUTION = 8
@@ -49,7 +48,7 @@ class RoughnessField:
         return _interpolate(self._rms, self._columns, self._last, at)
 
 
-def _interpolate(values: NDArray[np.float32], columns: int, last: Array, at: Array) -> Array:
+def _interpolate(values: Floats, columns: int, last: Array, at: Array) -> Array:
     """Bilinear values (...) of a flat grid with `columns` columns at (..., 2) cells, clipped to `last`."""
     at = np.fmin(np.fmax(at, 0.0), last)
     cell = np.minimum(at.astype(np.intp), last.astype(np.intp) - 1)
@@ -62,7 +61,7 @@ def _interpolate(values: NDArray[np.float32], columns: int, last: Array, at: Arr
     return result
 
 
-def _rms_about_plane(heights: Array, disc: NDArray[np.bool_], offsets: Array) -> Array:
+def _rms_about_plane(heights: Array, disc: Flags, offsets: Array) -> Array:
     """RMS of heights (rows, columns) about the plane of best fit, wherever the whole disc fits."""
     # SciPy's signal processing takes 20 MB and half a second to load, and most worlds do without it.
     from scipy.signal import oaconvolve

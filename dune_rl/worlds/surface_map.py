@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.surfaces import SURFACES, Surface
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.uint8]
 Rectangle = tuple[float, float, float, float]
 
@@ -116,7 +116,7 @@ class Decks:
         # Parts of a stone below the ground carry no wheel.
         self._top, self._numbers = np.where(top > bare, top, np.inf), numbers
 
-    def surface_below(self, points_w: Array) -> tuple[NDArray[np.bool_], Numbers, Array]:
+    def surface_below(self, points_w: Array) -> tuple[Flags, Numbers, Array]:
         """Whether points (..., 3) are on a deck, and its surface number and height [m] there, each (...)."""
         cell = np.floor((points_w[..., :2] - self._low) * self._per_m).astype(np.intp)
         inside = ((cell >= 0) & (cell <= self._last)).all(axis=-1)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
+
 SurfaceName = Literal["grass", "gravel", "mud", "sand", "rock", "concrete", "wood"]
 SurfaceChoice = Literal["uniform", "natural", "grass", "gravel", "mud", "sand", "rock", "concrete", "wood"]
 

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.props import Mesh, level_axes, merge_meshes, unit_vector
 from dune_rl.worlds.world import Colour, Prop
-
-Array = NDArray[np.float64]
 
 _BARK: tuple[Colour, ...] = ((0.34, 0.26, 0.19), (0.40, 0.33, 0.26), (0.30, 0.24, 0.18))
 # Dark inside the crown, light outside.

@@ -9,11 +9,9 @@ from pydantic import Field
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _LEAST_APART_M = 0.1
 _MOST_FAULTS = 12

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
@@ -24,7 +25,6 @@ from dune_rl.worlds.roughness_field import RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
 from dune_rl.worlds.surfaces import SurfaceName
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 T = TypeVar("T")
 
@@ -55,7 +55,7 @@ class Prop:
     colour: Colour = (0.6, 0.6, 0.6)
     segment: Segment | None = None
     surface: SurfaceName | None = None
-    face_colours: NDArray[np.float32] | None = None
+    face_colours: Floats | None = None
     texture: MeshTexture | None = None
 
     @property

@@ -1,12 +1,9 @@
 """Velocities and yaw rates of moving bodies, from their true poses."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Time constant of the filter of yaw rates [s].
 _FILTER_S = 0.2

@@ -3,12 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 CELL_M = 0.25
 CELLS = 128

@@ -3,7 +3,6 @@
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import DriverContext
@@ -13,12 +12,10 @@ from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
 from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.sensor import mount_position
 from dune_rl.state.state import GroupState, State
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 _STEP_S = 0.1
 _LAG_S = 0.15
@@ -121,7 +118,7 @@ class Mppi:
         noise: Array = knots[:, :, low] * (1.0 - share) + knots[:, :, low + 1] * share
         return noise
 
-    def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
+    def reset(self, mask: Flags, group: GroupState) -> None:
         """Forget the plans of the bodies in `mask` (N,)."""
         self._nominal[mask] = 0.0
         self._steps[mask] = 0
@@ -179,7 +176,7 @@ class Mppi:
         tracker.update(ranges, middles, sees, twists, step_s)
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
-        moves: NDArray[np.bool_] = np.abs(tracker.velocities).max(axis=2) > 0.0
+        moves: Flags = np.abs(tracker.velocities).max(axis=2) > 0.0
         self._note_blockages(step_s)
         self._map.update(tracker.poses, ranges, sees, moves, goals)
         rests = sees & (ranges < reach) & ~moves

@@ -3,7 +3,6 @@
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.behaviours.drivers.actor_motion import ActorMotion
@@ -12,10 +11,9 @@ from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
 from dune_rl.behaviours.drivers.route_map import shared_route_map
 from dune_rl.behaviours.drivers.window_loops import choose_commands
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
-
-Array = NDArray[np.float64]
 
 _ACCELERATION_MPS2 = 3.0
 _YAW_ACCELERATION_RADPS2 = 4.0
@@ -76,7 +74,7 @@ class Planner:
         """Take the vehicle's model."""
         self._context = context
 
-    def reset(self, mask: NDArray[np.bool_], group: GroupState) -> None:
+    def reset(self, mask: Flags, group: GroupState) -> None:
         """Forget the routes, the actors' motion and the own progress of the bodies in `mask` (N,)."""
         self._goals_w[mask] = np.nan
         self._actors.forget(mask)
@@ -116,14 +114,14 @@ class Planner:
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
 
-    def _is_beside_actor(self, poses: Array, actors: Array) -> NDArray[np.bool_]:
+    def _is_beside_actor(self, poses: Array, actors: Array) -> Flags:
         """Flags (N,) of bodies with an actor so near that they may be waiting for it."""
         assert self._context is not None
         apart = np.hypot(*np.moveaxis(actors[..., :2] - poses[:, None, :2], -1, 0))
         near = apart.min(axis=1, initial=np.inf)
         return near < self._context.vehicle.footprint_radius_m + self._actor_radius_m + 1.0
 
-    def _plan(self, state: State, group: GroupState, anew: NDArray[np.bool_]) -> None:
+    def _plan(self, state: State, group: GroupState, anew: Flags) -> None:
         """Plan the routes of the rows in `anew` (N,) and of those whose goals are new, one after another."""
         goals = group.goal.position_w
         new = np.flatnonzero((goals != self._goals_w).any(axis=1) | anew)

@@ -1,10 +1,8 @@
 """Recovery of bodies that do not move: what blocks them, and when they should get away from there."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from dune_rl.geometry.arrays import Array, Flags
 
 # A body that has come no farther than this in this time does not move.
 _STAYED_M = 0.1

@@ -8,11 +8,9 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _CELL_M = 0.2
 _MAX_CELLS = 160_000
@@ -177,7 +175,7 @@ class RouteMap:
             found = np.minimum(found, np.maximum(apart, 0.0).astype(np.float32))
         return found
 
-    def _graph_without(self, cells: NDArray[np.bool_]) -> csr_matrix:
+    def _graph_without(self, cells: Flags) -> csr_matrix:
         """The graph without the edges at `cells` (C,)."""
         graph = self._graph
         starts = np.repeat(cells, np.diff(graph.indptr))

@@ -3,11 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
-
-Array = NDArray[np.float64]
 
 _MOST_TRACKS = 16
 # A cluster ends where the range of neighbouring segments jumps by more than this [m], and per metre.
@@ -205,14 +203,12 @@ class ScanTracker:
         self.moving_counts = np.zeros(num_rows, np.int64)
         self.velocities = np.zeros((num_rows, segments, 2))
 
-    def forget(self, mask: NDArray[np.bool_]) -> None:
+    def forget(self, mask: Flags) -> None:
         """Forget the tracks of the rows in `mask` (N,)."""
         self._counts[mask] = 0
         self.poses[mask] = 0.0
 
-    def update(
-        self, ranges: Array, points: Array, sees: NDArray[np.bool_], twists: Array, step_s: float
-    ) -> None:
+    def update(self, ranges: Array, points: Array, sees: Flags, twists: Array, step_s: float) -> None:
         """Take a scan: `ranges` (N, S) [m], where its segments end (N, S, 2) in the vehicles' frames and
         which of them have a return; and the readings of speed and yaw rate (N, 2) after the last step.
         """

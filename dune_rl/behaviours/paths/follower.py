@@ -22,12 +22,11 @@ from dune_rl.behaviours.paths.splines import (
 )
 from dune_rl.behaviours.paths.stops import LoopStops, PathStops
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_stretches, check_way_points
 from dune_rl.worlds.world import World
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 SamplePoints = Callable[[np.random.Generator, int, float], Array]
 
 # Random paths stored for agent k of a group in a world, with k from 1: this number over k.

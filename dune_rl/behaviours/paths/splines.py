@@ -9,10 +9,9 @@ from scipy.interpolate import CubicSpline
 
 from dune_rl.behaviours.paths.loops import interpolate_paths
 from dune_rl.core.errors import WorldError
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 SPACING_M = 0.05
 _CANDIDATES = 200
@@ -112,7 +111,7 @@ class PathBank:
         return self.poses[self.starts[loop] + self.lengths[loop] // 2]
 
 
-def _surely_blocked(way_points: Array, world: World, radius_m: float) -> NDArray[np.bool_]:
+def _surely_blocked(way_points: Array, world: World, radius_m: float) -> Flags:
     """Which of the splines through three points (N, 3, 2) come too near to an obstacle, of most that do.
 
     All at once and at a few places of each: making a path takes a hundred times as long as that.

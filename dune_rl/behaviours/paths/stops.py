@@ -4,12 +4,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Counts
 from dune_rl.geometry.compiled import compile_function
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 # Ways are equal within this [m].
 _SAME_M = 1e-9

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dune_rl.bodies.meshes.solids import Array, Colour, at, ball, box, middles, recoloured, tube, union
+from dune_rl.bodies.meshes.solids import Colour, at, ball, box, middles, recoloured, tube, union
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.scenery import ColouredMesh
 
 if TYPE_CHECKING:

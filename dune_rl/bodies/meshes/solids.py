@@ -6,12 +6,12 @@ All have outward faces. Angles are in radians, lengths in metres, x forward, y l
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 
@@ -177,7 +177,7 @@ def turned(mesh: ColouredMesh, angle: float, about: ArrayLike, axis: int = 1) ->
     return ColouredMesh(vertices, mesh.faces, mesh.albedo, mesh.segments)
 
 
-def recoloured(mesh: ColouredMesh, chosen: NDArray[np.bool_], colour: Colour) -> ColouredMesh:
+def recoloured(mesh: ColouredMesh, chosen: Flags, colour: Colour) -> ColouredMesh:
     """The mesh with its `chosen` faces (F,) in another sRGB colour."""
     albedo = mesh.albedo.copy()
     albedo[chosen] = srgb_to_linear(np.array(colour))

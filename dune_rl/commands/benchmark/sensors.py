@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.commands.benchmark.timing import median_ratio, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
@@ -12,6 +11,7 @@ from dune_rl.config.commands import BenchmarkConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import POSE_COLUMNS
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
@@ -22,8 +22,6 @@ from dune_rl.sensors.camera import Camera, CameraConf
 from dune_rl.sensors.lidar import Lidar, beam_angles
 from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 _GRID, _GRID_SPACING_M = 256, 0.25
 _OUR_CALLS, _THEIR_CALLS = 5, 2

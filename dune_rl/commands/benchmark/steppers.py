@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torchrl.envs import EnvBase, TransformedEnv
 
 from dune_rl.config.build import make_parallel_env, make_simulation, make_torchrl_env
@@ -14,9 +13,10 @@ from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.torchrl import EpisodeMetrics
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.metrics.episode import MetricsConf
 
-Actions = dict[str, NDArray[np.float32]]
+Actions = dict[str, Floats]
 
 _NUM_DRAWS = 64
 _SPEED_AND_HEADING = 2
@@ -46,7 +46,7 @@ class RandomActions:
         return {name: draws[self._turn] for name, draws in self._draws.items()}
 
 
-def _action_range(group: AgentGroup) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _action_range(group: AgentGroup) -> tuple[Array, Array]:
     body = group.body
     if not isinstance(body, ArticulatedBody):
         return body.action_bounds()

@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.commands.engines.recording import RecordedSimulation
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.physics.interface import ENGINES, Engine
-
-Array = NDArray[np.float64]
 
 # Name, duration [s], and command: speed as a share of the robot's largest, and relative heading [rad].
 PHASES: tuple[tuple[str, float, float, float], ...] = (
@@ -35,7 +33,7 @@ class EngineRun:
     yaw_rate: Array
     wheel_speed: Array
     final_pose: Array
-    had_contact: NDArray[np.bool_]
+    had_contact: Flags
 
 
 def run_phases(world: str, engine: Engine, robot: str, scenes: int, seed: int) -> EngineRun:
@@ -99,7 +97,7 @@ def agreement_tables(robot: str, worlds: tuple[str, ...], scenes: int, seed: int
 _UNITS = {"speed": " m/s", "yaw rate": " rad/s", "slip": ""}
 
 
-def _mean(what: str, run: EngineRun, free: NDArray[np.bool_], phase: int) -> float:
+def _mean(what: str, run: EngineRun, free: Flags, phase: int) -> float:
     speed, wheel_speed = run.speed[free, phase].mean(), run.wheel_speed[free, phase].mean()
     if what == "slip":
         return float(1.0 - speed / wheel_speed)

@@ -11,6 +11,7 @@ from dune_rl.config.build import build_world, group_setups, scene_class
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import Engine, PhysicsRobot, PhysicsScene, SceneSpec
 from dune_rl.robots.robot import Robot
@@ -50,8 +51,8 @@ class RecordingScene:
         self._scene = scene
         self.robots = [RecordingRobot(robot) for robot in scene.robots]
         self.work_done_j = 0.0
-        self.state: NDArray[np.float64] = np.zeros(13)
-        self.wheel_speeds: NDArray[np.float64] = np.zeros(0)
+        self.state: Array = np.zeros(13)
+        self.wheel_speeds: Array = np.zeros(0)
 
     def finish_step(self) -> None:
         """As `PhysicsScene.finish_step`."""

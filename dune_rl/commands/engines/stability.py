@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.commands.engines.recording import RecordedSimulation
 from dune_rl.core.constants import GRAVITY_MPS2
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import Engine
-
-Array = NDArray[np.float64]
 
 # Duration of each random command.
 _HOLD_S = 0.5
@@ -65,7 +63,7 @@ class SpeedLimit:
         self._carried2 = np.zeros((2, len(speed_mps)))
         self.restart(np.ones(len(speed_mps), bool), speed_mps)
 
-    def restart(self, mask: NDArray[np.bool_], speed_mps: Array) -> None:
+    def restart(self, mask: Flags, speed_mps: Array) -> None:
         """Accept the speeds (M,) [m/s] of the robots in `mask` (M,) as they are."""
         self._carried2[:, mask] = speed_mps[mask] ** 2
 

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Flags, Floats
 
 # Gymnasium's wrappers write statistics to "episode", and read these; a metric of such a name gets another.
 _RENAMED = {"episode": "episode_id"}
@@ -32,7 +32,7 @@ class EpisodeInfos:
         exact = {"episode_id": float(self._simulation.episodes[0])}
         return [{**dict(zip(self._names, row, strict=True)), **exact} for row in values]
 
-    def batched(self, mask: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    def batched(self, mask: Flags | None = None) -> dict[str, Any]:
         """Arrays (M,) by name for a group of one agent, and under "_" + name which are valid: `mask`."""
         if not self._names:
             return {}
@@ -44,5 +44,5 @@ class EpisodeInfos:
         infos.update((f"_{name}", valid.copy()) for name in self._names)
         return infos
 
-    def _values(self) -> NDArray[np.float32]:
+    def _values(self) -> Floats:
         return np.nan_to_num(self._simulation.metrics(self._group.name), nan=-1.0)

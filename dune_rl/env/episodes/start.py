@@ -6,7 +6,6 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.core.errors import WorldError
@@ -20,11 +19,10 @@ from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.scene_spec import standing_pose
 from dune_rl.env.turnover import discs_of, park_absent
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 # Of kinematic bodies in physics: x, y, z, yaw, roll and pitch.
 _POSE_COLUMNS = 6

@@ -20,10 +20,10 @@ from dune_rl.env.pictures import Pictures
 from dune_rl.env.render_mode import check_render_mode
 from dune_rl.env.restore import RestoreError
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.sensor import Bounds
 
 _ENDS = ("done", "terminated", "truncated")
-Flags = NDArray[np.bool_]
 _CPU = torch.device("cpu")
 
 

@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Array, Flags
 
 REACHED, FAILED, CUT = "reached", "failed", "cut"
 _GOAL = "goal_reached"
@@ -51,7 +51,7 @@ class AttemptRecorder:
         self._attempts: list[list[Attempt]] = [[] for _ in range(scenes)]
         self._began_s = np.zeros(scenes)
         self._late_s = np.full(scenes, np.nan)
-        self._now_s: NDArray[np.float64] = np.zeros(scenes)
+        self._now_s: Array = np.zeros(scenes)
 
     def begin(self) -> None:
         """Forget the attempts of scenes that have made no step."""
@@ -131,11 +131,11 @@ def best_window_rate(
 
 @dataclass(frozen=True)
 class _Columns:
-    begin_s: NDArray[np.float64]
-    end_s: NDArray[np.float64]
-    reached: NDArray[np.bool_]
-    failed: NDArray[np.bool_]
-    late_s: NDArray[np.float64]
+    begin_s: Array
+    end_s: Array
+    reached: Flags
+    failed: Flags
+    late_s: Array
 
     @classmethod
     def of(cls, attempts: Sequence[Attempt]) -> "_Columns":

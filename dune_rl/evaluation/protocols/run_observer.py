@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from dune_rl.env.simulation import VectorSimulation
@@ -16,6 +15,7 @@ from dune_rl.evaluation.protocols.attempts import (
     cut_attempts,
     plain_attempts,
 )
+from dune_rl.geometry.arrays import Floats
 from dune_rl.learning.evaluation import EpisodeObserver
 from dune_rl.statistics.measures import MetricsRow
 
@@ -51,9 +51,9 @@ class RunObserver:
         self.inner: EpisodeObserver | None = None
         self._names = simulation.metric_names(group)
         # The metrics (M, K) after each step, and the first of each scene's present episode among them.
-        self._history: list[NDArray[np.float32]] = []
+        self._history: list[Floats] = []
         self._began = np.zeros(simulation.num_scenes, np.int64)
-        self._traces: dict[int, NDArray[np.float32]] = {}
+        self._traces: dict[int, Floats] = {}
         self._finished: dict[int, FinishedEpisode] = {}
         self._next, self._used = length.first, 0
 

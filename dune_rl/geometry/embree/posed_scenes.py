@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.embree.library import ARGUMENTS, intersect16
 from dune_rl.geometry.embree.packets import (
@@ -21,9 +22,6 @@ from dune_rl.geometry.embree.packets import (
 )
 from dune_rl.geometry.embree.triangle_scene import TriangleScene, counted
 from dune_rl.geometry.frames import POSE_COLUMNS
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 class PosedHits(NamedTuple):

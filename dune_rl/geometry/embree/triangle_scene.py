@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.embree.library import ARGUMENTS, build_scene, intersect16, occluded16, release_scene
 from dune_rl.geometry.embree.packets import (
@@ -42,11 +43,11 @@ class TriangleScene:
 
     def intersect(
         self,
-        origins: NDArray[np.float32],
-        directions: NDArray[np.float32],
-        ranges: NDArray[np.float32],
+        origins: Floats,
+        directions: Floats,
+        ranges: Floats,
         faces: NDArray[np.int32],
-        normals: NDArray[np.float32],
+        normals: Floats,
         order: NDArray[np.int64] | None = None,
     ) -> None:
         """Shorten `ranges` (N,) in place to first hits; fill `faces` (N,), `normals` (N, 3) unless empty.
@@ -73,7 +74,7 @@ class TriangleScene:
             normals,
         )
 
-    def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def occluded(self, origins: Floats, directions: Floats) -> Flags:
         """Whether each ray hits any triangle, (N,)."""
         occluded = np.empty(len(directions), np.bool_)
         _check(origins, directions)
@@ -87,13 +88,13 @@ def counted(count: int) -> NDArray[np.int64]:
     return np.arange(count)
 
 
-def _check(origins: NDArray[np.float32], directions: NDArray[np.float32]) -> None:
+def _check(origins: Floats, directions: Floats) -> None:
     # Compiled code would read beyond the arrays' ends.
     if len(directions) and (not len(origins) or len(directions) % len(origins)):
         raise ValueError(f"{len(directions)} rays do not divide evenly among {len(origins)} origins")
 
 
-def _contiguous(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _contiguous(values: Floats) -> Floats:
     # One memory layout, so that each function is compiled once.
     values = np.ascontiguousarray(values, np.float32)
     return values if values.flags.writeable else values.copy()

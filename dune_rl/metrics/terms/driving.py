@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.state.state import Array, Flags, GroupState, State
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.state.state import GroupState, State
 
 
 class PathLength:

@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.core.constants import GRAVITY_MPS2
-from dune_rl.state.state import Array, Flags, GroupState, State
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.state.state import GroupState, State
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Readings = Annotated[int, Field(ge=1)]

@@ -6,7 +6,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.state.state import Array, Counts, Flags, GroupState, State
+from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.state.state import GroupState, State
 
 
 def ended_by(state: State, group: GroupState, *, termination: str) -> Flags:

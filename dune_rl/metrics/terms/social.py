@@ -13,8 +13,9 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.metrics.encounter_loops import find_gaps, find_times_to_contact
-from dune_rl.state.state import Array, Counts, Flags, GroupState, State
+from dune_rl.state.state import GroupState, State
 
 Metres = Annotated[float, Field(gt=0.0)]
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.bullet.pushes import DAMPING_NSPM, STIFFNESS_NPM, Push
 from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox, KinematicShape
 from dune_rl.physics.stderr import suppress_stderr
@@ -48,7 +48,7 @@ class BulletKinematics:
         self._leans = [isinstance(shape, KinematicBox) for shape in shapes]
         self._in_place = set(range(len(shapes)))
         self._indices = {handle: index for index, handle in enumerate(self.handles)}
-        self.poses: NDArray[np.float64] = np.zeros((len(shapes), 6))
+        self.poses: Array = np.zeros((len(shapes), 6))
         self.any_held_back = False
         # Of bodies near robots: where they are before this control step and how far they go in it (x, y, z)
         # [m], and their attitude; that of boxes changes in the step, from one to another yaw, roll and pitch.
@@ -85,20 +85,20 @@ class BulletKinematics:
         )
         return handle
 
-    def reset(self, poses: NDArray[np.float64]) -> None:
+    def reset(self, poses: Array) -> None:
         """Put the bodies at `poses` (K, 6)."""
         self.poses, self.any_held_back = poses.copy(), False
         for index, pose in enumerate(poses.tolist()):
             self._put(index, pose)
         self._in_place = set(range(len(poses)))
 
-    def place(self, index: int, pose: NDArray[np.float64]) -> None:
+    def place(self, index: int, pose: Array) -> None:
         """Have a body begin its next motion at a `pose` (6)."""
         self.poses = self.poses.copy()
         self.poses[index] = pose
         self._put_aside({index} & self._in_place)
 
-    def begin_step(self, poses: NDArray[np.float64], near: Sequence[int]) -> None:
+    def begin_step(self, poses: Array, near: Sequence[int]) -> None:
         """Start the motion to `poses` (K, 6) of the bodies whose indices are in `near`; remove all others."""
         old, self.poses = self.poses, poses.copy()
         self._offsets.clear()

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Flags
 from dune_rl.physics.process_memory import (
     IS_SUPPORTED,
     PAGE,
@@ -27,7 +28,6 @@ from dune_rl.physics.process_memory import (
     subtract_ranges,
 )
 
-Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 
 _WORDS = PAGE // 8

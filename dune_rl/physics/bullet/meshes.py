@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.process_memory import return_free_memory
 from dune_rl.physics.stderr import suppress_stderr
 
@@ -25,9 +26,9 @@ class _MeshLists:
         self.vertices: list[list[float]] = []
         self.indices: list[int] = []
         self._rows: list[list[float]] = []
-        self._filled: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
+        self._filled: tuple[Array, NDArray[np.int32]] | None = None
 
-    def fill(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+    def fill(self, vertices: Array, faces: NDArray[np.int32]) -> None:
         """Take the values of vertices (V, 3) [m] and faces (F, 3), unless these very arrays were the last."""
         if self._filled is not None and self._filled[0] is vertices and self._filled[1] is faces:
             return
@@ -51,7 +52,7 @@ class _MeshLists:
 _small, _large = _MeshLists(), _MeshLists()
 
 
-def create_mesh_shape(vertices: NDArray[np.float64], faces: NDArray[np.int32], client: int) -> int:
+def create_mesh_shape(vertices: Array, faces: NDArray[np.int32], client: int) -> int:
     """Handle of a concave collision shape of vertices (V, 3) [m] and faces (F, 3); negative if refused.
 
     The arrays must not change until `release_mesh_lists`.

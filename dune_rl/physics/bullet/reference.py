@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.shapes import StaticBody
 from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():
     import pybullet
-
-Array = NDArray[np.float64]
 
 
 class BulletReference:

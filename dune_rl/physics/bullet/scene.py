@@ -5,10 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dune_rl.core.errors import PhysicsError
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.bullet.clients import open_client, release_client
 from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
 from dune_rl.physics.bullet.joints import GEAR_ITERATIONS
@@ -129,7 +127,7 @@ class BulletScene:
         )
         return handle
 
-    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+    def reset(self, kinematic_poses: Array) -> None:
         release_mesh_lists()
         # Setting poses and speeds back would keep the solver's warm-start
         # impulses (bullet3 #2442): a robot loaded anew has none.
@@ -142,10 +140,10 @@ class BulletScene:
             self._body_numbers[handle] = self._spec.robot_number(index)
         self._kinematics.reset(kinematic_poses)
 
-    def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
+    def move_kinematic(self, index: int, pose: Array) -> None:
         self._kinematics.place(index, pose)
 
-    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: Array) -> None:
         robots = self.robots
         forces: dict[int, Sequence[float]] = {}
         for index, robot in enumerate(robots):
@@ -209,7 +207,7 @@ class BulletScene:
             handles += self._static_handles[number]
         return handles if len(handles) <= _FEW_BODIES else [ANY_BODY]
 
-    def held_back_poses(self) -> NDArray[np.float64] | None:
+    def held_back_poses(self) -> Array | None:
         kinematics = self._kinematics
         return kinematics.poses.copy() if kinematics.any_held_back else None
 

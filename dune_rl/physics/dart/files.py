@@ -6,9 +6,9 @@ from xml.etree.ElementTree import ParseError, tostring
 
 import numpy as np
 from defusedxml.ElementTree import fromstring, parse
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import PhysicsError
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.joints import (
     add_slip_joint,
     add_tyre_joint,
@@ -17,8 +17,6 @@ from dune_rl.physics.dart.joints import (
 )
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import StaticBody
-
-Array = NDArray[np.float64]
 
 _FOLD_DEPTH_M = 10.0
 

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.robot_body import Coupling, RobotBody
-
-Array = NDArray[np.float64]
 
 # Share of the position error that is corrected in a physics step.
 _ERROR_REDUCTION = 0.2

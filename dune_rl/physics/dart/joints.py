@@ -3,12 +3,10 @@
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.robot_body import Coupling, RobotBody
-
-Array = NDArray[np.float64]
 
 # Suffixes of the names of joints and links for the compliance of a tyre, and for its slip along the axle.
 TYRE, SLIP = "/tyre", "/grip"

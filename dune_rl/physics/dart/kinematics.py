@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.massless import negligible_inertia, weld_massless_body
@@ -13,8 +14,6 @@ from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.statics import LinkMaterial, add_shape, obstacle_materials, tyre_materials
 from dune_rl.physics.interface import SceneSpec
 from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox
-
-Array = NDArray[np.float64]
 
 # A kinematic body hits a robot with so much mass: what it stands for is heavier, but soft.
 _MASS_KG = 5.0

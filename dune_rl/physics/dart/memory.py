@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.process_memory import IS_SUPPORTED, read_memory
 
@@ -62,11 +63,11 @@ class CopyWatch:
     It is called once, for a trial.
     """
 
-    def __init__(self, load: Callable[[NDArray[np.float64]], Any]) -> None:
+    def __init__(self, load: Callable[[Array], Any]) -> None:
         self._load = load
 
     @contextmanager
-    def __call__(self, meshes: Sequence[NDArray[np.float64]], found: list[MeshCopy]) -> Iterator[None]:
+    def __call__(self, meshes: Sequence[Array], found: list[MeshCopy]) -> Iterator[None]:
         """Add to `found` the copies that DART makes in the block of meshes with these corners.
 
         There are none where DART frees them itself, or cannot be asked.
@@ -171,7 +172,7 @@ class _Arrays:
             if content is not None:
                 self._by_head.setdefault(_head(content), []).append((block, start, room))
 
-    def take_copies(self, corners: NDArray[np.float64]) -> list[MeshCopy]:
+    def take_copies(self, corners: Array) -> list[MeshCopy]:
         """The copies of a mesh's vertices and indices, which are not found again."""
         # DART's files have float32.
         vertices = corners.reshape(-1, 3).astype(np.float32).astype(np.float64)

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.dart.collision_filter import CollisionFilter
 from dune_rl.physics.dart.corners import CornerContacts
@@ -38,7 +38,7 @@ class DartScene:
         self._world: Any = None
         self._collision_filter: Any = None
 
-    def reset(self, kinematic_poses: NDArray[np.float64]) -> None:
+    def reset(self, kinematic_poses: Array) -> None:
         # Everything with state is created anew: the robots, the kinematic bodies, and the world with the
         # collision detector's pairs and contacts. Meshes, which are slow to build, have no state.
         self.close()
@@ -75,10 +75,10 @@ class DartScene:
         for skeleton in self._skeletons:
             world.addSkeleton(skeleton)
 
-    def move_kinematic(self, index: int, pose: NDArray[np.float64]) -> None:
+    def move_kinematic(self, index: int, pose: Array) -> None:
         self._kinematics.place_one(index, pose)
 
-    def begin_step(self, count: int, kinematic_poses: NDArray[np.float64]) -> None:
+    def begin_step(self, count: int, kinematic_poses: Array) -> None:
         self._add_corners()
         # A robot that falls on its back penetrates deeply within the physics steps of one control step.
         self._checks_corners_each_step = self._corners.has_boxes_left and any(
@@ -104,7 +104,7 @@ class DartScene:
         self._advance(*self._begun)
         self._kinematics.end_step()
 
-    def held_back_poses(self) -> NDArray[np.float64] | None:
+    def held_back_poses(self) -> Array | None:
         kinematics = self._kinematics
         return np.array(kinematics.poses) if kinematics.any_held_back else None
 

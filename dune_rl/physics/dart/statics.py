@@ -7,17 +7,15 @@ from typing import Any, Literal, NamedTuple
 from weakref import WeakValueDictionary, finalize
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import PhysicsError
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.files import is_open_surface, mesh_corners, write_meshes
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.memory import CopyWatch, MeshCopy, forget_copies, free_unused_copies
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
 from dune_rl.physics.shapes import StaticBody
-
-Array = NDArray[np.float64]
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
 _TRIANGLE_MARGIN_M = 0.01

@@ -24,10 +24,9 @@ from dune_rl.core.untrusted_files import (
     read_image,
     read_xml,
 )
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.mesh_files.parts import MeshPart, mean_face_colours
 from dune_rl.rendering.mesh_texture import MeshTexture
-
-Array = NDArray[np.float64]
 
 _MOST_NODES = 20_000
 _DEEPEST = 100

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from trimesh.resolvers import Resolver
 
 from dune_rl.core.errors import WorldError
@@ -27,12 +26,12 @@ from dune_rl.core.untrusted_files import (
     raise_unreadable,
     read_bytes,
 )
+from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.mesh_files.collada import load_collada_parts
 from dune_rl.rendering.mesh_files.frame_hints import frame_hints
 from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles, mean_face_colours
 from dune_rl.rendering.mesh_texture import MeshTexture
 
-Array = NDArray[np.float64]
 UpAxis = Literal["y", "z"]
 Pictures = dict[tuple[float, ...], Bytes]
 
@@ -193,7 +192,7 @@ def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, 
     return None, "", None
 
 
-def _tint_picture(image: Any, shades: NDArray[np.float32], pictures: Pictures, report: ImportReport) -> Bytes:
+def _tint_picture(image: Any, shades: Floats, pictures: Pictures, report: ImportReport) -> Bytes:
     """An image as bytes, multiplied by `shades` (3,); equal ones are shared through `pictures`."""
     key = (id(image), *shades.tolist())
     if key not in pictures:

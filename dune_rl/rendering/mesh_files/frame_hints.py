@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.mesh_files.parts import MeshPart
 
 # Sites beyond these sides are unusual, though there are some.
@@ -32,7 +32,7 @@ def has_usual_size(extent: tuple[float, float, float, float]) -> bool:
     return _SMALL_M <= max(extent[1] - extent[0], extent[3] - extent[2]) <= _LARGE_M
 
 
-def _unit_hint(size: NDArray[np.float64], unit_m: float) -> str:
+def _unit_hint(size: Array, unit_m: float) -> str:
     largest = float(size.max())
     said = f"it is {_metres(size[0])} by {_metres(size[1])} by {_metres(size[2])} m"
     if largest > _LARGE_M:
@@ -51,7 +51,7 @@ def _metres(length: float) -> str:
     return f"{length:,.0f}" if length >= 10.0 else f"{length:.2g}"
 
 
-def _axis_hint(parts: Sequence[MeshPart], size: NDArray[np.float64], is_y_up: bool) -> str:
+def _axis_hint(parts: Sequence[MeshPart], size: Array, is_y_up: bool) -> str:
     corners = np.concatenate([part.vertices[part.faces] for part in parts])
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(doubled, axis=1)

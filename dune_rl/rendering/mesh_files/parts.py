@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.core.untrusted_files import ImportReport
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.rendering.mesh_texture import MeshTexture
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 GREY = (0.6, 0.6, 0.6)
 
@@ -133,7 +131,7 @@ def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> li
     valid: list[MeshPart] = []
     for part in parts:
         inside = np.all((part.faces >= 0) & (part.faces < len(part.vertices)), axis=1)
-        good: NDArray[np.bool_] = np.array(inside, bool)
+        good: Flags = np.array(inside, bool)
         if inside.any():
             corners = part.vertices[part.faces[inside]]
             with np.errstate(all="ignore"):
@@ -150,7 +148,7 @@ def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> li
     return valid
 
 
-def _select_faces(part: MeshPart, faces: NDArray[np.bool_]) -> MeshPart:
+def _select_faces(part: MeshPart, faces: Flags) -> MeshPart:
     # Unused vertices are dropped: they may be NaN, or far away.
     used, index = np.unique(part.faces[faces], return_inverse=True)
     return replace(

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import stats
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures.results import (
     Results,
     axis_label,
@@ -35,7 +35,6 @@ from dune_rl.reporting.figures.style import (
 )
 from dune_rl.reporting.runs import Row
 
-Array = NDArray[np.float64]
 # Metrics that are drawn unless others are asked for, where episodes have them.
 DEFAULT_METRICS = (
     *("time_to_goal", "clearance", "vertical_roughness", "vort", "smoothness", "collisions"),

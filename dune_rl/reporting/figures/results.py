@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import CATALOGUE, Measure
 from dune_rl.metrics.number_text import format_range
 from dune_rl.reporting.runs import EvaluationRun, Row
@@ -32,7 +32,7 @@ def method_names(results: Results) -> list[str]:
     return list(dict.fromkeys(name for methods in results.values() for name in methods))
 
 
-def column(rows: Sequence[Row], name: str) -> NDArray[np.float64]:
+def column(rows: Sequence[Row], name: str) -> Array:
     """The values of a column, NaN where a row has none."""
     return np.array([_number(row.get(name)) for row in rows], float)
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.visualization.site_map.colours import rgb
 from dune_rl.visualization.site_map.layers import (
     GroundGrid,
@@ -29,7 +29,7 @@ class SiteGround:
     """The ground of `view` (xmin, xmax, ymin, ymax) [m] in colours (rows, columns, 3), and objects on it."""
 
     view: Rectangle
-    picture: NDArray[np.float64]
+    picture: Array
     footprints: Sequence[PropFootprints]
 
     @classmethod

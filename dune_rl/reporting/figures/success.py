@@ -8,8 +8,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures.results import Results, column, count_text, method_names
 from dune_rl.reporting.figures.style import (
     COLUMN_IN,
@@ -31,7 +31,6 @@ from dune_rl.reporting.runs import Row
 from dune_rl.statistics.intervals import Estimate, estimate_proportion
 from dune_rl.statistics.measures import cluster_rows
 
-Array = NDArray[np.float64]
 PROPERTIES = {
     "goal_distance_m": "straight distance from start to goal [m]",
     "slope_deg": "steepest ground on the straight line to the goal [°]",

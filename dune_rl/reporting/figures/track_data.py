@@ -6,18 +6,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.config.build import build_world
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import DuneError
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures.endings import Ending, ending_of
 from dune_rl.reporting.figures.results import MethodRun, column
 from dune_rl.reporting.runs import Row
 from dune_rl.worlds.world import World
 
-Array = NDArray[np.float64]
 MOST_SITES, MOST_EPISODES = 3, 4
 
 

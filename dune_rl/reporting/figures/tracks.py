@@ -12,8 +12,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle as Box
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures.endings import COLLISION, FAILURES, REACHED, Ending
 from dune_rl.reporting.figures.site_ground import SiteGround
 from dune_rl.reporting.figures.style import (
@@ -29,7 +29,6 @@ from dune_rl.reporting.figures.style import (
 from dune_rl.reporting.figures.track_data import EpisodeTrack, TrackSite
 from dune_rl.worlds.world import Rectangle
 
-Array = NDArray[np.float64]
 # The lightness of viridis rises evenly.
 _SPEEDS = colormaps["viridis"]
 _MOST_ACROSS = 4

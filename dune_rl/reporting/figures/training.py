@@ -11,6 +11,7 @@ from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 from scipy import stats
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures.style import (
     COLUMN_IN,
     PAGE_IN,
@@ -28,7 +29,6 @@ from dune_rl.reporting.figures.style import (
 from dune_rl.reporting.runs import Row, TrainingRun
 from dune_rl.statistics.intervals import CONFIDENCE
 
-Array = NDArray[np.float64]
 # From this many seeds on, a band is the t interval of the mean; fewer show their range.
 SEEDS_FOR_INTERVAL = 5
 _ROWS = (("SR", "success rate"), ("return", "return per episode"))

@@ -1,9 +1,9 @@
 """Describes how agents' episodes ended, for labels."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Array
 from dune_rl.state.state import GroupState
 
 _ENDINGS = {
@@ -61,7 +61,7 @@ class EndingRecorder:
         return self._endings[group][row]
 
 
-def finite_points(points: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def finite_points(points: list[Array]) -> Array:
     """The points (P, 2) of a track that are finite: where physics diverged, a track ends early."""
     track = np.array(points)
     return track[np.isfinite(track).all(axis=1)]

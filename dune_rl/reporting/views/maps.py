@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 from torch import no_grad
@@ -19,6 +18,7 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.episodes.start import EpisodeStart
 from dune_rl.env.goals import PathGoals, RegionGoals, place_groups
 from dune_rl.env.scene_manager import SceneManager
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.views.policies import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.tasks.spawn import Placement, SpawnConf
@@ -127,7 +127,7 @@ def _goal_distance_m(group: AgentGroup) -> float:
     )
 
 
-def _example_paths(groups: tuple[AgentGroup, ...]) -> list[NDArray[np.float64]]:
+def _example_paths(groups: tuple[AgentGroup, ...]) -> list[Array]:
     """Some of the paths (P, 2) [m] of each agent that walks on paths."""
     followers = [group.goals.source.follower for group in groups if isinstance(group.goals.source, PathGoals)]
     agents = [(follower, agent) for follower in followers for agent in range(follower.count)]

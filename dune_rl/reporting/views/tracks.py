@@ -1,10 +1,10 @@
 """Records the tracks of all agents, while they are there."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.views.endings import EndingRecorder, finite_points
 from dune_rl.visualization.site_map.panel import Track
 
@@ -15,7 +15,7 @@ class TrackRecorder:
     def __init__(self, simulation: VectorSimulation) -> None:
         self._simulation = simulation
         self._endings = EndingRecorder(simulation)
-        self._points: dict[tuple[str, int], list[NDArray[np.float64]]] = {}
+        self._points: dict[tuple[str, int], list[Array]] = {}
         for scene in range(simulation.num_scenes):
             self.reset(scene)
 
@@ -49,7 +49,7 @@ class TrackRecorder:
         ]
 
 
-def _places(group: AgentGroup) -> NDArray[np.float64]:
+def _places(group: AgentGroup) -> Array:
     """Positions (N, 2) [m] of a group's agents; NaN for those that are not there."""
     places = group.body.motion.position_w[:, :2].copy()
     if group.absent is not None:

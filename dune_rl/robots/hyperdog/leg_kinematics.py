@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import clip
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

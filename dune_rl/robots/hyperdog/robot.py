@@ -3,10 +3,10 @@
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.paths import assets_folder
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import RobotBody
@@ -17,8 +17,6 @@ from dune_rl.robots.hyperdog.trot import Trot, TrotConf
 from dune_rl.robots.mounts import MountsConf
 from dune_rl.robots.robot import BodyMotion, RectangularHull, speed_and_heading_bounds
 from dune_rl.robots.settings import RobotSettings
-
-Array = NDArray[np.float64]
 
 _LEGS = ("front_left", "front_right", "rear_left", "rear_right")
 _JOINTS = ("hip", "upper", "lower")
@@ -151,7 +149,7 @@ class HyperDog(RectangularHull):
             return 2.0 * (np.array(self.body.rest_commands()) - low) / (high - low) - 1.0
         return np.zeros(2)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Reset gait and controllers of the robots in `mask` (N,)."""
         self._heading.reset(mask)
         self._trot.reset(mask)

@@ -3,14 +3,11 @@
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Phase offsets of the legs in the order of the hips: front left with rear right, front right with rear left.
 _PHASE_OFFSETS = np.array([0.0, 0.5, 0.5, 0.0])

@@ -8,13 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from trimesh.transformations import rotation_matrix
 
 from dune_rl.core.paths import assets_folder
 from dune_rl.robots.drawing import ACROSS, Mesh, bevelled_box, box, cylinder, join_meshes, rounded_plate, tyre
-
-Array = NDArray[np.float64]
 
 # From a left wheel's joint, at the outside of its hub, to the middle of its tyre.
 _TYRE_Y = -0.0449

@@ -7,14 +7,12 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from trimesh.transformations import euler_from_matrix
 
 from dune_rl.core.errors import RobotError
+from dune_rl.geometry.arrays import Array
 from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes
 from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, UrdfModel
-
-Array = NDArray[np.float64]
 
 _SECTIONS = 32
 

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import DuneWarning, RobotError, WorldError
 from dune_rl.core.untrusted_files import ImportReport, WorldFiles, printable
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.mesh_files.files import FORMATS, load_mesh_parts
 from dune_rl.rendering.mesh_files.parts import MeshPart
-
-Array = NDArray[np.float64]
 
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"

@@ -8,14 +8,13 @@ from typing import Literal, cast
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh.transformations import euler_matrix, rotation_matrix, translation_matrix
 
 from dune_rl.core.errors import RobotError, WorldError
 from dune_rl.core.untrusted_files import printable, read_bytes, read_xml
+from dune_rl.geometry.arrays import Array
 from dune_rl.robots.urdf.hints import UrdfHints, read_hints
 
-Array = NDArray[np.float64]
 JointKind = Literal["fixed", "continuous", "revolute", "prismatic"]
 
 _KINDS = ("fixed", "continuous", "revolute", "prismatic")

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import RobotError
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import PassiveJoint, RobotBody
 from dune_rl.robots.ackermann import AckermannDrive
@@ -23,8 +23,6 @@ from dune_rl.robots.urdf.layout import RobotLayout, find_layout
 from dune_rl.robots.urdf.meshes import RobotWarning, UrdfMeshes
 from dune_rl.robots.urdf.model import read_urdf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
-
-Array = NDArray[np.float64]
 
 _SCANNER_OVER_TOP_M = 0.05
 # Casters may be a little lower than the wheels.
@@ -90,7 +88,7 @@ class UrdfRobot(WheeledRobot):
             plain.radius_m, plain.track_m, plain.left, plain.right, steering=self.steering.geometry
         )
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Flags) -> None:
         """Reset the controllers of the robots in `mask` (N,)."""
         super().reset(mask)
         if self.steering is not None:

@@ -5,15 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import RobotError
+from dune_rl.geometry.arrays import Array
 from dune_rl.robots.steering_geometry import SteeredPivots, SteeringGeometry
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel
 from dune_rl.robots.urdf.wheels import Wheel, check_joint_names, list_moving_joints
-
-Array = NDArray[np.float64]
 
 # Least absolute vertical component of a pivot's axis: kingpins are inclined by up to some 20 degrees.
 _MIN_VERTICAL = 0.85

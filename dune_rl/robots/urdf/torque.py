@@ -3,11 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.constants import GRAVITY_MPS2
-
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 # Torque over what equally loaded wheels on level ground take: loads differ, and the ground's friction acts
 # along both axes of the world, with up to sqrt(2) times its coefficient.

@@ -4,14 +4,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import RobotError
+from dune_rl.geometry.arrays import Array
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel
-
-Array = NDArray[np.float64]
 
 _ROUND = ("sphere", "cylinder", "mesh")
 # Least absolute component of a wheel's axis along the robot's y.

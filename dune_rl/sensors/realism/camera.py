@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.realism.pipeline import Realism, RealismConf, Rows
-from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
+from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, State
-
-Floats = NDArray[np.float32]
 
 # Light of each byte, and the nearest byte to each of so many levels of light: enough for the darkest.
 _LIGHT: Floats = srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(255.0))

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.realism.noise import Faults, Rows
-from dune_rl.sensors.sensor import Array, Reading
+from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState
 
 _GYROSCOPE, _ROLL, _PITCH, _YAW = slice(3, 6), 6, 7, 8

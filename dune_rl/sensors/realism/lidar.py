@@ -3,15 +3,13 @@
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from dune_rl.geometry.arrays import Floats
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.sensors.realism.pipeline import RealismConf
 from dune_rl.state.state import GroupState
-
-Floats = NDArray[np.float32]
 
 # Three neighbouring returns lie on one flat thing if they miss a straight line by less than this share.
 _FLAT = 0.1

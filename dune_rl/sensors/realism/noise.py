@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Array, Counts
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.draws import normal
-from dune_rl.sensors.sensor import Bounds, Counts, Reading
+from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState
 
-Array = NDArray[np.float64]
 # Which scenes: their numbers, or all of them.
 Rows = NDArray[np.int64] | slice
 

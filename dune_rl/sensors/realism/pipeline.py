@@ -7,10 +7,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.realism.imu import ImuFaults
 from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, NoiseConf, Rows
 from dune_rl.sensors.realism.presets import PartKind, find_part
-from dune_rl.sensors.sensor import Bounds, Flags, Reading, Sensor
+from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, State
 
 _ALL: Rows = slice(None)

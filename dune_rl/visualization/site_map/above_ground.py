@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
-
-Array = NDArray[np.float64]
 
 # Triangles that reach below the ground are cut into pieces of at most this size, or this share of the world.
 _LONGEST_M, _LONGEST_SHARE = 0.5, 1 / 250

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.scenery import Segment
@@ -14,9 +15,6 @@ from dune_rl.visualization.site_map.above_ground import clip_above_ground
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import Prop, Rectangle, World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SLOPE_CLASSES = 5
 # From the north-west at 45 degrees: the usual light of maps, with which hills do not look like hollows.

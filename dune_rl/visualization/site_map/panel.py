@@ -14,6 +14,7 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.tasks.spawn import Placement, Spawner
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import (
@@ -30,9 +31,6 @@ from dune_rl.visualization.site_map.layers import (
     water_props,
 )
 from dune_rl.worlds.world import Rectangle, World
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 STRIPE_IN = 0.028
 _CONTOUR_COLUMNS = 320

@@ -3,10 +3,10 @@
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.construction.layout import place_props
 from dune_rl.worlds.construction.walls import build_storey
@@ -15,8 +15,6 @@ from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 LENGTH_M, WIDTH_M = 44.0, 25.0
 SPACING_M = 0.5

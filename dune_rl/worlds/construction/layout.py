@@ -4,17 +4,15 @@ from dataclasses import dataclass
 from itertools import cycle, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.construction import props as prop_shapes
 from dune_rl.worlds.construction.walls import Storey
 from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.world import Prop, Rectangle
-
-Array = NDArray[np.float64]
 
 _TRIES = 600
 # Wide enough for a robot of up to 0.45 m radius.

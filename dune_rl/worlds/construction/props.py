@@ -1,13 +1,12 @@
 """Props of building sites, each fitted to the terrain below it."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.props import Mesh, beam, merge_meshes, tube, unit_vector, upright_box
 from dune_rl.worlds.world import Colour, Prop
-
-Array = NDArray[np.float64]
 
 WALL_HEIGHT_M = 2.5
 WALL_THICKNESS_M = 0.09

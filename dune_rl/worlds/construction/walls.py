@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.construction.props import (
     PLASTER,
@@ -18,8 +18,6 @@ from dune_rl.worlds.construction.props import (
 )
 from dune_rl.worlds.props import Mesh, merge_meshes
 from dune_rl.worlds.world import Prop, Rectangle
-
-Array = NDArray[np.float64]
 
 # Smallest distance between a door and a junction with another wall.
 _BESIDE_DOOR_M = 0.3

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from dune_rl.core.errors import WorldError
@@ -19,6 +18,7 @@ from dune_rl.core.untrusted_files import (
     printable,
     read_bytes,
 )
+from dune_rl.geometry.arrays import Array
 from dune_rl.worlds.actor_trajectory import (
     FARTHEST_M,
     LONGEST_S,
@@ -29,8 +29,6 @@ from dune_rl.worlds.actor_trajectory import (
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, SKIN_NOTE, close_loop
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfReader
-
-Array = NDArray[np.float64]
 
 FORMATS = (".sdf", ".csv", ".json")
 COLUMNS = ("actor", "loop", "delay_s", "time_s", "x_m", "y_m", "z_m", "yaw_rad")

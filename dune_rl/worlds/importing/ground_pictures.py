@@ -4,21 +4,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import linear_to_srgb
 from dune_rl.rendering.mesh_texture import TextureSampler
 from dune_rl.worlds.ground_texture import GroundPicture, texture_shape
 from dune_rl.worlds.importing.height_grid import Triangles, cast_down
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-
 # Finer than the textures of generated worlds, to keep the detail of the file.
 _TEXEL_M = 0.025
 
 
 def bake_ground_picture(
-    soup: Triangles, is_ground: NDArray[np.bool_], terrain: HeightField, colours: Floats
+    soup: Triangles, is_ground: Flags, terrain: HeightField, colours: Floats
 ) -> GroundPicture | None:
     """The textures of the ground's triangles projected onto `terrain`, None if it has none.
 

@@ -7,11 +7,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.core.errors import WorldError
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.mesh_texture import MeshTexture
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A million points take a gigabyte of memory with everything computed from them, and half a minute to build.
 MAX_POINTS = 1_000_000
@@ -30,14 +28,14 @@ class Triangles(NamedTuple):
 
     vertices: Array
     faces: NDArray[np.int32]
-    colours: NDArray[np.float32]
+    colours: Floats
     claim: NDArray[np.int8]
     normals: Array
     areas: Array
     texture: MeshTexture | None = None
 
 
-def ground_extent(soup: Triangles, ground: Mask) -> tuple[Array, Array]:
+def ground_extent(soup: Triangles, ground: Flags) -> tuple[Array, Array]:
     """Lowest and highest x and y, each (2,) [m], of the triangles in `ground` (F,).
 
     Raises `WorldError` if the ground is too small or too large.
@@ -124,7 +122,7 @@ def _plane_height(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:
     return np.clip(z, corner[..., 2].min(axis=1), corner[..., 2].max(axis=1))
 
 
-def fill_gaps(values: Array, known: Mask) -> Array:
+def fill_gaps(values: Array, known: Flags) -> Array:
     """`values` (rows, columns) with a smooth surface where they are not `known`."""
     if known.all():
         return np.asarray(values, np.float64)

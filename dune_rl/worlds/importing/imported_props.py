@@ -9,14 +9,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dune_rl.core.untrusted_files import ImportReport
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.mesh_files.parts import MeshPart
 from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
 from dune_rl.worlds.importing.topology import close_surface, label_face_components, weld_vertices
 from dune_rl.worlds.world import Prop
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
 MAX_PROPS = 400
@@ -40,7 +39,7 @@ class ImportedProp(Prop):
 
 
 def extract_props(
-    parts: Sequence[MeshPart], is_ground: NDArray[np.bool_], terrain: HeightField, report: ImportReport
+    parts: Sequence[MeshPart], is_ground: Flags, terrain: HeightField, report: ImportReport
 ) -> list[ImportedProp]:
     """Props of the triangles that are not ground; `is_ground` (F,) covers all parts in their order.
 
@@ -63,7 +62,7 @@ def extract_props(
     return _build_props(groups)
 
 
-def _is_backdrop(part: MeshPart, faces: NDArray[np.intp], terrain: HeightField) -> NDArray[np.bool_]:
+def _is_backdrop(part: MeshPart, faces: NDArray[np.intp], terrain: HeightField) -> Flags:
     """Mask of triangles far beyond the ground, such as those of a sky dome."""
     xmin, xmax, ymin, ymax = terrain.extent
     reach = max(_BACKDROP_M, 0.5 * max(xmax - xmin, ymax - ymin))
@@ -102,9 +101,7 @@ def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) 
         yield _Piece(vertices, corners, part.colours[piece][source], texture)
 
 
-def _is_terrain_face(
-    part: MeshPart, faces: NDArray[np.intp], over: Array, terrain: HeightField
-) -> NDArray[np.bool_]:
+def _is_terrain_face(part: MeshPart, faces: NDArray[np.intp], over: Array, terrain: HeightField) -> Flags:
     """Mask of steep faces that belong to the terrain: they lie on it, to the accuracy of its grid."""
     reach = max(_FLUSH_M, 0.5 * terrain.spacing_m)
     near = (np.abs(over[part.faces[faces]]) < reach).all(axis=1)

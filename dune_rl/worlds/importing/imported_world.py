@@ -5,11 +5,11 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport
+from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart
@@ -21,8 +21,6 @@ from dune_rl.worlds.importing.mesh.ground import extract_ground
 from dune_rl.worlds.importing.region_search import find_region_candidates
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.world import Rectangle, World
-
-Floats = NDArray[np.float32]
 
 # Settings of the region: a rectangle, the number of a candidate, or None for the first candidate.
 RegionChoice = Rectangle | Annotated[int, Field(ge=1, le=99)] | None
@@ -113,7 +111,7 @@ def assemble_world(
 
 
 def set_region(
-    world: ImportedWorld, region: RegionChoice, report: ImportReport, known: NDArray[np.bool_] | None = None
+    world: ImportedWorld, region: RegionChoice, report: ImportReport, known: Flags | None = None
 ) -> ImportedWorld:
     """Set the world's region to a rectangle, or to the candidate of this number; None: the first one.
 

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, OPEN_GROUND, RegionCandidate
 from dune_rl.worlds.world import Rectangle, World
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Labels = NDArray[np.int32]
 
 # Regions are searched for a robot of this size, since the world does not know its robots.
@@ -44,7 +43,7 @@ _LARGEST_OVERLAP = 0.3
 _FREE_ENOUGH, _DISTANCE_COST = 0.9, 0.4
 
 
-def find_region_candidates(world: World, known: Mask | None = None) -> list[RegionCandidate]:
+def find_region_candidates(world: World, known: Flags | None = None) -> list[RegionCandidate]:
     """Regions for starts and goals, the preferred first: between objects, open ground, small places.
 
     `known` (rows, columns) marks terrain points that were not filled in; None: all. The list is empty if no
@@ -70,15 +69,15 @@ def _is_large(candidate: RegionCandidate) -> bool:
 class _Grid(NamedTuple):
     """Cells of a world: which a robot can occupy, which have an object, their weights and coordinates."""
 
-    usable: Mask
-    objects: Mask
+    usable: Flags
+    objects: Flags
     weight: Array
     x: Array
     y: Array
     cell_m: float
 
     @classmethod
-    def of(cls, world: World, known: Mask | None) -> "_Grid":
+    def of(cls, world: World, known: Flags | None) -> "_Grid":
         xmin, xmax, ymin, ymax = world.extent
         edge = min(_EDGE_M, 0.15 * min(xmax - xmin, ymax - ymin))
         cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MOST_CELLS)))
@@ -104,7 +103,7 @@ class _Grid(NamedTuple):
         )
 
 
-def _find_between_objects(grid: _Grid) -> Mask:
+def _find_between_objects(grid: _Grid) -> Flags:
     """Mask of the cells with objects near in directions that leave no gap of about half a turn."""
     step = max(1, round(_COARSE_M / grid.cell_m))
     rows, columns = (-(-side // step) for side in grid.objects.shape)
@@ -136,7 +135,7 @@ def _find_between_objects(grid: _Grid) -> Mask:
     fine = fine[: grid.objects.shape[0], : grid.objects.shape[1]]
     closed = fine | ndimage.binary_closing(fine, iterations=max(1, round(_CLOSING_M / grid.cell_m)))
     # Without the ground before doors, which is near to both sides of a wall.
-    inner: Mask = ndimage.binary_erosion(closed, iterations=max(1, round(_COARSE_M / grid.cell_m)))
+    inner: Flags = ndimage.binary_erosion(closed, iterations=max(1, round(_COARSE_M / grid.cell_m)))
     return inner
 
 
@@ -174,7 +173,7 @@ class _Window(NamedTuple):
     score: float
 
 
-def _best_window(inside: Mask, grid: _Grid) -> _Window | None:
+def _best_window(inside: Flags, grid: _Grid) -> _Window | None:
     """The window with the largest connected part of a place (rows, columns), near objects.
 
     Free cells that do not belong to that part count against a window. None if every part is too small.

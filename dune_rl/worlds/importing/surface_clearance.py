@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.clearance import BAND_BOTTOM_M, BAND_TOP_M, ClearanceField
 from dune_rl.worlds.props import Mesh, merge_meshes
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _COARSE_M = 0.5
 # Distance of sample points in cells: at most this, marked cells touch at least at their corners.
@@ -29,7 +27,7 @@ class SurfaceClearance(ClearanceField):
     they only decide, by majority, whether a region enclosed by surfaces is the interior of an object.
     """
 
-    def _build(self, blocking: Sequence[Mesh], decks: Sequence[Mesh]) -> NDArray[np.float32] | None:
+    def _build(self, blocking: Sequence[Mesh], decks: Sequence[Mesh]) -> Floats | None:
         if decks:
             return super()._build(blocking, decks)
         free = np.ones((self.rows, self.columns), bool)
@@ -46,14 +44,14 @@ class SurfaceClearance(ClearanceField):
         distance = ndimage.distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
         return np.maximum(distance, 0.0).astype(np.float32).reshape(-1)
 
-    def _may_be_in_band(self, corners: Array) -> Mask:
+    def _may_be_in_band(self, corners: Array) -> Flags:
         """Mask of triangles (F, 3, 3) that may reach the height band above the ground within the world."""
         low, high = corners.min(axis=1), corners.max(axis=1)
         xmin, xmax, ymin, ymax = self._terrain.extent
         ground = self._terrain.height(corners[..., :2])
         # The ground below the middle of a triangle differs from that below its corners.
         slack = 1.5 * (high - low)[:, :2].max(axis=1) + 0.1
-        near: Mask = (high[:, 2] > ground.min(axis=1) - slack) & (
+        near: Flags = (high[:, 2] > ground.min(axis=1) - slack) & (
             low[:, 2] < ground.max(axis=1) + slack + BAND_TOP_M
         )
         return near & (high[:, :2] >= [xmin, ymin]).all(axis=1) & (low[:, :2] <= [xmax, ymax]).all(axis=1)
@@ -83,7 +81,7 @@ class SurfaceClearance(ClearanceField):
             for start in range(0, len(chosen), step):
                 yield np.einsum("pc,fcx->fpx", weights, chosen[start : start + step]).reshape(-1, 3)
 
-    def _fill_interiors(self, free: Mask, meshes: Sequence[Mesh]) -> None:
+    def _fill_interiors(self, free: Flags, meshes: Sequence[Mesh]) -> None:
         """Remove the regions inside closed surfaces from `free` (rows, columns), in place."""
         labels, count = ndimage.label(free)
         flat = labels.reshape(-1)
@@ -117,7 +115,7 @@ def _barycentric_lattice(count: int) -> Array:
     return np.stack([first[inside], second[inside], count - first[inside] - second[inside]], axis=1) / count
 
 
-def _is_inside(meshes: Sequence[Mesh], xy: Array, z: Array) -> Mask:
+def _is_inside(meshes: Sequence[Mesh], xy: Array, z: Array) -> Flags:
     """Whether points (N, 2) at heights (N,) are inside closed meshes: upward rays leave more than enter."""
     vertices, faces = merge_meshes(meshes)
     scene = RayScene(vertices, faces)

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
+
 Faces = NDArray[np.int32]
 Ids = NDArray[np.int64]
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from itertools import cycle, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.inspection import props as site_props
 from dune_rl.worlds.inspection.terrain import (
@@ -21,8 +21,6 @@ from dune_rl.worlds.inspection.terrain import (
 from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.props import unit_vector
 from dune_rl.worlds.world import Prop
-
-Array = NDArray[np.float64]
 
 _HOLLOW_RADIUS_M = 11.0
 _GAP_M = 1.6

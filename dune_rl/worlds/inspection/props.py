@@ -3,13 +3,12 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.props import Mesh, beam, merge_meshes, slab, tube, unit_vector, upright_box
 from dune_rl.worlds.world import Colour, Prop
-
-Array = NDArray[np.float64]
 
 _STEEL: Colour = (0.55, 0.57, 0.60)
 _PANEL: Colour = (0.10, 0.16, 0.38)

@@ -5,12 +5,10 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dune_rl.core.paths import assets_folder
-
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 # Of the site (hills, roughness, contrast) and of its yard (slant, bumps).
 Amplitudes = tuple[Array, Array]
@@ -37,9 +35,7 @@ def _known() -> dict[int, Amplitudes]:
     return {int(row[0]): (np.array(row[1:4]), np.array(row[4:6])) for row in rows}
 
 
-def fit(
-    misfit: Callable[[Array], Array], start: Array, bounds: tuple[list[float], list[float]]
-) -> NDArray[np.float64]:
+def fit(misfit: Callable[[Array], Array], start: Array, bounds: tuple[list[float], list[float]]) -> Array:
     """The amplitudes (A,) with the least sum of squares of `misfit`, the same ones on every processor.
 
     `misfit` maps amplitudes (A,) to residuals (R,) without unit; `start` and both `bounds` are (A,).

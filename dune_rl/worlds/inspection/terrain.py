@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.inspection.relief import Amplitudes, fit, known_amplitudes
 from dune_rl.worlds.props import unit_vector
-
-Array = NDArray[np.float64]
 
 HALF_EXTENT_M = 32.0
 HALF_MAIN_M = 30.0

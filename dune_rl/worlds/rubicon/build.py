@@ -3,7 +3,6 @@
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.seeding import stream
@@ -17,8 +16,6 @@ from dune_rl.worlds.rubicon.layout import place_props
 from dune_rl.worlds.seeded_settings import SeededConf
 from dune_rl.worlds.surfaces import SurfaceChoice
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 HALF_EXTENT_M = 22.0
 # The shortest wavelength is two spacings, 0.8 m: less than three times the rover's wheelbase.

@@ -1,10 +1,10 @@
 """Placement of the rubicon world's trees, logs, rocks and bushes."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds import trees
 from dune_rl.worlds.occupancy import OccupiedDiscs
@@ -18,8 +18,6 @@ from dune_rl.worlds.rocks import (
     rock,
 )
 from dune_rl.worlds.world import Prop
-
-Array = NDArray[np.float64]
 
 _EDGE_M = 1.5
 _TRIES = 200

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, resolve_world_path
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps
 from dune_rl.worlds.importing.heightmap.files import HeightSamples, read_heights
@@ -21,8 +21,6 @@ from dune_rl.worlds.importing.imported_world import (
     set_region,
 )
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
-
-Array = NDArray[np.float64]
 
 _LARGEST_M = 20_000.0
 # Up to this number of points, the file's own grid is the default.
@@ -79,7 +77,7 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
 
 def terrain_from_samples(
     samples: Array, size_m: tuple[float, float], spacing_m: float | None, report: ImportReport
-) -> tuple[HeightField, NDArray[np.bool_]]:
+) -> tuple[HeightField, Flags]:
     """Terrain of `samples` (rows, columns) [m], north first, over `size_m` around the origin.
 
     Also returns a mask (rows, columns) of the grid's points with known heights. The outermost samples are on

@@ -18,8 +18,7 @@ from dune_rl.core.untrusted_files import (
     raise_unreadable,
     read_bytes,
 )
-
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 FORMATS = (".tif", ".tiff", ".png", ".npy")
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.mesh_files.parts import MeshPart
@@ -24,9 +25,7 @@ from dune_rl.worlds.importing.height_grid import (
 )
 from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 
 # Steeper triangles are no ground: walls, and the sides of objects.
 _STEEPEST_RAD = np.deg2rad(62.0)
@@ -48,9 +47,9 @@ class ImportedGround(NamedTuple):
     """
 
     terrain: HeightField
-    known: Mask
-    colours: NDArray[np.float32]
-    faces: Mask
+    known: Flags
+    colours: Floats
+    faces: Flags
     picture: GroundPicture | None
 
 
@@ -123,7 +122,7 @@ def _label_surfaces(soup: Triangles) -> NDArray[np.int64]:
     return surface
 
 
-def _find_ground_faces(soup: Triangles, surface: NDArray[np.int64]) -> Mask:
+def _find_ground_faces(soup: Triangles, surface: NDArray[np.int64]) -> Flags:
     """Mask (F,) of the triangles that are ground, grown from a seed surface."""
     if (soup.claim > 0).any():
         return soup.claim > 0
@@ -147,9 +146,7 @@ def _find_ground_faces(soup: Triangles, surface: NDArray[np.int64]) -> Mask:
     return ground[surface] & chosen
 
 
-def _choose_seed(
-    soup: Triangles, surface: NDArray[np.int64], flat_area: Array
-) -> tuple[int, NDArray[np.bool_]]:
+def _choose_seed(soup: Triangles, surface: NDArray[np.int64], flat_area: Array) -> tuple[int, Flags]:
     """The lowest surface of at least half the largest area; and a mask (S,) of those that are backdrops."""
     member = np.argsort(surface, kind="stable")[int((surface < 0).sum()) :]
     pieces = np.split(member, np.cumsum(np.bincount(surface[member]))[:-1])
@@ -206,7 +203,7 @@ def _rim_probes(soup: Triangles, surface: NDArray[np.int64]) -> _Probes:
     )
 
 
-def _rims_on_ground(soup: Triangles, ground: Mask, probes: _Probes, count: int) -> tuple[Array, Array]:
+def _rims_on_ground(soup: Triangles, ground: Flags, probes: _Probes, count: int) -> tuple[Array, Array]:
     """Shares (count,) of each surface's rim that touch the ground, and that have no ground above or below."""
     if not len(probes.at):
         return np.zeros(count), np.zeros(count)
@@ -225,7 +222,7 @@ def _rims_on_ground(soup: Triangles, ground: Mask, probes: _Probes, count: int) 
     return joined, np.bincount(probes.surface, probes.weight * ~has_ground, minlength=count) / total
 
 
-def _surfaces_above_ground(soup: Triangles, ground: Mask, surface: NDArray[np.int64], count: int) -> Mask:
+def _surfaces_above_ground(soup: Triangles, ground: Flags, surface: NDArray[np.int64], count: int) -> Flags:
     """Mask (count,) of the surfaces with ground above or below any of their triangles' centres."""
     candidates = np.flatnonzero((surface >= 0) & ~ground)
     centres = soup.vertices[soup.faces[candidates]].mean(axis=1)
@@ -240,7 +237,7 @@ def _surfaces_above_ground(soup: Triangles, ground: Mask, surface: NDArray[np.in
 
 
 def _warn_of_holes(
-    soup: Triangles, ground: Mask, known: Mask, x: Array, y: Array, report: ImportReport
+    soup: Triangles, ground: Flags, known: Flags, x: Array, y: Array, report: ImportReport
 ) -> None:
     if known.all():
         return

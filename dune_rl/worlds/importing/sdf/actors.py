@@ -3,10 +3,10 @@
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, printable
+from dune_rl.geometry.arrays import Array
 from dune_rl.worlds.actor_trajectory import (
     FARTHEST_M,
     LONGEST_S,
@@ -17,8 +17,6 @@ from dune_rl.worlds.actor_trajectory import (
 from dune_rl.worlds.importing.sdf.shapes import parse_numbers, parse_pose
 from dune_rl.worlds.importing.sdf.trajectory_spline import add_spline_points
 from dune_rl.worlds.world import World
-
-Array = NDArray[np.float64]
 
 MOST_ACTORS = 500
 # A loop whose ends are farther apart than this is closed by a way back, at this speed if the script has none.

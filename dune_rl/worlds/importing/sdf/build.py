@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world_path
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles
 from dune_rl.worlds.importing.ground_pictures import tile_picture
 from dune_rl.worlds.importing.heightmap.build import terrain_from_samples
@@ -27,8 +27,6 @@ from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
 from dune_rl.worlds.importing.sdf.shapes import build_plane
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
-
-Array = NDArray[np.float64]
 
 _MOST_FRICTION = 5.0
 _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0

@@ -6,7 +6,6 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import (
@@ -19,6 +18,7 @@ from dune_rl.core.untrusted_files import (
     read_bytes,
     read_image,
 )
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.files import load_mesh_parts
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart, guess_colour
@@ -28,7 +28,6 @@ from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.shapes import build_primitive, parse_numbers, parse_pose
 from dune_rl.worlds.importing.sdf.sun import parse_sun
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 _DEEPEST, _MOST_INCLUDES, _MOST_ELEMENTS = 16, 2_000, 20_000

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import printable
+from dune_rl.geometry.arrays import Array
 
-Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.int32]]
 
 _ROUND_SIDES = 24

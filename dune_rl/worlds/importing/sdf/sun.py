@@ -3,16 +3,16 @@
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dune_rl.core.untrusted_files import ImportReport, printable
+from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.light import LightConf
 from dune_rl.worlds.importing.sdf.shapes import parse_numbers
 
 Colour = tuple[float, float, float]
 
 
-def parse_sun(element: Element, turn: NDArray[np.float64], report: ImportReport) -> LightConf | None:
+def parse_sun(element: Element, turn: Array, report: ImportReport) -> LightConf | None:
     """The sun of a <light> with orientation `turn` (3, 3); None, with a warning, if it shines upwards."""
     to_sun = -turn @ parse_numbers(element.find("direction"), 3, (0, 0, -1))
     length = float(np.linalg.norm(to_sun))

@@ -1,9 +1,8 @@
 """The spline on which Gazebo moves an actor between its way-points, as way-points that lie closer."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dune_rl.geometry.arrays import Array
 
 # Where the spline is farther than this from the line between two way-points, points of it are added.
 _STRAY_M = 0.02
