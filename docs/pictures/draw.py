@@ -95,34 +95,23 @@ def picture(width: int, height: int, title: str, parts: Iterable[str]) -> str:
     )
 
 
-# The layers, highest first: fill, and the title and explanation of each part side by side.
+# The ten layers of pyproject.toml, highest first: fill, and the title and explanation of each package side by side.
 LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    (
-        "command",
-        (
-            ("train", ""),
-            ("evaluate", ""),
-            ("report", ""),
-            ("trajectory", ""),
-            ("benchmark", ""),
-            ("engines", ""),
-        ),
-    ),
-    (
-        "learn",
-        (
-            ("reporting", "pages, tables, figures"),
-            ("evaluation, episode_sets", "results folders"),
-            ("view", "pictures, films"),
-        ),
-    ),
-    ("learn", (("trajectories", "planned ways of actors, and their files"),)),
+    ("command", (("commands", "the command lines: train, evaluate, report, view, sets, benchmark, ..."),)),
+    ("learn", (("reporting", "pages, tables, figures"), ("clients", "environments for other libraries"))),
+    ("learn", (("evaluation", "sets, protocols, results"), ("trajectories", "planned ways of actors"))),
     ("learn", (("config", "schema and checks; the one place that names concrete classes"),)),
     (
         "learn",
         (("learning", "algorithms, collectors, checkpoints"), ("visualization", "sheets, films, maps")),
     ),
-    ("env", (("env", "simulation of agent groups; PettingZoo, Gymnasium, TorchRL"),)),
+    (
+        "env",
+        (
+            ("env", "simulation of agent groups; Gymnasium, PettingZoo"),
+            ("statistics", "intervals, paired tests, measures"),
+        ),
+    ),
     (
         "part",
         (
@@ -131,12 +120,24 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("behaviours", "scripted control"),
         ),
     ),
-    ("part", (("robots", "actions to motor commands"), ("bodies", "persons"))),
-    ("part", (("sensors", "readings and their faults"), ("worlds", "terrain and objects"))),
-    ("base", (("state", "arrays of one step"), ("physics", "PyBullet and DART behind one interface"))),
-    ("base", (("rendering", "light, scenery, pictures"),)),
-    ("base", (("geometry", "frames, height fields, rays on Embree"),)),
-    ("base", (("errors, files, paths, registry, seeding, settings", ""),)),
+    (
+        "part",
+        (
+            ("robots", "actions to motors"),
+            ("bodies", "people, vehicles, ..."),
+            ("sensors", "readings and faults"),
+            ("worlds", "terrain and objects"),
+        ),
+    ),
+    (
+        "base",
+        (
+            ("state", "arrays of one step"),
+            ("physics", "PyBullet, DART"),
+            ("rendering", "light, scenery, pictures"),
+        ),
+    ),
+    ("base", (("geometry", "frames, height fields, rays on Embree"), ("core", "files, registry, seeding"))),
 )
 
 
