@@ -95,7 +95,7 @@ def picture(width: int, height: int, title: str, parts: Iterable[str]) -> str:
     )
 
 
-# The ten layers of pyproject.toml, highest first: fill, and the title and explanation of each package side by side.
+# The ten layers of pyproject.toml, highest first: fill, and the title and explanation of each package.
 LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("command", (("commands", "the command lines: train, evaluate, report, view, sets, benchmark, ..."),)),
     ("learn", (("reporting", "pages, tables, figures"), ("clients", "environments for other libraries"))),
