@@ -29,6 +29,7 @@ def drive(env, first: int, count: int) -> list[bytes]:
     return [pickle.dumps(env.step(actions(env, number))) for number in range(first, first + count)]
 
 
+@pytest.mark.slow(all_but=["gymnasium"])
 @every_client
 def test_a_copy_goes_on_as_its_original_would(make) -> None:
     env = make()

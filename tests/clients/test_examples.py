@@ -36,6 +36,7 @@ def test_its_environment_ends_episodes_as_stable_baselines3_expects() -> None:
     envs.close()
 
 
+@pytest.mark.slow(all_but=["ippo"])
 @pytest.mark.client("TorchRL", "its own loop of MAPPO and IPPO on walkers (`examples/`)", "dune_rl.make")
 @pytest.mark.parametrize("words", [[], ["--own-critic"]], ids=["mappo", "ippo"])
 def test_torchrl_s_own_loop_on_walkers(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:

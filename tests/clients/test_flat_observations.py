@@ -19,6 +19,7 @@ def joined(observation: dict[str, np.ndarray], lead: int = 0) -> np.ndarray:
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
+@pytest.mark.slow(all_but=["robots1"])
 @pytest.mark.parametrize("robots", [["rover_zero"], ["rover_zero", "rover_zero"]])
 def test_pettingzoo(robots) -> None:
     flat, plain = flat_and_dict(

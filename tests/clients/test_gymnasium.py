@@ -68,6 +68,18 @@ OF_VECTORS = {
 }
 
 
+@pytest.mark.slow(
+    all_but=[
+        "clip reward",
+        "stack",
+        "autoreset",
+        "rescale action, flat",
+        "time, flat",
+        "normalise reward, flat",
+        "delay",
+        "filter",
+    ]
+)
 @pytest.mark.client(
     "Gymnasium",
     "14 wrappers, among them `FrameStackObservation`, `TimeLimit`, `RescaleAction`",
@@ -94,6 +106,7 @@ def test_wrappers(wrap, flatten: bool) -> None:
 @pytest.mark.client("Gymnasium", "`check_env`", "gymnasium.make")
 @pytest.mark.parametrize("flatten", [False, True])
 # A recommendation: actions have physical units, so that wrappers rescale them.
+@pytest.mark.slow(all_but=["True"])
 @pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space")
 def test_gymnasium_s_check(flatten: bool) -> None:
     env = gymnasium.make(ID, flatten=flatten, **SHORT).unwrapped
@@ -170,6 +183,7 @@ def test_gymnasium_s_own_copies_differ() -> None:
     envs.close()
 
 
+@pytest.mark.slow(all_but=["fork"])
 @pytest.mark.client("Gymnasium", "`AsyncVectorEnv`, its processes forked or spawned", "gymnasium.make_vec")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_processes(method: str) -> None:

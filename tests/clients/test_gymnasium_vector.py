@@ -128,6 +128,7 @@ def test_same_step_autoreset() -> None:
     other.close()
 
 
+@pytest.mark.slow(all_but=["next_step"])
 @pytest.mark.client("Gymnasium", "`max_episode_steps`, as `TimeLimit` has it", "gymnasium.make_vec")
 @pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
 def test_gymnasium_s_time_limit(mode: str) -> None:
@@ -229,6 +230,7 @@ OF_VECTORS = {
 }
 
 
+@pytest.mark.slow(all_but=["clip action, flat", "norm*, flat", "rescale, flat", "list of infos, flat"])
 @pytest.mark.client(
     "Gymnasium", "9 vector wrappers, among them `NormalizeObservation`, `RescaleAction`", "gymnasium.make_vec"
 )
@@ -277,6 +279,7 @@ def test_films(tmp_path) -> None:
     assert len(sizes) == 2 and min(sizes) > 1000
 
 
+@pytest.mark.slow
 def test_pictures() -> None:
     envs = make(num_envs=2, render_mode="rgb_array")
     envs.reset(seed=0)

@@ -31,6 +31,7 @@ def snippets() -> list:
     return found
 
 
+@pytest.mark.slow(all_but=["*PettingZoo*"])
 @pytest.mark.parametrize("text", snippets())
 @pytest.mark.filterwarnings("ignore::UserWarning:benchmarl.*")
 @pytest.mark.filterwarnings("ignore::UserWarning:torchrl.*")
@@ -75,6 +76,7 @@ def test_the_table_is_of_the_pinned_versions_and_all_pass() -> None:
         assert (version, result) == (PINNED[CLIENTS[row.client]], PASSED), row
 
 
+@pytest.mark.slow
 def test_the_table_tells_what_fails_and_what_was_left_out(tmp_path: Path) -> None:
     shutil.copy(HERE / "conftest.py", tmp_path)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = client: a row\n")

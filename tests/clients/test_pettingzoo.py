@@ -27,6 +27,7 @@ def make(**settings):
     return dune_rl.parallel_env("flat", 0, **SHORT, **settings)
 
 
+@pytest.mark.slow(all_but=["one"])
 @pytest.mark.client("PettingZoo", "`parallel_api_test`, `parallel_seed_test`", "dune_rl.parallel_env")
 @each_setting
 def test_parallel(settings) -> None:
@@ -39,6 +40,7 @@ def test_parallel(settings) -> None:
 @pytest.mark.client("PettingZoo", "`api_test`, `seed_test` through `parallel_to_aec`", "dune_rl.parallel_env")
 @each_setting
 # Recommendations of the test: observations are dicts, and agents of two kinds have two spaces.
+@pytest.mark.slow(all_but=["one"])
 @pytest.mark.filterwarnings("ignore:Observation(s are different shapes| space for each| is not a NumPy)")
 @pytest.mark.filterwarnings("ignore:Agents have different observation space sizes")
 def test_one_after_another(settings) -> None:

@@ -26,6 +26,7 @@ ID = "dune_rl:dune_rl/Flat-v0"
 SHORT = {"task": {"name": "paper", "terminations": {"time_limit": {"max_steps": 5}}}}
 
 
+@pytest.mark.slow
 @pytest.mark.client("TorchRL", "`GymEnv`: `check_env_specs`, `from_pixels`, `SerialEnv`", "gymnasium.make")
 def test_its_wrapper_of_gymnasium() -> None:
     for flatten in (False, True):
@@ -91,6 +92,7 @@ def test_flat_observations_are_those_of_pettingzoo() -> None:
     other.close()
 
 
+@pytest.mark.slow
 @pytest.mark.client("TorchRL", "`ParallelEnv`, its processes forked or spawned", "dune_rl.make")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_processes(method: str) -> None:
@@ -100,6 +102,7 @@ def test_processes(method: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.client("TorchRL", "`PixelRenderTransform`", "dune_rl.make")
 def test_it_records_pixels() -> None:
     env = TransformedEnv(dune_rl.make("flat", 2), PixelRenderTransform())

@@ -42,6 +42,7 @@ def test_the_page_gives_the_command_of_every_policy() -> None:
     assert folders == {f"{name}_{seed}" for name in NAMES for seed in (1, 2)}
 
 
+@pytest.mark.slow(all_but=["walkers-1", "social-1"])
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_policy_was_trained_with_the_settings_of_its_command(

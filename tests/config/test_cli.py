@@ -51,6 +51,7 @@ def test_shown_settings_are_the_used_ones(
     assert not list(folder.iterdir())
 
 
+@pytest.mark.slow
 def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["world=flat", "actors=none", "scenes=2", "rounds=1", "steps=2", "processes=[1]"]
     assert call(benchmark.main, *words) == 0
@@ -86,6 +87,7 @@ def test_benchmark_prints_its_ratios(call: Call, capsys: pytest.CaptureFixture[s
     assert together["core_steps_per_s"] > 0
 
 
+@pytest.mark.slow
 def test_engines_are_compared_in_tables(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(engines.main, "places=[slope]", "worlds=[flat]", "minutes=0.1", "scenes=2") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -103,6 +105,7 @@ def test_a_wrong_setting_of_engines_is_named(call: Call, capsys: pytest.CaptureF
     assert "minute is not a setting; did you mean minutes?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_both_engines_are_timed_in_one_run(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["world=flat", "actors=none", "parts=[engines]", "scenes=2", "rounds=1", "steps=2"]
     assert call(benchmark.main, *words, "robot=hyperdog", "robot.action=joints") == 0
@@ -110,6 +113,7 @@ def test_both_engines_are_timed_in_one_run(call: Call, capsys: pytest.CaptureFix
     assert all(line[f"{engine}_physics_steps_per_s"] > 0 for engine in ("bullet", "dart"))
 
 
+@pytest.mark.slow
 def test_two_policies_are_compared_on_the_same_episodes(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +137,7 @@ def test_a_warning_is_a_line_without_our_code(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().err == "warning: sand.png is missing\n"
 
 
+@pytest.mark.slow
 def test_environments_of_pettingzoo_and_gymnasium_do_without_pytorch() -> None:
     code = (
         "import sys, gymnasium, dune_rl\n"

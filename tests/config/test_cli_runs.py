@@ -79,6 +79,7 @@ def test_train_resume_and_evaluate(call: Call, folder: Path, capsys: pytest.Capt
     assert message.count("\n") <= 2
 
 
+@pytest.mark.slow
 def test_a_run_ends_with_a_film_and_does_without_where_it_cannot_be_made(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -96,6 +97,7 @@ def test_a_run_ends_with_a_film_and_does_without_where_it_cannot_be_made(
     assert "note: film.mp4 is left out" in shown.err and "after 192 frames" in shown.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "other", "words"),
     [
@@ -129,6 +131,7 @@ def test_a_policy_of_one_engine_is_evaluated_on_the_other(
     assert [row["return"] for row in one] != [row["return"] for row in two]
 
 
+@pytest.mark.slow
 def test_a_kept_policy_arrives_on_the_second_engine(call: Call, folder: Path) -> None:
     policy = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
     assert call(evaluate.main, f"checkpoint={policy}", "episodes=2", "physics=dart", "out=rows") == 0
@@ -143,6 +146,7 @@ def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
     assert len((folder / "new" / "rows" / "episodes.csv").read_text().splitlines()) == 3
 
 
+@pytest.mark.slow
 def test_a_team_is_trained_and_several_groups_are_evaluated(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,6 +176,7 @@ def test_a_device_that_is_absent_leaves_nothing_behind(
     assert not list(folder.iterdir())
 
 
+@pytest.mark.slow
 def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -253,6 +258,7 @@ def test_nothing_to_resume(
     assert "Traceback" not in error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_save_and_end(
     number: int,

@@ -35,6 +35,7 @@ def goal_distances(simulation: VectorSimulation, steps: int) -> np.ndarray:
     return np.array(distances)
 
 
+@pytest.mark.slow(all_but=["orca"])
 @pytest.mark.parametrize(
     "controller",
     ["go_to_goal", {"name": "go_to_goal"}, "planner", "mppi", "orca", {"checkpoint": str(POLICY)}],
@@ -87,6 +88,7 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
     check_group_files(compose(["+world=flat", f"actors.walker.controller={{checkpoint: {POLICY}}}"]))
 
 
+@pytest.mark.slow
 def test_a_policy_of_another_body_is_refused() -> None:
     with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values") as error:
         simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
@@ -133,6 +135,7 @@ def test_a_file_without_the_groups_policy_names_those_that_it_has(tmp_path: Path
         check_group_files(compose_environment("flat", (), {"actors": {"foe": foe}}))
 
 
+@pytest.mark.slow
 def test_a_policy_is_played_by_a_group_of_another_name(tmp_path: Path) -> None:
     content = read_checkpoint_file(POLICY, "policy")
     rover = content["groups"]["rover"]
@@ -184,6 +187,7 @@ def test_a_controller_without_settings_may_be_written_as_a_mapping(name: str) ->
     assert plain == mapped and mapped.actors["one"].controller == name
 
 
+@pytest.mark.slow
 def test_a_policy_of_the_robot_is_no_start_for_its_walkers() -> None:
     words = ["+world=flat", "+experiment=multi_agent", f"learning.start_from={POLICY}"]
     with pytest.raises(CheckpointError) as error:

@@ -26,6 +26,7 @@ DRIVING = [
 ]
 
 
+@pytest.mark.slow(all_but=["flat/seed1"])
 @pytest.mark.parametrize("file", DRIVING, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
 def test_the_weights_of_a_study_still_drive(file: Path) -> None:
     conf = compose_evaluation([f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])

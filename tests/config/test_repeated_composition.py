@@ -12,6 +12,7 @@ from dune_rl.worlds import World
 from dune_rl.worlds.registry import WORLDS
 
 
+@pytest.mark.slow
 def test_a_file_that_changes_is_read_again(folder: Path) -> None:
     (folder / "my" / "world").mkdir(parents=True)
     file = folder / "my" / "world" / "icy.yaml"
@@ -34,6 +35,7 @@ def test_a_folder_that_is_found_from_elsewhere_is_another(
         assert compose(["+world=icy"], ["my"]).world.model_dump()["friction"] == friction
 
 
+@pytest.mark.slow
 def test_a_part_that_is_registered_again_has_its_new_defaults() -> None:
     def register(depth: float) -> None:
         def bowl(depth_m: float = depth) -> World:

@@ -36,6 +36,7 @@ def counts(conf: EnvConf) -> dict[str, int]:
     return {group.name: group.count for group in conf.groups if group.name != "rover"}
 
 
+@pytest.mark.slow(all_but=["crossing"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_scenario_starts_and_steps(scenario: str) -> None:
     env = dune_rl.parallel_env(scenario=scenario, seed=5, sensors=["goal", "nearest_agent"])
@@ -55,6 +56,7 @@ def test_a_scenario_starts_and_steps(scenario: str) -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_every_command_takes_a_scenario() -> None:
     composed = [
         compose(["scenario=farm"]),
@@ -77,6 +79,7 @@ def test_the_world_is_inspection_without_a_scenario() -> None:
     assert compose_environment("flat", (), {"scenario": "crossing"}).world.name == "flat"
 
 
+@pytest.mark.slow
 def test_what_is_set_beside_a_scenario_wins() -> None:
     conf = compose(["scenario=farm", "world.size_m=60", "actors.herd.count=3", "actors=[herd,dogs]"])
     assert conf.world.size_m == 60.0
@@ -97,6 +100,7 @@ def test_a_scenario_changes_the_settings_of_a_run() -> None:
     assert conf.task.spawn.region == (-7.0, 19.0, -20.0, 6.0)
 
 
+@pytest.mark.slow
 def test_scenarios_sweep() -> None:
     assert check_sweep(["scenario=crossing,farm", "seed=1,2"]) == ["+scenario=crossing,farm", "seed=1,2"]
 
@@ -172,6 +176,7 @@ def test_the_help_lists_scenarios() -> None:
     assert ("scenario=NAME", ", ".join(SCENARIOS)) in option_group_rows()
 
 
+@pytest.mark.slow
 def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "scenario").mkdir()
     (tmp_path / "scenario" / "yard.yaml").write_text(

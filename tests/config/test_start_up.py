@@ -18,6 +18,7 @@ def loaded_packages(code: str) -> set[str]:
     return set(last.split()[1:])
 
 
+@pytest.mark.slow(all_but=["train", "report"])
 @pytest.mark.parametrize(
     "module",
     ["train", "evaluate", "report", "view.command_line", "benchmark.command_line", "engines", "trajectory"],
@@ -27,6 +28,7 @@ def test_help_loads_none_of_the_heavy_packages(module: str) -> None:
     assert loaded_packages(code) == set()
 
 
+@pytest.mark.slow
 def test_a_misspelt_key_is_found_without_pytorch() -> None:
     code = (
         "import sys; from dune_rl.train import main; sys.argv = ['x', '+world=flat', 'total_frame=1']; main()"

@@ -7,6 +7,7 @@ import pytest
 from dune_rl.commands import train
 
 
+@pytest.mark.slow(all_but=["hydra.sweep.dir=runs/${nope}"])
 @pytest.mark.parametrize(
     "word", ["hydra.sweep.dir=runs/${nope}", 'hydra.sweep.dir="runs/${x"', "hydra.sweep.dir=a,b"]
 )

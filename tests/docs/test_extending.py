@@ -42,6 +42,7 @@ def test_there_is_an_example_of_every_kind(package: Path) -> None:
         assert len([line for line in content.splitlines() if line.strip()]) <= 20, content
 
 
+@pytest.mark.slow(all_but=["robot=slow_rover", "*compass*"])
 @pytest.mark.parametrize(
     ("program", "words"), COMMANDS, ids=[words.split()[0:2][-1][:40] for _, words in COMMANDS]
 )

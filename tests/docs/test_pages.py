@@ -141,6 +141,7 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield folder
 
 
+@pytest.mark.slow(all_but=["README.md*"])
 @pytest.mark.parametrize(
     ("page", "command"), SHOWN, ids=[f"{page_name(page)}: {command}" for page, command in SHOWN]
 )
@@ -162,6 +163,7 @@ def test_every_command_of_the_package_is_shown() -> None:
     assert {f"dune_rl.{name}" for name, _ in PROGRAMS} <= shown
 
 
+@pytest.mark.slow(all_but=["README.md-0", "docs/how_to/gymnasium.md-8", "docs/how_to/torchrl.md-13"])
 @pytest.mark.parametrize(
     ("page", "snippet"),
     SNIPPETS,
@@ -172,6 +174,7 @@ def test_snippets_run(page: Path, snippet: str, folder: Path, capsys: pytest.Cap
     exec(compile(snippet, page_name(page), "exec"), {"__name__": "__main__"})
 
 
+@pytest.mark.slow
 def test_the_shown_errors_are_the_real_ones() -> None:
     shown = [text for page in PAGES for language, text in code_blocks(page) if language == "console"]
     assert shown

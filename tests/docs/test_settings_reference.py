@@ -117,6 +117,7 @@ def test_the_defaults_are_those_of_the_files() -> None:
     assert SETTINGS["sensors.lidar.range_m"].default == "`12.0`"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: str(page.relative_to(DOCS)))
 def test_pages_expand(page: object) -> None:
     assert isinstance(page, type(DOCS))

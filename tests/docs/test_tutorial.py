@@ -45,6 +45,7 @@ def shortened(words: list[str]) -> tuple[Callable[[], None], list[str]]:
     return view, [*given, *(MAP if "view=map" in given else PICTURE)]
 
 
+@pytest.mark.slow
 def test_every_command_of_the_tutorial_runs_in_its_order(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -21,6 +21,7 @@ def drive(monkeypatch, kind: type[UnchangedRobot], world: str, engine: str, robo
     return count_faults(world, engine, robot, minutes=1 / 6, scenes=2, seed=0)
 
 
+@pytest.mark.slow(all_but=["rover_zero-dart"])
 @every_engine
 @every_robot
 def test_driving_on_flat_ground_is_sound(monkeypatch, engine, robot):
@@ -29,6 +30,7 @@ def test_driving_on_flat_ground_is_sound(monkeypatch, engine, robot):
     assert 0.2 < found.fastest_mps < 1.4
 
 
+@pytest.mark.slow(all_but=["flat-rover_zero-dart", "flat-rover_zero-bullet", "slope-rover_zero-bullet"])
 @every_engine
 @every_robot
 @pytest.mark.parametrize("world", ["flat", "slope"])
@@ -38,6 +40,7 @@ def test_a_fall_is_no_jump_however_fast(monkeypatch, engine, robot, world):
     assert (found.fallen, found.jumps, found.diverged) == (0, 0, 0)
 
 
+@pytest.mark.slow(all_but=["KickedRobot-rover_zero-bullet", "TeleportedRobot-rover_zero-dart"])
 @every_engine
 @every_robot
 @pytest.mark.parametrize("kind", [KickedRobot, TeleportedRobot])

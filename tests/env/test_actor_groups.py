@@ -26,6 +26,7 @@ def driving(body: Any, count: int = 1, **more: Any) -> dict[str, Any]:
     return {"body": body, "count": count, "controller": {"name": "go_to_goal", "speed_mps": 3.0}, **more}
 
 
+@pytest.mark.slow
 def test_actors_start_apart_from_robots_and_from_each_other() -> None:
     actors = {
         "herd": driving("cow", 4),
@@ -64,6 +65,7 @@ def test_actors_do_not_move_the_robots_starts() -> None:
     np.testing.assert_array_equal(starts[0], starts[1])
 
 
+@pytest.mark.slow
 def test_the_seed_decides() -> None:
     runs = []
     for seed in (2, 2, 3):
@@ -77,6 +79,7 @@ def test_the_seed_decides() -> None:
     assert (runs[0] != runs[2]).any()
 
 
+@pytest.mark.slow(all_but=["drone"])
 @pytest.mark.parametrize("body", ["car", "dog", "drone"])
 def test_goal_follows_goal(body: str) -> None:
     core = started_simulation("flat", 1, seed=1, actors={"group": driving(body)}, sensors=["goal"])
@@ -108,6 +111,7 @@ def test_more_actors_than_fit_is_said_before_anything_is_built() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_full_world_cannot_be_widened() -> None:
     everywhere = {"task": {"spawn": {"region": "anywhere", "robots_apart_m": 80.0}}}
     with pytest.raises(WorldError, match=r"Lower actors\.fleet\.count, take a larger world, lower"):

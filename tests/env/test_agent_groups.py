@@ -58,6 +58,7 @@ def env(scene: str, engine: str) -> Iterator[ParallelEnv]:
     made.close()
 
 
+@pytest.mark.slow(all_but=["kinds-bullet-*", "team-dart-*"])
 @pytest.mark.parametrize("check", [check_parallel_api, check_values, check_kept, check_spaces])
 def test_pettingzoo(check: Callable[[ParallelEnv], None], env: ParallelEnv) -> None:
     check(env)
@@ -74,16 +75,19 @@ def test_agents_are_called_by_their_group_and_have_its_spaces(env: ParallelEnv, 
             assert env.action_space(agent) == env.action_space(first)
 
 
+@pytest.mark.slow(all_but=["team-dart"])
 def test_pettingzoo_over_resets(scene: str, engine: str) -> None:
     # Which compares with a fresh environment of the same seed, too.
     check_no_leak(partial(parallel, scene, engine), 20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["kinds"])
 def test_pettingzoo_seeding(scene: str) -> None:
     check_seeding(partial(parallel, scene), 40)
 
 
+@pytest.mark.slow(all_but=["kinds-bullet", "crowd-dart"])
 def test_torchrl(scene: str, engine: str) -> None:
     made = dune_rl.make(WORLDS[scene], 2, overrides=[f"physics={engine}"], task=TWO_STEPS, **SCENES[scene])
     assert [name for names in made.group_map.values() for name in names] == AGENTS[scene]
@@ -97,6 +101,7 @@ def test_torchrl(scene: str, engine: str) -> None:
     made.close()
 
 
+@pytest.mark.slow
 def test_groups_that_are_configured_one_by_one() -> None:
     made = dune_rl.parallel_env("flat", agents=EXPLICIT)
     assert made.possible_agents == ["scout_0", "scout_1", "carrier_0"]
@@ -152,6 +157,7 @@ def test_gymnasium_drives_the_one_external_agent(agents: dict[str, Any], agent: 
     registered.close()
 
 
+@pytest.mark.slow
 def test_gymnasium_of_a_person_among_robots() -> None:
     import gymnasium
 

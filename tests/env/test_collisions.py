@@ -205,6 +205,7 @@ class RoverByWall:
         return float(metric(self.simulation, name)[0])
 
 
+@pytest.mark.slow(all_but=["bullet"])
 @every_backend
 def test_a_long_push_is_one_collision_and_a_later_touch_another(backend: Backend) -> None:
     rover = RoverByWall(backend, 0.5)

@@ -63,6 +63,7 @@ def make(settings: dict[str, Any]) -> ParallelEnv:
 # -- the interfaces ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["3 agents-*"])
 @pytest.mark.parametrize("check", [check_parallel_api, check_values, check_kept, check_spaces])
 def test_parallel_env(check: Any, settings: dict[str, Any]) -> None:
     env = make(settings)
@@ -70,11 +71,13 @@ def test_parallel_env(check: Any, settings: dict[str, Any]) -> None:
     env.close()
 
 
+@pytest.mark.slow(all_but=["3 agents-check_seeding"])
 @pytest.mark.parametrize("check", [check_seeding, check_no_leak])
 def test_parallel_env_over_resets(check: Any, settings: dict[str, Any]) -> None:
     check(partial(make, settings))
 
 
+@pytest.mark.slow(all_but=["3 agents"])
 def test_torchrl_env(settings: dict[str, Any]) -> None:
     env = dune_rl.make("flat", 2, task=SHORT, **settings)
     check_torchrl(env)
@@ -250,6 +253,7 @@ def test_an_episode_is_over_when_all_external_agents_have_left() -> None:
     simulation.close()
 
 
+@pytest.mark.slow(all_but=["orca-person", "path-person"])
 @pytest.mark.parametrize(
     ("controller", "body"),
     [

@@ -62,11 +62,13 @@ def test_agents_of_each_setting(env: ParallelEnv, actors: str) -> None:
     assert env.possible_agents == ["rover_0", *walkers]
 
 
+@pytest.mark.slow(all_but=["flat-one*", "inspection-three*"])
 @pytest.mark.parametrize("check", [check_parallel_api, check_values, check_kept, check_spaces])
 def test_parallel_env(check: Callable[[ParallelEnv], None], env: ParallelEnv) -> None:
     check(env)
 
 
+@pytest.mark.slow(all_but=["inspection-three agents-check_no_leak"])
 @pytest.mark.parametrize("check", [check_seeding, check_no_leak])
 def test_parallel_env_over_resets(check: Callable[[Make], None], make: Make) -> None:
     check(make)
@@ -96,6 +98,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+@pytest.mark.slow(all_but=["joints"])
 @pytest.mark.parametrize("place", PLACES)
 def test_every_robot_on_both_engines(place: str, tmp_path: Path) -> None:
     world, settings = PLACES[place]
@@ -117,18 +120,21 @@ def test_time_limit_truncates(world: str, actors: str) -> None:
     check_time_limit(partial(dune_rl.parallel_env, world, actors=actors, task=BY_TIME_ALONE), 12)
 
 
+@pytest.mark.slow
 def test_gymnasium(world: str) -> None:
     env = gymnasium.make(f"dune_rl/{world.title()}-v0").unwrapped
     check_gymnasium(env)
     env.close()
 
 
+@pytest.mark.slow
 def test_gymnasium_of_a_dog_on_the_second_engine() -> None:
     env = gymnasium.make("dune_rl/Inspection-v0", physics="dart", **JOINTS).unwrapped
     check_gymnasium(env)
     env.close()
 
 
+@pytest.mark.slow(all_but=["flat-three agents-3", "inspection-one agent-1"])
 @pytest.mark.parametrize("scenes", [1, 3])
 def test_torchrl(world: str, actors: str, scenes: int) -> None:
     env = dune_rl.make(world, scenes, actors=actors, task=TWO_STEPS)

@@ -30,6 +30,7 @@ def golden_of(world: str, actors: str) -> str:
     return found
 
 
+@pytest.mark.slow(all_but=["flat-walkers"])
 @pytest.mark.parametrize("actors", ["walkers", "external_walkers"])
 @pytest.mark.parametrize("world", ["flat", "inspection"])
 def test_golden_rollout(world: str, actors: str) -> None:

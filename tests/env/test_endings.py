@@ -186,6 +186,7 @@ def test_renewed_goals_depend_on_seed_and_episode_alone() -> None:
             act(simulation)
 
 
+@pytest.mark.slow(all_but=["bullet-rover_zero"])
 @pytest.mark.parametrize(
     ("engine", "robot"), [("bullet", "rover_zero"), ("dart", "rover_zero"), ("dart", "hyperdog")]
 )

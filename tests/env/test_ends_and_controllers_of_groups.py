@@ -152,6 +152,7 @@ def test_groups_have_their_own_tasks_and_metrics() -> None:
 # -- controllers -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["bullet"])
 @every_engine
 def test_a_behaviour_drives_its_robots_from_goal_to_goal(engine: str) -> None:
     agents = {

@@ -108,6 +108,7 @@ def test_it_resets_itself_scene_by_scene() -> None:
     env.close()
 
 
+@pytest.mark.slow(all_but=["after"])
 @pytest.mark.parametrize(
     "chain",
     [
@@ -129,6 +130,7 @@ def test_flat_keys_of_one_agent(chain: tuple[Any, ...]) -> None:
     flat.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batched", [SerialEnv, partial(ParallelEnv, mp_start_method="spawn")])
 def test_in_several_environments(batched: Any) -> None:
     env = batched(2, make)
@@ -148,6 +150,7 @@ def test_around_several_environments_it_says_where_to_go() -> None:
         TransformedEnv(env, EpisodeMetrics(TERMS))
 
 
+@pytest.mark.slow(all_but=["Collector"])
 @pytest.mark.parametrize("kind", [Collector, MultiSyncCollector])
 def test_in_collectors(kind: Any) -> None:
     sample = make()

@@ -315,6 +315,7 @@ def test_headings_are_kept_within_a_turn() -> None:
     np.testing.assert_allclose(turned, 4.0 * STEP_S, atol=1e-9)
 
 
+@pytest.mark.slow(all_but=["car"])
 @pytest.mark.parametrize("name", VEHICLES)
 def test_go_to_goal_reaches_goals_all_round_a_vehicle(name: str) -> None:
     rng = np.random.default_rng(0)

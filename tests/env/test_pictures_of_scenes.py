@@ -77,6 +77,7 @@ def test_the_view_is_from_behind_and_above_and_looks_ahead(yaw, monkeypatch):
     assert back[0] < -2.0 and abs(back[1]) < 1e-6 and back[2] > 1.0
 
 
+@pytest.mark.slow(all_but=["*0*", "*1*"])
 @pytest.mark.parametrize(
     "behind_m",
     [
@@ -210,6 +211,7 @@ def test_of_a_wide_imported_world_the_site_is_seen_and_of_a_small_one_the_inside
     assert elevation(second) > elevation(first) > np.deg2rad(20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [dune_rl.parallel_env, dune_rl.gym_env])
 def test_render_gives_a_picture_where_it_was_asked_for(make):
     env, blind = (make("flat", sensors=["goal"], render_mode=mode) for mode in ("rgb_array", None))

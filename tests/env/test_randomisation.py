@@ -32,6 +32,7 @@ from dune_rl.worlds.world import World
 
 
 # -- side by side and alone ------------------------------------------------------------------------
+@pytest.mark.slow(all_but=["evenings"])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_four_scenes_are_four_simulations_of_one(family: str) -> None:
     four, one = make(4, **FAMILIES[family]), make(1, **FAMILIES[family])
@@ -74,6 +75,7 @@ def rollouts() -> list[str]:
     return digests
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_another_process() -> None:
     command = "from test_randomisation import rollouts; print(*rollouts())"
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -83,6 +85,7 @@ def test_same_seed_same_bytes_in_another_process() -> None:
     assert done.stdout.split()[-3:] == rollouts()
 
 
+@pytest.mark.slow(all_but=["evenings"])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_middle_of_an_episode_comes_back_bit_for_bit(family: str) -> None:
     simulation, other = make(3, **FAMILIES[family]), make(3, 77, **FAMILIES[family])
@@ -159,6 +162,7 @@ def test_every_property_is_a_setting_and_the_other_way_round() -> None:
     assert list(PROPERTIES) == list(RandomisationConf.model_fields)
 
 
+@pytest.mark.slow(all_but=["construction", "island"])
 @pytest.mark.parametrize(
     "conf",
     [InspectionConf(seed=3), ConstructionConf(seed=3), RubiconConf(seed=3), IslandConf(seed=3)],
@@ -258,6 +262,7 @@ def test_the_next_worlds_are_named_while_the_present_ones_are_in_use() -> None:
     simulation.close()
 
 
+@pytest.mark.slow
 def test_a_world_that_has_been_left_takes_no_memory() -> None:
     conf = environment_conf(**{**ISLANDS, "randomisation": {"world_seed": [0, 999]}})
     simulation = make_simulation(conf, 2, 0, make_world=lambda island: build_island(island))

@@ -13,6 +13,7 @@ from dune_rl.learning.policies import built_in_policy
 from dune_rl.physics.bullet.scene import BulletScene
 
 
+@pytest.mark.slow(all_but=["3-2"])
 @pytest.mark.parametrize(("scenes", "episodes"), [(3, 5), (2, 4), (3, 2)])
 def test_scenes_without_an_episode_left_are_not_simulated(
     scenes: int, episodes: int, monkeypatch: pytest.MonkeyPatch

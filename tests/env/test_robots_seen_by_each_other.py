@@ -23,6 +23,7 @@ from simulations import (
 from dune_rl.rendering.scenery import Segment
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
 def test_clearance_is_the_distance_of_the_hulls(robots: list[str]) -> None:
     task = {"spawn": {"region": [-2.5, 2.5, -2.5, 2.5]}}
@@ -126,6 +127,7 @@ def test_a_camera_shows_the_other(robots: list[str]) -> None:
     simulation.close()
 
 
+@pytest.mark.slow
 def test_a_walker_observes_the_nearest_robot() -> None:
     walker = {"controller": "external"}
     simulation = simulation_of([*KINDS, "rover_zero"], "inspection", num_scenes=8, actors=[walker, walker])

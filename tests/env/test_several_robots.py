@@ -193,6 +193,7 @@ def test_the_first_robot_starts_where_it_starts_alone(robots: list[str]) -> None
     several.close()
 
 
+@pytest.mark.slow(all_but=["3.0"])
 @pytest.mark.parametrize("apart_m", [0.5, 3.0])
 def test_robots_start_apart_with_goals_apart(apart_m: float) -> None:
     spawn = {"region": [-5.0, 5.0, -5.0, 5.0], "robots_apart_m": apart_m, "min_goal_distance_m": 2.0}
@@ -287,6 +288,7 @@ def digest_of_several(engine: Engine) -> str:
     return digest
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
     expected = [digest_of_several(engine) for engine in ENGINES]
     environ = os.environ | {
@@ -300,6 +302,7 @@ def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
     assert done.stdout.split()[: -len(expected) - 1 : -1] == expected
 
 
+@pytest.mark.slow(all_but=["bullet"])
 @every_engine
 def test_a_restored_state_goes_on_as_it_did(engine: Engine) -> None:
     simulation, again = (

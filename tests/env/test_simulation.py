@@ -116,6 +116,7 @@ def test_history_grows_with_the_episode() -> None:
 # -- driving ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["dart"])
 @every_engine
 def test_driving_at_the_goal_arrives_in_time_and_earns_what_the_paper_says(engine: str) -> None:
     simulation = started_simulation(num_scenes=6, seed=3, physics=engine)

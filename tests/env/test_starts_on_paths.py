@@ -25,6 +25,7 @@ def gaps(simulation: VectorSimulation) -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_people_of_a_crowd_start_beside_each_other() -> None:
     conf = compose_environment(None, ["sensors.enabled=[goal]"], {"scenario": "crowd"})
     simulation = make_simulation(conf, 16, seed=1)
@@ -35,6 +36,7 @@ def test_people_of_a_crowd_start_beside_each_other() -> None:
         simulation.close()
 
 
+@pytest.mark.slow(all_but=["orca"])
 @pytest.mark.parametrize("controller", ["orca", "external"])
 def test_groups_start_beside_each_other_and_beside_walkers(controller: str) -> None:
     group = f"{{body: person, count: 6, path: {{}}, controller: {controller}}}"

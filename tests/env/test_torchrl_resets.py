@@ -80,6 +80,7 @@ def test_past_scan_of_a_rover_that_stands_is_the_scan_of_0_5_s_ago_but_never_of_
     env.close()
 
 
+@pytest.mark.slow(all_but=["external_walkers"])
 @pytest.mark.parametrize("actors", ["walkers", "external_walkers"])
 def test_partial_reset_leaves_other_scenes_alone(actors: str) -> None:
     settings: dict[str, Any] = {
@@ -133,6 +134,7 @@ def test_set_seed_begins_again_at_episode_zero() -> None:
 # -- state and resumption --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "actors"),
     [("inspection", "walkers"), ("inspection", "external_walkers")],
@@ -209,6 +211,7 @@ def test_collector_gives_batches_across_ends(actors: str) -> None:
     collector.shutdown()
 
 
+@pytest.mark.slow
 def test_a_worker_process_gives_what_this_process_gives() -> None:
     factory = partial(make, "flat", 3, 4, actors="external_walkers", task=SHORT)
     worker = ParallelEnv(1, factory, mp_start_method="spawn")

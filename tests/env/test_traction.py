@@ -53,6 +53,7 @@ def test_a_scene_s_factor_multiplies_friction(backend, mapped):
         assert slides(RoverOnGround(backend, world, factors=(factor, 1.0))) == (share < 1.0)
 
 
+@pytest.mark.slow(all_but=["*bullet*"])
 @every_backend
 @pytest.mark.parametrize("name", ["mud", "gravel", "concrete"])
 def test_the_steepest_climb_is_what_friction_leaves_over_rolling_resistance(backend, name):
@@ -147,6 +148,7 @@ def test_ground_gives_way_by_load_over_stiffness(backend, stiffness, factor):
     assert -rover.height == pytest.approx(LOAD_N / (stiffness * factor), rel=0.03)
 
 
+@pytest.mark.slow(all_but=["concrete-bullet", "mud-bullet", "wood-dart", "rock-bullet", "grass-dart"])
 @every_backend
 @pytest.mark.parametrize("name", SURFACE_NAMES)
 def test_a_rover_bounces_as_restitution_says(backend, name):
@@ -164,6 +166,7 @@ def test_a_rover_bounces_as_restitution_says(backend, name):
     assert np.mean(bounces) == pytest.approx(surface.restitution, abs=0.1)
 
 
+@pytest.mark.slow(all_but=["*mud*", "*concrete*"])
 @every_backend
 @pytest.mark.parametrize("sinkage", [False, True])
 @pytest.mark.parametrize("name", SURFACE_NAMES)
@@ -273,6 +276,7 @@ def test_a_world_without_a_map_is_left_alone(backend):
 NATURAL = {"surfaces": "natural", "sinkage": True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("world", "robots"), [("flat", 2), ("island", 1)])
 def test_natural_worlds_repeat_themselves(world, robots):
     def rollout(**other: bool) -> str:

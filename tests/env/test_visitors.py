@@ -48,6 +48,7 @@ def record(simulation: VectorSimulation, steps: int) -> list[Any]:
     return found
 
 
+@pytest.mark.slow(all_but=["sheep", "cow"])
 @pytest.mark.parametrize("body", ["sheep", "cow", "car"])
 def test_those_who_come_together_stand_beside_each_other(body: str) -> None:
     settings = guests(body, 6, arrive_s=[0.2, 0.2])
@@ -156,6 +157,7 @@ def test_states_that_were_handed_out_keep_their_goals() -> None:
     simulation.close()
 
 
+@pytest.mark.slow
 def test_pictures_are_of_somebody_who_is_there() -> None:
     agents = {
         "guest": {"body": "dog", "controller": "external", "presence": {"arrive_s": [5.0, 5.0]}},

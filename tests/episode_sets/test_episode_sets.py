@@ -83,6 +83,7 @@ def test_a_set_is_as_its_recipe_says(name: str) -> None:
     assert len({row.line().partition(",")[2] for row in rows}) == EPISODES
 
 
+@pytest.mark.slow(all_but=["flat-v1", "inspection-crowd-v1", "construction-site-v1"])
 @pytest.mark.parametrize("name", RECIPES)
 def test_rows_come_out_of_their_recipe_again_and_start(name: str) -> None:
     episode_set = read_episode_set(name)

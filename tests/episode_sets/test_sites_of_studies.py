@@ -16,6 +16,7 @@ REFERENCES = Path(__file__).parents[2] / "experiments" / "sets" / "references"
 SITES = 8
 
 
+@pytest.mark.slow(all_but=["island", "inspection"])
 @pytest.mark.parametrize("family", ["inspection", "construction", "rubicon", "island"])
 def test_sites_are_those_of_the_studies(family: str) -> None:
     # Sites with far goals may be larger than those of the family's other sets.

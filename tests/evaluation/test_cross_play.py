@@ -70,6 +70,7 @@ def settings(*words: str) -> EvaluateConf:
     return conf.model_copy(update={"episodes": 3})
 
 
+@pytest.mark.slow
 def test_every_policy_meets_every_population(run: Path, tmp_path: Path) -> None:
     out = tmp_path / "matrix"
     conf = settings(f"populations=[none,walkers,{run}]", "scenes=3")

@@ -51,6 +51,7 @@ def test_a_run_has_its_steps_and_a_cut_episode(call: Call, folder: Path) -> None
         assert row["reached"] == "0" and row["start_x_m"] == whole[row["episode"]]["start_x_m"]
 
 
+@pytest.mark.slow
 def test_runs_do_not_depend_on_processes_and_are_repeated(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,6 +88,7 @@ def test_runs_do_not_depend_on_processes_and_are_repeated(
     assert "rows were repeated and came out the same." in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_published_code_has_columns_of_its_own(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

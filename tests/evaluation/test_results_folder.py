@@ -93,6 +93,7 @@ def test_a_folder_holds_all_about_its_results(
     assert (config["episodes"], config["seed"], config["world"]["name"]) == (EPISODES, 140000, "flat")
 
 
+@pytest.mark.slow
 def test_results_are_never_replaced_unasked(
     call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,6 +119,7 @@ def test_results_are_never_replaced_unasked(
     assert "results is complete; there is nothing to resume" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_evaluation_that_was_cut_off_goes_on(
     call: Call,
     folder: Path,
@@ -193,6 +195,7 @@ def _command(pid: int) -> bytes:
         return b""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
 def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_set: str) -> None:
     words = ["policy=random", short_set, "scenes=1", "processes=2", "out=results"]
@@ -211,6 +214,7 @@ def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_se
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_processes(call: Call, folder: Path, short_set: str) -> None:
     words = [f"checkpoint={POLICY}", "against=random", short_set, "scenes=2"]
     assert call(evaluate.main, *words, "out=one") == 0
@@ -218,6 +222,7 @@ def test_rows_do_not_depend_on_processes(call: Call, folder: Path, short_set: st
     assert (folder / "one" / "episodes.csv").read_bytes() == (folder / "two" / "episodes.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_sample_is_repeated(
     call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

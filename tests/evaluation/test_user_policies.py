@@ -73,6 +73,7 @@ def test_a_function_and_a_class_drive(call: Call, folder: Path, module: str) -> 
     ]
 
 
+@pytest.mark.slow(all_but=["*missing*", "*short*", "*misspelt*"])
 @pytest.mark.parametrize(
     ("policy", "message"),
     [

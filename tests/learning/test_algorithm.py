@@ -63,6 +63,7 @@ def run(folder: Path, conf: LearningConf, frames: int, **more: Path) -> Trainer:
     return Trainer(make_two_groups, folder, conf, seed=1, total_frames=frames, **more)
 
 
+@pytest.mark.slow
 def test_a_run_with_it_is_saved_loaded_and_resumed(conf: LearningConf, tmp_path: Path) -> None:
     result = run(tmp_path / "run", conf, 512).train()
     assert result.updates == 2 * 512 // 64

@@ -18,6 +18,7 @@ def rows_of(name: str, scenes: int) -> list[dict[str, float]]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVERS)
 def test_the_number_of_scenes_changes_no_row(name: str) -> None:
     alone, beside = rows_of(name, 1), rows_of(name, 3)

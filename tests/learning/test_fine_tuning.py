@@ -47,6 +47,7 @@ def learned(made: Trainer) -> dict[str, torch.Tensor]:
     return {**state["policy"], **state["loss"]}
 
 
+@pytest.mark.slow
 def test_a_run_starts_with_policy_and_critics_of_the_last_checkpoint(source: Path, tmp_path: Path) -> None:
     made = begun(tmp_path / "run", source)
     found, saved = learned(made), weights(source)

@@ -102,6 +102,7 @@ def test_an_end_of_the_scene_ends_every_sequence(batch) -> None:
     assert not changed["next", "rover", "done"].any(), "the batch itself is left as it was"
 
 
+@pytest.mark.slow
 def test_halves_of_a_team_make_a_whole(tmp_path: Path) -> None:
     assert_halves_make_a_whole(make_team, tmp_path, frames=1024, half=700)
 
@@ -114,6 +115,7 @@ def two_groups(tmp_path_factory):
     return run, trainer(run, learning, make_env=make_two_groups, total_frames=768).train()
 
 
+@pytest.mark.slow
 def test_every_group_has_a_learner_and_files_of_its_own(two_groups) -> None:
     run, result = two_groups
     assert result.updates == 2 * ((768 - 512 + 128) // 16)
@@ -185,6 +187,7 @@ def test_go_to_goal_brings_cars_to_goals_wherever_they_are() -> None:
     assert average_metrics(rows)["TR"] >= 0.75
 
 
+@pytest.mark.slow
 def test_two_workers_in_step_hand_over_the_scenes_of_both(tmp_path: Path) -> None:
     conf = CollectorConf(mode="sync", workers=2, scenes=4, steps=8)
     learning = small(learning_starts=64, warm_up="go_to_goal", hidden=(8,), collector=conf)

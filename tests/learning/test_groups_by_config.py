@@ -29,6 +29,7 @@ def source(tmp_path_factory) -> Path:
     return run
 
 
+@pytest.mark.slow
 def test_each_group_has_settings_of_its_own(source: Path) -> None:
     sizes = {
         group: [tuple(value.shape) for key, value in entry["policy"].items() if key.endswith("weight")]

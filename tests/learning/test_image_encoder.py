@@ -135,6 +135,7 @@ def test_a_policy_sees_the_picture():
     assert not changed[:, : -3 * 64].any(), "vectors and scans stay as they are"
 
 
+@pytest.mark.slow
 def test_a_camera_alone_is_enough():
     env = make_torchrl_env(compose(["+world=flat", "sensors=[camera]"]), 2, 0)
     spec = PolicySpec.of(env, "rover")
@@ -144,6 +145,7 @@ def test_a_camera_alone_is_enough():
     env.close()
 
 
+@pytest.mark.slow
 def test_halves_make_a_whole_with_a_camera(tmp_path: Path):
     assert_halves_make_a_whole(MAKE_ENV, tmp_path, CONVOLUTIONS, frames=1024, half=700)
 

@@ -35,6 +35,7 @@ def kill_a_worker_after(trained: Trainer, frames: int) -> None:
     trained._make_collector = make_collector
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["async", "sync"])
 def test_a_killed_worker_ends_the_run_with_all_saved(mode: str, tmp_path: Path) -> None:
     # Without a warm-up, which has no workers.
@@ -52,6 +53,7 @@ def test_a_killed_worker_ends_the_run_with_all_saved(mode: str, tmp_path: Path) 
     assert resumed.train().frames >= frames + 128
 
 
+@pytest.mark.slow
 def test_a_worker_that_ends_at_any_moment_is_told() -> None:
     before = signal.getsignal(signal.SIGURG)
     for lifetime in (0.0, 0.02, 0.05):

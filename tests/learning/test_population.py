@@ -62,6 +62,7 @@ def collect(population: Population, *, scenes: int = 8, batches: int = 2, **chan
     return found
 
 
+@pytest.mark.slow
 def test_one_group_acts_as_at_present_and_the_others_by_their_past(population) -> None:
     batch = torch.cat(collect(population), dim=1)
     rover, walker = acted_by_past(batch, "rover"), acted_by_past(batch, "walker")
@@ -79,6 +80,7 @@ def test_one_group_acts_as_at_present_and_the_others_by_their_past(population) -
         assert known.all()
 
 
+@pytest.mark.slow
 def test_who_acts_stays_the_same_for_an_episode_and_depends_on_it_alone(population) -> None:
     batch = torch.cat(collect(population, scenes=6), dim=1)
     ends = batch["next", "done"].squeeze(-1)
@@ -108,6 +110,7 @@ def test_nothing_is_learned_of_what_a_snapshot_did(population) -> None:
         assert len(rows) == int((~idle).sum())
 
 
+@pytest.mark.slow
 def test_without_snapshots_or_in_other_episodes_all_act_as_at_present(tmp_path: Path) -> None:
     empty = Population(ALWAYS, learners(tmp_path))
     assert not acted_by_past(collect(empty, batches=1)[0], "rover").any()
@@ -149,6 +152,7 @@ def test_a_policy_begins_with_new_draws_in_any_number_of_scenes(population) -> N
 # -- runs ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_halves_with_a_population_make_a_whole(tmp_path: Path) -> None:
     population = PopulationConf(probability=0.8, every_frames=128, size=2)
     evaluation = EvaluationConf(every_frames=512, episodes=2, scenes=2)

@@ -102,6 +102,7 @@ class Recording(SilentReporter):
         self.seen.append(status)
 
 
+@pytest.mark.slow
 def test_success_is_that_of_the_policy_which_is_trained(tmp_path) -> None:
     recording = Recording()
     trainer(tmp_path / "run", small(), total_frames=2048, reporter=recording).train()

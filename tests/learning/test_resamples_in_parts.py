@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from dune_rl.core.seeding import stream
-from dune_rl.learning import bootstrap, paired_tests
+from dune_rl.statistics import bootstrap, paired_tests
 from dune_rl.statistics.intervals import estimate_mean
 from dune_rl.statistics.paired_tests import ratio_exchange_test, sign_flip_test
 
 MANY = 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", [estimate_mean, sign_flip_test])
 def test_ten_thousand_entries_take_bounded_memory(measure: Callable[[np.ndarray], object]) -> None:
     values = stream(0, "entries").normal(1.0, 1.0, MANY)

@@ -103,6 +103,7 @@ def pair(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return successes(random), successes(random)
 
 
+@pytest.mark.slow
 def test_the_test_over_sites_holds_its_level_and_that_of_mcnemar_does_not() -> None:
     random = np.random.default_rng(4)
     p_values, covered = [], []

@@ -79,6 +79,7 @@ def of_shares(random: np.random.Generator) -> Estimate:
     return estimate_proportion(random.random(EPISODES) < 0.85)
 
 
+@pytest.mark.slow(all_but=["*shares", "*rare_collisions", "-2.0-of_differences*"])
 @pytest.mark.parametrize(
     ("truth", "estimate"),
     [
@@ -101,6 +102,7 @@ def test_an_interval_covers_as_often_as_it_says(
     assert 0.93 <= coverage(truth, estimate) <= 0.97
 
 
+@pytest.mark.slow
 def test_agents_taken_for_independent_would_cover_too_seldom() -> None:
     def as_if_independent(random: np.random.Generator) -> Estimate:
         common = np.repeat(random.normal(3.0, 1.0, 50), 4)

@@ -44,6 +44,7 @@ def steps(folder: Path) -> dict[str, list[int]]:
     return found | {tag: [event.step for event in events.Histograms(tag)] for tag in tags["histograms"]}
 
 
+@pytest.mark.slow
 def test_a_resumed_run_has_the_points_of_a_whole_one(tmp_path: Path) -> None:
     learning = small(hidden=(8,))
     trainer(tmp_path / "whole", learning).train()
@@ -69,6 +70,7 @@ def _only_at(run: Trainer, frames: int) -> Any:
     return at
 
 
+@pytest.mark.slow
 def test_the_table_of_hyperparameters_has_a_row(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     learning = small(hidden=(8,))
@@ -116,6 +118,7 @@ def test_what_tells_runs_apart() -> None:
     assert choose_hyperparameters({"seed": 3}) == {"seed": 3}
 
 
+@pytest.mark.slow
 def test_films_move(tmp_path: Path) -> None:
     noise = np.random.default_rng(1)
     pictures = [noise.integers(0, 256, (180, 320, 3), np.uint8) for _ in range(50)]
@@ -126,6 +129,7 @@ def test_films_move(tmp_path: Path) -> None:
     EventFile(tmp_path / "none").film("film", [], 5.0, 0)
 
 
+@pytest.mark.slow(all_but=["1"])
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_tracks_are_drawn_on_the_maps_of_their_worlds(worlds: int, tmp_path: Path) -> None:
     words = ["+world=island", "task.terminations.time_limit.max_steps=8"]
@@ -148,6 +152,7 @@ def test_tracks_are_drawn_on_the_maps_of_their_worlds(worlds: int, tmp_path: Pat
     env.close()
 
 
+@pytest.mark.slow
 def test_training_fills_every_tab(tmp_path: Path) -> None:
     words = [
         *("+world=flat", "actors=none", "total_frames=1024", "learning.learning_starts=128"),

@@ -26,6 +26,7 @@ def test_halves_make_a_whole(tmp_path: Path) -> None:
     assert_halves_make_a_whole(make_point_mass, tmp_path)
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
     trainer(tmp_path / "a").train(stop_after_frames=768)
     trainer(tmp_path / "b").train(stop_after_frames=768)
@@ -45,6 +46,7 @@ def test_a_run_stopped_during_its_warm_up_goes_on_as_if_it_had_not_been(tmp_path
     assert not [key for key, value in whole.items() if not value.equal(halves[key])]
 
 
+@pytest.mark.slow
 def test_a_finished_run_keeps_its_files(tmp_path: Path) -> None:
     result = trainer(tmp_path / "run").train()
     assert [row["episode"] for row in result.evaluation["rover"]] == list(range(10))
@@ -58,6 +60,7 @@ def test_a_finished_run_keeps_its_files(tmp_path: Path) -> None:
     assert result.signal is None
 
 
+@pytest.mark.slow
 def test_workers_act_by_the_weights_that_they_are_sent() -> None:
     spec = PolicySpec.of(make_point_mass(4, 0), "rover")
 
@@ -86,6 +89,7 @@ def test_workers_act_by_the_weights_that_they_are_sent() -> None:
     assert not any(worker.is_alive() for worker in workers if not worker._closed)
 
 
+@pytest.mark.slow
 def test_async_run_resumes_its_counts(tmp_path: Path) -> None:
     first = trainer(tmp_path / "run").train(stop_after_frames=640)
     second = trainer(tmp_path / "run", small(mode="async"), resume=tmp_path / "run").train(1024)

@@ -15,6 +15,7 @@ CONF = compose(["+world=inspection", "task.terminations.time_limit.max_steps=40"
 MAKE_ENV = partial(make_learning_env, CONF)
 
 
+@pytest.mark.slow
 def test_halves_make_a_whole_on_inspection(tmp_path: Path) -> None:
     learning = small(learning_starts=128, warm_up="go_to_goal", hidden=(16,))
     assert_halves_make_a_whole(MAKE_ENV, tmp_path, learning, frames=512, half=300)

@@ -70,6 +70,7 @@ def test_random_actions_fill_the_bounds(specs) -> None:
     assert (actions.min(0).values < low + 0.05 * (high - low)).all()
 
 
+@pytest.mark.slow
 def test_halves_of_a_run_with_warm_ups_of_several_lengths_make_a_whole(tmp_path: Path) -> None:
     learning = small(
         hidden=(8,),

@@ -32,6 +32,7 @@ def has_fast_bfloat16(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
     return bool(request.param)
 
 
+@pytest.mark.slow(all_but=["without"])
 def test_automatic_precision_is_stored_as_what_was_used(has_fast_bfloat16: bool, tmp_path: Path) -> None:
     used = "bfloat16" if has_fast_bfloat16 else "float32"
     run = trainer(tmp_path / "run", small(precision="auto", hidden=(8,)), total_frames=256)
@@ -74,6 +75,7 @@ def test_going_on_with_another_precision_is_told(tmp_path: Path, monkeypatch: py
         trainer(tmp_path / "run", learning, **resume)._folder.release()
 
 
+@pytest.mark.slow
 def test_policies_say_how_they_were_chosen(tmp_path: Path) -> None:
     run = trainer(tmp_path / "run")
     result = run.train()

@@ -30,6 +30,7 @@ WANDERING: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     world = {"name": "island", "grass_cover": 0.3}
@@ -67,6 +68,7 @@ def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch
 GRIPPING_LEO = {"name": "leo_rover", "sideways_friction_share": 1.0}
 
 
+@pytest.mark.slow(all_but=["robot1-point_goal"])
 @pytest.mark.parametrize(
     ("robot", "task"), [("rover_zero", "paper"), (GRIPPING_LEO, "point_goal"), ("hyperdog", "dune_code")]
 )

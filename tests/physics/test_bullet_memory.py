@@ -256,6 +256,7 @@ def drive_with_short_pools() -> None:
     print("same")
 
 
+@pytest.mark.slow
 @on_linux
 def test_more_contacts_than_a_cut_pool_has_change_no_simulation():
     code = "from test_bullet_memory import drive_with_short_pools; drive_with_short_pools()"

@@ -35,6 +35,7 @@ def add(client: int, mesh: tuple[np.ndarray, np.ndarray]) -> None:
 
 
 # 2 * 120 * 120 triangles are a large mesh, 2 * 4 * 4 a small one.
+@pytest.mark.slow(all_but=["4"])
 @pytest.mark.parametrize("cells", [4, 120])
 def test_each_scene_gets_its_own_mesh(client: int, cells: int) -> None:
     low, high = ground(cells, 1.0), ground(cells, 2.0)

@@ -103,6 +103,7 @@ def tumble(backend: Backend, folder, seed: int, rover: RobotBody) -> tuple[list[
     return contacts, states
 
 
+@pytest.mark.slow(all_but=["0-bullet", "1-dart"])
 @every_backend
 @pytest.mark.parametrize("seed", range(3))
 def test_the_gate_loses_no_contact(backend, seed, tmp_path, monkeypatch):

@@ -71,6 +71,7 @@ def test_a_robot_passes_below_a_box_that_begins_above_it(backend):
     assert stage.position[0] > 4.0
 
 
+@pytest.mark.slow(all_but=["100.0-bullet"])
 @every_backend
 @pytest.mark.parametrize("limit_n", [100.0, 400.0])
 def test_a_box_pushes_with_its_limit_and_no_more(backend, limit_n, tmp_path):

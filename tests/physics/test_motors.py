@@ -322,6 +322,7 @@ def test_work_told_is_the_energy_that_a_wheel_has(backend):
     assert stage.engine.work_j() == 0.0
 
 
+@pytest.mark.slow(all_but=["dart"])
 @every_engine
 def test_energy_is_counted_where_it_is_asked_for(engine):
     def driven(**settings) -> VectorSimulation:

@@ -25,6 +25,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow(all_but=["a wall seen from above", "a sliver"])
 @pytest.mark.parametrize("name", SHAPES)
 def test_every_point_of_a_triangle_is_near_a_sample(name: str) -> None:
     corners = np.array(SHAPES[name])

@@ -258,6 +258,7 @@ def test_scenes_leave_each_other_alone(backend):
     assert rollout(mixed_stage(backend), after=other.place) == alone
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_bytes(backend):
     code = f"import scenes; scenes.print_rollout({backend.__module__!r}, {backend.__qualname__!r})"
     told = subprocess.run(

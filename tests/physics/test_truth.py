@@ -270,6 +270,7 @@ def test_an_inertial_unit_at_rest_feels_gravity(engine):
     np.testing.assert_allclose(np.mean(felt[15:], axis=(0, 1)), [0.0, 0.0, GRAVITY_MPS2], atol=0.02)
 
 
+@pytest.mark.slow(all_but=["rover_zero-0.129-bullet", "leo_rover-0.005-dart"])
 @every_backend
 @pytest.mark.parametrize(
     ("name", "top_m"), [("rover_zero", 0.129), ("leo_rover", 0.005), ("hyperdog", 0.035)]

@@ -172,6 +172,7 @@ def test_our_own_parts_are_there(registry: Registry[Any]) -> None:
         assert settings.model_fields[registry.tag].default == name
 
 
+@pytest.mark.slow
 def test_listing_imports_neither_torch_nor_an_engine() -> None:
     program = (
         "import sys; from dune_rl.worlds.registry import WORLDS; from dune_rl.tasks.registry import REWARDS; "

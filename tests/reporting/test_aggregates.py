@@ -62,6 +62,7 @@ def test_equal_scores_have_intervals_without_width_and_none_have_none() -> None:
     assert np.isnan(nothing.value) and nothing.count == 0
 
 
+@pytest.mark.slow
 def test_intervals_cover_what_they_estimate() -> None:
     draws = np.random.default_rng(3)
     hits = []

@@ -27,6 +27,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "page.md"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("committed", FILES, ids=lambda file: str(file.relative_to(ROOT)))
 def test_tables_of_the_repository_are_those_of_its_files(committed: Path) -> None:
     text = committed.read_text(encoding="utf-8")

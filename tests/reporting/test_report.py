@@ -60,6 +60,7 @@ class _Page(html.parser.HTMLParser):
         self.text += data
 
 
+@pytest.mark.slow
 def test_a_report_of_all_kinds_of_folders(
     call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -86,6 +87,7 @@ def test_a_report_of_all_kinds_of_folders(
     assert {path.suffix for path in (tmp_path / "r" / "tables").iterdir()} == {".tex", ".md", ".csv"}
 
 
+@pytest.mark.slow
 def test_the_page_needs_no_network_and_no_script(call: Call, tmp_path: Path) -> None:
     write_evaluation(tmp_path / "a", episode_rows("x", 3))
     assert call("a", "out=r") == 0
@@ -101,6 +103,7 @@ def test_the_page_needs_no_network_and_no_script(call: Call, tmp_path: Path) -> 
     assert not re.search(r"url\(|@import", (tmp_path / "r" / "index.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_names_of_users_are_text_everywhere(call: Call, tmp_path: Path) -> None:
     folder = "odd <i>& folder'é"
     rows = [*episode_rows(ODD, 4, share=1.0), *episode_rows("y", 4)]
@@ -119,6 +122,7 @@ def test_names_of_users_are_text_everywhere(call: Call, tmp_path: Path) -> None:
         assert ODD in {line["method"] for line in csv.DictReader(opened)}
 
 
+@pytest.mark.slow
 def test_names_that_look_like_formulae_are_drawn_as_they_read(call: Call, tmp_path: Path) -> None:
     rows = [*episode_rows(r"$\bad$", 4, share=1.0), *episode_rows("_y", 4)]
     write_evaluation(tmp_path / "a", rows)
@@ -158,6 +162,7 @@ def test_a_p_value_that_is_not_defined_is_a_dash_with_its_reason(tmp_path: Path)
     assert "nan" not in to_markdown(table)
 
 
+@pytest.mark.slow
 def test_equal_input_gives_equal_bytes(call: Call, tmp_path: Path) -> None:
     write_evaluation(tmp_path / "a", [*episode_rows("x", 6), *episode_rows("y", 6, share=0.2)])
     write_training(tmp_path / "run", 1)
@@ -193,6 +198,7 @@ def test_tables_have_the_figures_of_the_episodes(call: Call, tmp_path: Path) -> 
     assert float(success["effect"]) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_one_episode_alone_has_no_intervals(call: Call, tmp_path: Path) -> None:
     write_evaluation(tmp_path / "a", [*episode_rows("x", 1), *episode_rows("y", 1, share=0.0)])
     assert call("a", "out=r") == 0
@@ -208,6 +214,7 @@ def test_nothing_usable_is_an_error(call: Call, tmp_path: Path, capsys: pytest.C
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_unasked(
     call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -231,6 +238,7 @@ def test_nothing_is_overwritten_unasked(
     assert (tmp_path / "a" / "episodes.csv").exists()
 
 
+@pytest.mark.slow
 def test_without_out_each_report_has_a_folder(call: Call, tmp_path: Path) -> None:
     write_evaluation(tmp_path / "a=b", episode_rows("x", 3))
     assert call("a=b") == 0 == call("a=b")

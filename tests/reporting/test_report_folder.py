@@ -102,6 +102,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/a.csv"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("old", [False, True])
 def test_an_interrupted_command_says_that_nothing_has_changed(
     old: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -349,6 +349,7 @@ def test_odometry_follows_a_curve_by_wheels_and_steering(engine, tmp_path):
     simulation.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["bullet", "dart"])
 def test_the_same_seed_gives_the_same_bytes_again(engine, tmp_path):
     path = write_rocker_bogie(tmp_path, corners_steer=True)

@@ -175,6 +175,7 @@ def _action_bounds(simulation: VectorSimulation) -> tuple[np.ndarray, np.ndarray
     return simulation.group().action_bounds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "action"), [("bullet", "speed_and_heading"), ("bullet", "joints"), ("dart", "joints")]
 )
@@ -186,6 +187,7 @@ def test_the_same_seed_gives_the_same_walk_and_a_batch_of_four_is_four_of_one(en
     np.testing.assert_array_equal(np.concatenate(alone, axis=1), once)
 
 
+@pytest.mark.slow
 @every_engine
 def test_fallen_and_kicking_it_observes_within_bounds(engine):
     # Upside down is no end here, and the angles told are any.
@@ -228,6 +230,7 @@ def test_its_action_of_rest_stands(engine):
     simulation.close()
 
 
+@pytest.mark.slow(all_but=["bullet"])
 @every_engine
 def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     run = RecordedSimulation("flat", engine, "hyperdog", 4, 0)

@@ -78,6 +78,7 @@ def test_the_size_is_that_of_hull_and_wheels(make):
     np.testing.assert_allclose(reach, half, atol=0.012)
 
 
+@pytest.mark.slow
 def test_the_size_of_a_dog_is_that_of_its_legs_at_full_stride():
     reach = np.zeros(2)
     for speed, heading, yaw_rate in TWISTS:

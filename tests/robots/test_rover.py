@@ -176,6 +176,7 @@ def drive_with_strength(backend, strength: float, slope: float = 0.0) -> tuple[D
     return drive, uphill
 
 
+@pytest.mark.slow(all_but=["*dart*"])
 @every_backend
 @pytest.mark.parametrize("strength", [0.3, 0.45, 1.0])
 def test_weak_motors_climb_as_fast_as_their_curve_says(backend, strength):

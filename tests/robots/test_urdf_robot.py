@@ -349,6 +349,7 @@ def fuzz(folder: Path, first: int, last: int) -> tuple[int, int]:
     return int(robots), int(errors)
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused_or_read(tmp_path):
     robots, errors = fuzz(tmp_path, 0, 60)
     assert robots > 0

@@ -73,6 +73,7 @@ def digest() -> str:
     return hashlib.sha256(b"".join(frame.tobytes() for frame in frames.values())).hexdigest()
 
 
+@pytest.mark.slow
 def test_another_process_takes_the_same_pictures():
     environ = os.environ | {
         "PYTHONPATH": os.pathsep.join(sys.path),
@@ -219,6 +220,7 @@ def test_equal_seeds_take_equal_pictures():
     check_seeding(lambda: dune_rl.parallel_env("flat", sensors=SEEING, task=SHORT), 14)
 
 
+@pytest.mark.slow
 def test_the_gymnasium_environment_with_a_camera_keeps_the_rules():
     env = gymnasium.make("dune_rl/Flat-v0", sensors=SEEING, task=SHORT).unwrapped
     check_gymnasium(env)
@@ -239,6 +241,7 @@ def test_the_torchrl_environment_with_a_camera_keeps_the_rules(scenes):
     env.close()
 
 
+@pytest.mark.slow
 def test_a_list_of_sensors_is_short_for_those_enabled():
     short, long = (
         compose(["+world=flat", f"{name}=[camera,lidar]"]).sensors for name in ("sensors", "sensors.enabled")

@@ -17,6 +17,7 @@ from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.inspection.build import InspectionConf
 
 
+@pytest.mark.slow
 def test_grey_is_the_luma_of_rgb():
     world = build_world(InspectionConf(seed=3))
     camera = camera_in(world, (PERSON,))

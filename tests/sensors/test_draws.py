@@ -38,6 +38,7 @@ def test_everything_that_names_a_number_changes_it(draw):
         assert (base == other).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_another_process_draws_the_same_bytes():
     code = (
         "import numpy as np; from dune_rl.sensors.draws import normal, uniform;"

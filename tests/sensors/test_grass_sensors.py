@@ -42,6 +42,7 @@ def in_grass(beams: int = 2000) -> InGrass:
     return InGrass(EVERYWHERE, "lidar", directions, (0.0, 0.0, 0.2), 0.1)
 
 
+@pytest.mark.slow
 def test_beams_pass_by_chance_and_path_length():
     seen = in_grass().applied(np.full((2, 2000), 1.5, np.float32), standing([0, 1], 0))
     assert (seen == 1.5).mean() == pytest.approx(np.exp(-1.5 * BEAM_EXTINCTION), abs=0.012)

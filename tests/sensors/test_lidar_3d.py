@@ -97,6 +97,7 @@ def test_the_first_ring_is_the_highest_and_beams_run_counter_clockwise():
     assert ring[~ahead].min() > 8
 
 
+@pytest.mark.slow(all_but=["0.15"])
 @pytest.mark.parametrize("pitch", [0.0, 0.15])
 def test_rings_below_the_horizon_meet_the_ground_where_geometry_says(pitch):
     rotation = rotation_matrices(about([0, 1, 0], pitch))
@@ -119,6 +120,7 @@ def test_rings_below_the_horizon_meet_the_ground_where_geometry_says(pitch):
     assert (found["intensity"][~met] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_intensity_is_albedo_by_incidence_by_range():
     for colour, distance in (((0.9, 0.2, 0.1), 3.0), ((0.5, 0.5, 0.5), 8.0)):
         box = Prop(
@@ -175,6 +177,7 @@ def test_a_world_s_look_follows_its_solid_faces():
     assert 0.05 < ground.min() < 0.9 * ground.max() < 0.5
 
 
+@pytest.mark.slow
 def test_people_are_seen_at_their_pose_of_that_instant():
     lidar = lidar_3d_in(build_flat(FlatConf()), (PERSON, PERSON), range_m=10.0)
     for x, y in ((3.0, 0.0), (3.0, 0.5), (0.174, -2.0)):
@@ -200,6 +203,7 @@ def test_the_nearer_of_two_people_hides_the_other_whatever_their_order():
     assert seen[0][8, 256] == pytest.approx(2.0 - 0.25 - 0.174, abs=0.02)
 
 
+@pytest.mark.slow
 def test_walls_hide_people():
     lidar = lidar_3d_in(flat_with((2.0, 0.0, 0.0, 0.2, 4.0)), (PERSON,), n_rings=3, outputs=EVERYTHING)
     found = scan(lidar, actors=np.array([[[4.0, 0.0, 0.0, 0.0]]]))
@@ -239,6 +243,7 @@ def test_scenes_are_independent_and_only_those_that_begin_scan_anew():
     begin(lidar, np.zeros(3, bool), now)
 
 
+@pytest.mark.slow
 def test_readings_have_the_shapes_and_types_of_their_bounds():
     lidar = lidar_3d_in(build_flat(FlatConf()), scenes=2, n_rings=4, n_beams=30, fov_deg=115.0)
     bounds = lidar.bounds()

@@ -196,6 +196,7 @@ def test_the_planar_lidar_is_pybullet_s(site):
     assert people_seen > 50
 
 
+@pytest.mark.slow
 def test_the_rings_are_pybullet_s(site):
     conf = lidar_3d_conf(outputs=("range", "segmentation"))
     solid = site.world.solid_mesh()

@@ -144,6 +144,7 @@ def test_a_new_episode_repeats_the_last(backend):
     np.testing.assert_array_equal(run(), first)
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_bytes():
     environ = os.environ | {
         "PYTHONPATH": os.pathsep.join(sys.path),

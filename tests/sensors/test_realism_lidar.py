@@ -209,6 +209,7 @@ def test_settings_out_of_range_are_refused(settings, message):
         LidarRealismConf.model_validate(settings)
 
 
+@pytest.mark.slow
 def test_rings_have_the_same_faults():
     settings = {
         "enabled": ["lidar_3d"],

@@ -66,6 +66,7 @@ def has_path(open_cells: np.ndarray, start: tuple[int, int], goal: tuple[int, in
     return False
 
 
+@pytest.mark.slow(all_but=["0"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_five_hundred_placements_hold_all_promises(seed):
     world = inspection(seed)

@@ -267,6 +267,7 @@ def test_a_walker_goes_on_to_its_next_way_point() -> None:
     assert ended(agents(distance=0.49), walking_task()) == {"goal_reached", "renews"}
 
 
+@pytest.mark.slow(all_but=["20"])
 @pytest.mark.parametrize("control_hz", [4, 20, 50])
 def test_a_walker_earns_its_progress_at_any_control_rate(control_hz: int) -> None:
     path = {"controller": "external", "waypoints": [[-8.0, 8.0], [8.0, 8.0]], "start_distance_m": 0.0}

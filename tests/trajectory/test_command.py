@@ -83,6 +83,7 @@ def test_all_faults_are_named_at_once():
     assert len(lines) == 4 and lines[0].startswith("choose a world")
 
 
+@pytest.mark.slow
 def test_worlds_are_options_with_settings_or_files(tmp_path, monkeypatch):
     assert choose_world("flat", ["world.friction=0.5"]).friction == 0.5
     yard = choose_world(str(write_yard(tmp_path, "glb")))

@@ -118,6 +118,7 @@ def test_the_last_of_many_kinds_are_put_together() -> None:
     assert area(found[-1].triangles) == pytest.approx(0.7 + 0.6 + 0.5)
 
 
+@pytest.mark.slow(all_but=["construction", "inspection", "island"])
 @pytest.mark.parametrize("name", WORLDS)
 def test_every_solid_prop_is_on_the_map(name: str) -> None:
     world = site(name).world

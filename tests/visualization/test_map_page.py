@@ -45,6 +45,7 @@ def test_a_page_says_what_is_on_it() -> None:
         assert box_px.width / across == pytest.approx(box_px.height / up, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_region_as_large_as_the_world_needs_one_panel() -> None:
     here = maps.map_content(conf_of("+world=flat", "task.spawn.region=anywhere", "world.size_m=20"), [])
     figure = draw_site_map(here, "flat", "", 72)
@@ -52,6 +53,7 @@ def test_a_region_as_large_as_the_world_needs_one_panel() -> None:
     assert len([axes for axes in figure.axes if axes.get_xlabel()]) == 1
 
 
+@pytest.mark.slow
 def test_positions_below_objects_have_their_legend() -> None:
     words = "the same, below an object"
     assert words in texts(draw_site_map(site("inspection"), "", "", 72))
@@ -67,6 +69,7 @@ def test_the_closer_panel_holds_all_that_was_driven() -> None:
     assert "stuck: 1 of 1" in texts(figure)
 
 
+@pytest.mark.slow(all_but=["island-True"])
 @pytest.mark.parametrize("driven", [False, True])
 @pytest.mark.parametrize("name", WORLDS)
 def test_nothing_written_overlaps_or_leaves_the_page(name: str, driven: bool) -> None:
@@ -97,6 +100,7 @@ def test_nothing_written_overlaps_or_leaves_the_page(name: str, driven: bool) ->
 # -- the command --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["flat"])
 @pytest.mark.parametrize("name", WORLDS)
 def test_each_world_has_a_map_of_the_stated_size(
     name: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
@@ -109,6 +113,7 @@ def test_each_world_has_a_map_of_the_stated_size(
         assert len(picture.convert("RGB").getcolors(2**20)) > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["glb", "obj"])
 def test_an_imported_world_has_a_map(kind: str, call: Call, folder: Path) -> None:
     file = write_yard(folder, kind)
@@ -124,6 +129,7 @@ def test_an_imported_world_has_a_map(kind: str, call: Call, folder: Path) -> Non
     assert (np.abs(corners - CRATE).max(axis=1) < 0.51).sum() >= 6
 
 
+@pytest.mark.slow
 def test_equal_settings_give_equal_bytes_and_a_seed_others(call: Call, folder: Path) -> None:
     words = ["+world=island", "view=map", COARSE, "policy=go_to_goal", "episodes=2"]
     words.append("task.terminations.time_limit.max_steps=60")
@@ -134,6 +140,7 @@ def test_equal_settings_give_equal_bytes_and_a_seed_others(call: Call, folder: P
     assert made[0] == made[1] != made[2]
 
 
+@pytest.mark.slow(all_but=["words0*"])
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -176,6 +183,7 @@ def test_ctrl_c_leaves_no_half_a_file(call: Call, folder: Path, monkeypatch: pyt
     assert not list((folder / "views").iterdir())
 
 
+@pytest.mark.slow
 def test_the_regions_to_choose_from_are_on_the_map_with_their_numbers(tmp_path) -> None:
     content = maps.map_content(conf_of("+world=sdf", f"world.path={write_site(tmp_path, 'maze')}"), [])
     figure = draw_site_map(content, "maze", "", 72)

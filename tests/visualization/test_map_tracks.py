@@ -124,6 +124,7 @@ def test_tracks_are_those_of_the_episodes_of_the_seed() -> None:
         assert np.hypot(*np.diff(each.points, axis=0).T).max() < 0.2
 
 
+@pytest.mark.slow
 def test_more_episodes_than_scenes_are_driven_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     conf = conf_of("+world=flat", "actors=none", "policy=go_to_goal", "episodes=3", "seed=4")
     together = maps.drive_episodes(conf, QUIET)
@@ -133,6 +134,7 @@ def test_more_episodes_than_scenes_are_driven_alike(monkeypatch: pytest.MonkeyPa
         np.testing.assert_array_equal(a.points, b.points)
 
 
+@pytest.mark.slow
 def test_all_agents_of_all_groups_have_tracks() -> None:
     words = ["robots=[rover_zero,rover_zero,leo_rover]", "policy=go_to_goal", "episodes=1"]
     conf = conf_of("+world=flat", *words)
@@ -179,6 +181,7 @@ def test_endings_are_described(ended: list[str], collisions: int, text: str) -> 
     assert describe_ending(state, 0) == "cut short"
 
 
+@pytest.mark.slow
 def test_a_map_names_the_actors_that_have_no_room() -> None:
     cars = "+actors.traffic={body: car, controller: go_to_goal, count: 20}"
     with pytest.raises(WorldError, match=r"^traffic \(count 20\): actors\.traffic\.task\.spawn\.region"):

@@ -63,6 +63,7 @@ def test_a_sheet_and_a_film_are_made(call: Call, folder: Path, capsys: pytest.Ca
     assert np.abs(frames[11:].astype(int) - frames[10]).mean() < 3.0
 
 
+@pytest.mark.slow
 def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(call: Call, folder: Path) -> None:
     assert call(*TINY, "robot=hyperdog", "view=sheet") == 0
     assert (folder / "views" / "flat_sheet.png").is_file()
@@ -85,6 +86,7 @@ def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
     assert length_s == pytest.approx(10 / 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(64, 64), (130, 70)])
 def test_a_film_has_the_size_asked_for(size: tuple[int, int], call: Call, folder: Path) -> None:
     words = ["view=video", BLIND, f"width={size[0]}", f"height={size[1]}", "longest_s=0.1"]
@@ -105,17 +107,20 @@ def film_of(call: Call, *words: str) -> np.ndarray:
     return frames_of(Path("views") / "flat_seed0.mp4")[0]
 
 
+@pytest.mark.slow
 def test_films_of_one_seed_are_the_same_and_drivers_differ(call: Call, folder: Path) -> None:
     driven = film_of(call, "view=video")
     np.testing.assert_array_equal(film_of(call, "view=video", "policy=go_to_goal"), driven)
     assert (film_of(call, "view=video", "policy=random") != driven).any()
 
 
+@pytest.mark.slow
 def test_a_sheet_before_it_does_not_change_a_film(call: Call, folder: Path) -> None:
     alone = film_of(call, "view=video", "policy=random")
     np.testing.assert_array_equal(film_of(call, "view=both", "policy=random"), alone)
 
 
+@pytest.mark.slow
 def test_the_agent_that_is_followed_is_chosen_by_name(call: Call, folder: Path) -> None:
     words = [word for word in TINY if word != "actors=none"]
     pictures = []
@@ -163,6 +168,7 @@ def test_a_checkpoint_that_is_not_there_is_named(
     assert not list(folder.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "group"), [("rover_zero", "rover"), ("hyperdog", "hyperdog")])
 def test_a_checkpoint_drives(robot: str, group: str, call: Call, folder: Path) -> None:
     words = ["sensors=[goal,velocity]", "actors=none", f"robot={robot}"]

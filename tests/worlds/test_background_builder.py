@@ -40,6 +40,7 @@ def kept(store: WorldStore) -> int:
     return sum(store.is_cached(conf) for conf in CONFS)
 
 
+@pytest.mark.slow
 def test_another_process_fills_the_cache_and_ends_with_the_store(tmp_path: Path) -> None:
     store = WorldStore(tmp_path)
     store.prepare([FlatConf()])
@@ -59,6 +60,7 @@ def test_another_process_fills_the_cache_and_ends_with_the_store(tmp_path: Path)
     assert store.builder_pid is None
 
 
+@pytest.mark.slow
 def test_what_cameras_need_is_worked_out_if_asked(tmp_path: Path) -> None:
     store, plane = WorldStore(tmp_path), FlatConf(size_m=20.0)
     wanted = [plane, CONFS[0]]
@@ -69,6 +71,7 @@ def test_what_cameras_need_is_worked_out_if_asked(tmp_path: Path) -> None:
     store.close()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_built_does_not_stop_the_rest(tmp_path: Path) -> None:
     store = WorldStore(tmp_path)
     store.prepare([MeshConf(path=str(tmp_path / "missing.obj")), MeshConf(path="x" * 5000), *CONFS])
@@ -76,6 +79,7 @@ def test_what_cannot_be_built_does_not_stop_the_rest(tmp_path: Path) -> None:
     store.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["return", "interrupt", "kill", "kill with a fork alive"])
 def test_it_ends_with_its_parent_however_that_ends(tmp_path: Path, end: str) -> None:
     code = """

@@ -80,6 +80,7 @@ def test_what_is_made_of_a_thing_is_made_once_and_forgotten_with_it() -> None:
     assert made == ["a", "b", "b"]
 
 
+@pytest.mark.slow
 def test_a_world_goes_when_no_scene_is_in_it() -> None:
     worlds = [build_island(IslandConf(seed=seed)) for seed in (7, 8)]
     sites = BatchedWorlds([(worlds[0], CLEAR), (worlds[1], CLEAR)])
@@ -184,6 +185,7 @@ def test_scenes_that_look_alike_share_a_look(islands: list[World]) -> None:
     assert sites.appearances[2] is looks[0]
 
 
+@pytest.mark.slow
 def test_another_light_on_a_known_world_is_that_of_a_new_one() -> None:
     light = LightConf(sun_bearing_deg=-57.0, sun_elevation_deg=17.0, brightness=0.8)
     known, new = (build_island(IslandConf(seed=4)) for _ in range(2))

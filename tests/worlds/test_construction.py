@@ -39,6 +39,7 @@ def largest_share(world: World, radius_m: float) -> float:
     return float(counts.max() / counts.sum())
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_floor_is_level_with_low_mounds(seed):
     world = construction(seed)
@@ -95,6 +96,7 @@ def test_props_are_closed_and_stand_in_the_floor(seed):
                 assert len(foot), f"{p.name} has a part that floats"
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_all_rooms_are_joined_and_full_of_things(seed):
     world = construction(seed)
@@ -104,6 +106,7 @@ def test_all_rooms_are_joined_and_full_of_things(seed):
     assert largest_share(world, 0.45) > 0.97
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_another_process():
     assert digest_in_another_process("construction", "ConstructionConf(seed=3)") == digest(construction(3))
     assert digest(construction(3)) != digest(construction(4))
@@ -169,6 +172,7 @@ def test_doors_must_fit_the_rooms():
         ConstructionConf(door_width_m=2.0)
 
 
+@pytest.mark.slow
 def test_rovers_stand_and_reach_goals():
     batch = rovers_in(construction(0), 8)
     assert all_stand(batch)

@@ -33,6 +33,7 @@ def advice(folder, scale: float = 1.0, turn: bool = False, kind: str = "stl", **
     return "\n".join(str(each.message) for each in caught)
 
 
+@pytest.mark.slow
 def test_a_mesh_in_millimetres_is_told_its_unit(tmp_path):
     text = advice(tmp_path, 1000.0)
     assert (
@@ -46,6 +47,7 @@ def test_a_mesh_that_is_too_small_is_told_a_larger_unit(tmp_path):
     assert "too little to drive on" in text and "if that is too small, try world.unit_m=1000" in text
 
 
+@pytest.mark.slow
 def test_a_mesh_on_its_side_is_told_the_axis(tmp_path):
     assert "as if it were on its side: try world.up=y" in advice(tmp_path, turn=True)
     assert advice(tmp_path, turn=True, up="y") == ""

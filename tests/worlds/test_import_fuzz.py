@@ -59,6 +59,7 @@ def fuzz(folder: Path, kinds: str, first: int, last: int) -> dict[str, tuple[int
     return {kind: (int(worlds), int(errors)) for kind, worlds, errors in counts}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", ["obj,stl,ply", "glb,dae,sdf", "tif,png,npy"])
 def test_damaged_files_are_refused_or_read(tmp_path, kinds):
     found = fuzz(tmp_path, kinds, 0, 20)

@@ -31,6 +31,7 @@ def fit_with_noise(rng: np.random.Generator) -> Fit:
     return noisy
 
 
+@pytest.mark.slow(all_but=["73"])
 @pytest.mark.parametrize("seed", [50, 73, 1000, 1001, 123456])
 def test_terrain_does_not_hang_on_last_bits(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert known_amplitudes(seed) is None

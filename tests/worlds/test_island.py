@@ -104,6 +104,7 @@ def test_boxes_stand_in_the_ground_and_leave_ways(seed):
     assert 0.55 <= check_ways(world) <= 0.92
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_another_process():
     assert digest_in_another_process("island", "IslandConf(seed=3)") == digest(island(3))
     assert digest(island(3)) != digest(island(4))
@@ -159,6 +160,7 @@ def test_bad_settings_are_refused(wrong):
         IslandConf(**wrong)
 
 
+@pytest.mark.slow
 def test_rovers_stand_and_reach_goals():
     batch = rovers_in(island(0), 5)
     assert all_stand(batch)

@@ -67,6 +67,7 @@ def test_seams_are_not_felt(tmp_path, monkeypatch):
     assert np.linalg.norm(parted - whole, axis=1).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_rover_drives_on_a_map_of_600_by_600(tmp_path):
     world = hilly_map(tmp_path, 30.0, 600)
     assert world.terrain.heights.shape == (600, 600)

@@ -158,6 +158,7 @@ def test_the_same_file_gives_the_same_world(built, tmp_path):
         np.testing.assert_array_equal(first.vertices, second.vertices)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SHARED_WORLDS.is_dir(), reason="the worlds of others are not here")
 def test_the_agriculture_world():
     path = SHARED_WORLDS / "agriculture_world.dae"

@@ -33,6 +33,7 @@ def is_within(inner: Rectangle, outer: Rectangle) -> bool:
     return inner[0] >= outer[0] and inner[1] <= outer[1] and inner[2] >= outer[2] and inner[3] <= outer[3]
 
 
+@pytest.mark.slow(all_but=["house-inside1-25.0", "crates-inside3-50.0"])
 @pytest.mark.parametrize(
     ("name", "inside", "least_m2"),
     [
@@ -89,6 +90,7 @@ def test_without_objects_the_region_is_open_ground_in_the_middle(tmp_path):
     np.testing.assert_allclose(world.region, (-4, 4, -4, 4), atol=0.11)
 
 
+@pytest.mark.slow
 def test_a_number_chooses_another_region_and_a_rectangle_any(tmp_path):
     candidates = build(tmp_path, "maze").region_candidates
     assert [each.place for each in candidates] == [BETWEEN_OBJECTS, OPEN_GROUND]
@@ -101,6 +103,7 @@ def test_a_number_chooses_another_region_and_a_rectangle_any(tmp_path):
         compose_environment("sdf", [path, "world.region=0"])
 
 
+@pytest.mark.slow
 def test_the_choice_is_told_in_one_line(tmp_path):
     conf = compose_environment("sdf", [f"world.path={write_site(tmp_path, 'maze')}"])
     (line,) = describe_world(conf)
@@ -123,10 +126,12 @@ def test_candidates_are_kept_in_the_cache(tmp_path):
     assert describe_choice(again.region, again.region_candidates) is not None
 
 
+@pytest.mark.slow
 def test_the_same_file_has_the_same_regions(tmp_path):
     assert build(tmp_path, "crates").region_candidates == build(tmp_path, "crates").region_candidates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["maze", "house"])
 def test_an_environment_of_rooms_and_corridors_starts_with_its_default_actors(tmp_path, name):
     env = dune_rl.parallel_env(world={"name": "sdf", "path": str(write_site(tmp_path, name))}, seed=1)
@@ -137,6 +142,7 @@ def test_an_environment_of_rooms_and_corridors_starts_with_its_default_actors(tm
         env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SHARED_WORLDS.exists(), reason="needs the shared worlds")
 def test_on_a_farm_the_first_region_is_between_the_solar_arrays():
     with warnings.catch_warnings():

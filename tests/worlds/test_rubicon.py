@@ -34,6 +34,7 @@ def other(**settings: float) -> World:
     return build_rubicon(RubiconConf(seed=1, **settings))
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_slopes_and_relief_are_at_least_inspection_s(seed):
     world = rubicon(seed)
@@ -61,6 +62,7 @@ def test_bumps_have_the_spectrum_of_natural_ground(seed):
     assert exponent == pytest.approx(-(2.0 * HURST + 2.0), abs=0.6)
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_rocks_and_trunks_stand_in_the_way_and_leave_ways(seed):
     world = rubicon(seed)
@@ -82,6 +84,7 @@ def test_numbers_of_rocks_fall_with_their_size_as_a_power(seed):
     assert np.polyfit(np.log(sizes), np.log(numbers), 1)[0] == pytest.approx(-1.35, abs=0.25)
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_props_are_closed_and_no_gap_shows_under_them(seed):
     world = rubicon(seed)
@@ -138,11 +141,13 @@ def test_trunks_block_and_leaves_do_not():
     assert passed > 0.95 * len(trunks)
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_another_process():
     assert digest_in_another_process("rubicon", "RubiconConf(seed=3)") == digest(rubicon(3))
     assert digest(rubicon(3)) != digest(rubicon(4))
 
 
+@pytest.mark.slow
 def test_steeper_settings_give_steeper_ground():
     gentle, as_is, steep = (
         slope_deg(other(slope_rad=slope), (-22, 22, -22, 22), 50)[0] for slope in (0.1, 0.23, 0.35)
@@ -151,6 +156,7 @@ def test_steeper_settings_give_steeper_ground():
     assert steep > as_is + 3.0
 
 
+@pytest.mark.slow
 def test_rougher_settings_give_rougher_ground():
     smooth, as_is, rough = (roughness_m(other(roughness_m=r).terrain, 16.0) for r in (0.0, 0.07, 0.14))
     # The hills alone leave a little.
@@ -158,6 +164,7 @@ def test_rougher_settings_give_rougher_ground():
     assert rough > 1.7 * as_is
 
 
+@pytest.mark.slow
 def test_more_rocks_and_more_trees_obstruct_more():
     bare = obstructed_share(other(rocks_per_100m2=0.0, trees_per_100m2=0.0))
     wooded = obstructed_share(other(rocks_per_100m2=0.0, trees_per_100m2=6.0))
@@ -203,6 +210,7 @@ def test_bad_settings_are_refused(wrong):
         RubiconConf(**wrong)
 
 
+@pytest.mark.slow
 def test_rovers_stand_and_reach_goals():
     batch = rovers_in(rubicon(0), 6)
     assert all_stand(batch)

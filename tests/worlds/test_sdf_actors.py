@@ -183,6 +183,7 @@ def test_an_environment_has_the_file_s_actors_unless_told_otherwise(tmp_path):
     assert set(compose_environment("sdf", [f"world.path={empty}"]).actors) == {"walker"}
 
 
+@pytest.mark.slow
 def test_settings_of_the_file_s_actors_count(tmp_path):
     path = write(tmp_path, actor("a", *SQUARE), actor("b", *SQUARE))
 
@@ -237,6 +238,7 @@ def test_actors_walk_on_time_on_the_ground_in_every_scene(tmp_path):
         simulation.close()
 
 
+@pytest.mark.slow
 def test_robots_start_away_from_actors(tmp_path):
     simulation = simulation_of(
         write(tmp_path, actor("a", *SQUARE)), task={"spawn": {"region": [0.0, 4.0, 0.0, 4.0]}}
@@ -251,6 +253,7 @@ def test_robots_start_away_from_actors(tmp_path):
         simulation.close()
 
 
+@pytest.mark.slow
 def test_an_actor_that_a_robot_holds_up_is_late_and_walks_on(tmp_path):
     walk = actor("a", *line(0, 8, 0), script="<loop>false</loop>")
     simulation = simulation_of(write(tmp_path, walk))

@@ -98,6 +98,7 @@ def test_a_model_folder_is_read_by_its_config(tmp_path):
     refused(empty, "has no model.sdf or world.sdf")
 
 
+@pytest.mark.slow
 def test_includes_in_a_loop_or_too_many_are_refused(tmp_path):
     write_model(tmp_path, "a", f'<model name="a"><static>1</static>{include("model://b")}</model>')
     write_model(tmp_path, "b", f'<model name="b"><static>1</static>{include("model://a")}</model>')

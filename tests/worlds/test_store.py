@@ -97,6 +97,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[WorldSettings]:
     return built
 
 
+@pytest.mark.slow(all_but=["construction", "mesh", "sdf", "island"])
 @pytest.mark.parametrize(
     "name", ["inspection", "construction", "rubicon", "island", "mesh", "sdf", "heightmap"]
 )
@@ -118,6 +119,7 @@ def test_a_kept_world_is_the_built_one(tmp_path: Path, name: str, counted: list[
         np.testing.assert_array_equal(second.grass.drag(ground, 0.3), fresh.grass.drag(ground, 0.3))
 
 
+@pytest.mark.slow(all_but=["flat"])
 @pytest.mark.parametrize("conf", [QUICK, FlatConf(size_m=20.0)], ids=lambda conf: conf.name)
 def test_looks_are_kept_beside_worlds(
     tmp_path: Path, conf: WorldSettings, monkeypatch: pytest.MonkeyPatch
@@ -318,6 +320,7 @@ def test_an_imported_world_follows_its_files(tmp_path: Path, counted: list[World
     assert len(counted) == 4 and world_key(conf) != key
 
 
+@pytest.mark.slow
 def test_two_processes_may_keep_the_same_world(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from dune_rl.worlds.cache.store import WorldStore;"

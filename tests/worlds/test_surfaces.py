@@ -125,6 +125,7 @@ def test_maps_of_other_than_surface_numbers_are_refused(numbers):
         SurfaceMap(numbers, EXTENT)
 
 
+@pytest.mark.slow(all_but=["construction-expected2", "inspection-expected1", "island-expected4"])
 @pytest.mark.parametrize(("name", "expected"), GENERATED.items())
 def test_natural_worlds_have_their_surfaces_and_keep_all_else(name, expected):
     plain, natural = world_of(name), world_of(name, surfaces="natural")
@@ -148,6 +149,7 @@ def test_seeds_move_surfaces_and_steep_ground_is_rock():
         assert slope[rock].mean() > 1.2 * slope[~rock].mean()
 
 
+@pytest.mark.slow
 def test_the_bridge_is_of_wood_and_stones_are_rock():
     for name, kind, surface in (("inspection", "bridge", "wood"), ("rubicon", "stones", "rock")):
         world = world_of(name, surfaces="mud")
@@ -284,6 +286,7 @@ def test_imported_sinkage_needs_a_map(heights):
         heights(sinkage=True)
 
 
+@pytest.mark.slow
 def test_a_rover_drives_over_a_natural_world():
     simulation = started_simulation(
         {"name": "inspection", "surfaces": "natural", "sinkage": True}, num_scenes=2

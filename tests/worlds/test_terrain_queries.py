@@ -88,6 +88,7 @@ def test_a_box_is_nearest_at_its_side() -> None:
     np.testing.assert_allclose(nearest, [[2.0, 0.0], [2.5, 0.5], [2.5, 0.0]], atol=0.1)
 
 
+@pytest.mark.slow
 def test_queries_take_any_shape_and_answer_where_there_is_nothing() -> None:
     flat = build_flat(FlatConf())
     points = np.zeros((3, 4, 2))

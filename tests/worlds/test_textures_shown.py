@@ -11,6 +11,7 @@ from sensors_of_rover_zero import camera_conf
 from textured_files import SIGN, quadrants, textured_yard, write_textured_yard
 from world_files import ground_height
 
+from dune_rl.core import untrusted_files
 from dune_rl.core.untrusted_files import ImportReport, WorldWarning
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf, srgb_to_linear
@@ -19,7 +20,6 @@ from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.camera import Camera
 from dune_rl.worlds.appearance import bake_in_weather, bake_world, build_scenery, with_own_sun
-from dune_rl.worlds.importing import untrusted_files
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 from dune_rl.worlds.world import Prop, World
@@ -48,6 +48,7 @@ def nearest(colour: np.ndarray) -> str:
     return max(unit, key=lambda name: float(unit[name] @ seen))
 
 
+@pytest.mark.slow(all_but=["glb"])
 def test_a_picture_shows_a_sign_upright_and_the_right_way_round(yard):
     # Seen from lower x, left is greater y.
     view = Viewpoint((-3.0, 0.0, SIGN_FOOT + 1.0), (*SIGN, SIGN_FOOT + 1.0), 0.6)

@@ -59,6 +59,7 @@ def fault(*words: str, folders: tuple[str, ...] = ()) -> str:
     return str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_tutorial_s_world_as_a_new_user_tries_it(user: Path) -> None:
     command = re.search(r"^python -m (dune_rl\.evaluate \+world=crater .*)$", SHOWN, flags=re.MULTILINE)
     assert command is not None
@@ -72,6 +73,7 @@ def test_the_tutorial_s_world_as_a_new_user_tries_it(user: Path) -> None:
     assert len(table.read_text().splitlines()) == 3
 
 
+@pytest.mark.slow
 def test_a_function_is_a_world_like_any_other(user: Path) -> None:
     conf = compose(["+world=crater", "world.depth_m=3", "world.rocks=4"])
     saved = conf.model_dump(mode="json")
@@ -103,6 +105,7 @@ def test_the_faults_of_settings_have_the_words_they_have_elsewhere(user: Path) -
         compose_evaluation(["checkpoint=x"], (), saved)
 
 
+@pytest.mark.slow
 def test_a_folder_of_options_varies_any_world(user: Path) -> None:
     (user / "my" / "world" / "deep.yaml").write_text("name: crater\ndepth_m: 4\n")
     (user / "my" / "world" / "hole.yaml").write_text(
@@ -154,6 +157,7 @@ def fails(seed: int = 0): return World(seed)
 """
 
 
+@pytest.mark.slow
 def test_a_broken_package_is_named_and_harms_no_other_world(user: Path) -> None:
     (user / "broken.py").write_text(MODULE)
     points = {name: value for name, (value, _) in BROKEN.items()}
@@ -189,6 +193,7 @@ def test_listing_and_other_worlds_import_no_package(user: Path) -> None:
     assert "my_worlds" not in sys.modules
 
 
+@pytest.mark.slow
 def test_a_registered_function_travels_to_other_processes(user: Path) -> None:
     dune_rl.register_world(dish)
     conf = compose(["+world=dish", "world.depth_m=2"]).world

@@ -124,6 +124,7 @@ def test_free_space_labels_what_a_wall_divides():
     assert beyond == 0
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_inspection_has_the_site_s_figures(seed):
     world = inspection(seed)
@@ -197,6 +198,7 @@ def test_props_stand_in_the_ground_and_not_below_it(seed):
             assert all(grounded) if kind != "stand" else any(grounded), f"{thing.name} has a part that floats"
 
 
+@pytest.mark.slow(all_but=["[0-2]"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_bridge_can_be_driven_over(seed):
     world = inspection(seed)
@@ -241,6 +243,7 @@ def test_yard_obstacles_are_seen_by_a_lidar_and_leave_one_free_part(seed):
         assert seen.mean() > 0.5, p.name
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_another_process():
     other = digest_in_another_process("inspection", "InspectionConf(seed=3)")
     assert other == digest(build_inspection(InspectionConf(seed=3)))

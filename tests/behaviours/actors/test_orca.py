@@ -82,6 +82,7 @@ def test_velocities_are_those_of_the_library_rvo2() -> None:
     assert np.median(different) < 1e-5 and np.mean(np.array(different) > 1e-3) < 0.02
 
 
+@pytest.mark.slow
 def test_eight_people_on_a_circle_swap_places_without_touching() -> None:
     poses = circle(8, 4.0)
     opposite = [(-x, -y) for x, y, _ in poses[0].tolist()]

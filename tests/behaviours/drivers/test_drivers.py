@@ -14,6 +14,7 @@ WALL = (0.0, -2.0, 0.0, 0.4, 16.0)
 POST = np.array([[2.5, 0.05, 0.4]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", [Planner, Mppi])
 def test_a_row_does_not_depend_on_the_other_rows(driver) -> None:
     starts = np.array([[-4.0, 0.0, 0.0], [0.0, 3.0, 1.0], [2.0, -4.0, -2.0]])

@@ -93,6 +93,7 @@ def evaluated(call: Callable[..., int], folder: Path) -> EvaluationRun:
     return read_evaluation(folder / "results")
 
 
+@pytest.mark.slow
 def test_pictures_are_of_the_seconds_before_the_same_failure(evaluated: EvaluationRun) -> None:
     gallery = collect_failures(methods_of(evaluated))
     (shown,) = gallery.shown
@@ -110,6 +111,7 @@ def test_pictures_are_of_the_seconds_before_the_same_failure(evaluated: Evaluati
     assert "go_to_goal" in label and "out of time" in label and "episode 0" in label and "one of 2" in label
 
 
+@pytest.mark.slow
 def test_an_episode_that_comes_out_otherwise_is_shown_from_its_steps(evaluated: EvaluationRun) -> None:
     for row in evaluated.episodes:
         row["steps"] = 29.0
