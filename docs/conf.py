@@ -12,7 +12,7 @@ author = "dune_rl contributors"
 copyright = author
 release = dune_rl.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "expand_pages", "short_types"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "expand_pages", "films", "parameter_tables", "short_types"]
 exclude_patterns = ["_build", "_ext"]
 
 myst_enable_extensions = ["attrs_inline", "dollarmath"]

@@ -312,6 +312,7 @@ def surfaces_table() -> str:
 
 def measures_table() -> str:
     """The measures of evaluations, with the metric that each is made of."""
+    escaped = "\\|"
     rows = []
     for measure in CATALOGUE:
         of = f"`{measure.metric}`" + (f" / `{measure.per}`" if measure.per else "")
@@ -320,11 +321,11 @@ def measures_table() -> str:
             of,
             measure.meaning,
             measure.unit,
-            measure.formula.replace("|", "\\|"),
+            measure.formula,
             measure.source,
             measure.better or "",
         )
-        rows.append(f"| {' | '.join(cells)} |")
+        rows.append(f"| {' | '.join(cell.replace('|', escaped) for cell in cells)} |")
     head = "| name | metric | meaning | unit | formula of an episode | source | better |"
     return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
 

@@ -1,5 +1,6 @@
 """The generated reference of settings: complete, and of the schema and conf/*.yaml."""
 
+import re
 from collections.abc import Iterator
 
 import generated_pages
@@ -123,6 +124,9 @@ def test_pages_expand(page: object) -> None:
     assert isinstance(page, type(DOCS))
     text = expand_page(page.read_text(), page, {}, generated_pages.generated_part)
     assert "<!-- generated" not in text and "<!-- include" not in text
+    for table in re.findall(r"^(?:\|.*\n)+", text, flags=re.MULTILINE):
+        cells = {len(re.findall(r"(?<!\\)\|", row)) for row in table.splitlines()}
+        assert len(cells) == 1, table[:300]
 
 
 def test_an_unknown_part_is_an_error() -> None:
