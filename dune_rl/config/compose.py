@@ -23,9 +23,9 @@ from dune_rl.config.hydra_session import (
     stated_keys,
     to_plain,
 )
-from dune_rl.config.migration import copied, migrated, move_renamed
 from dune_rl.config.named_options import keep_named_options, name_options
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
+from dune_rl.config.saved import copy_nested, upgrade_saved
 from dune_rl.config.scenarios import (
     SCENARIO,
     change_saved,
@@ -208,12 +208,10 @@ def override_value(overrides: Sequence[str], key: str) -> Any | None:
 def from_hydra(config: DictConfig) -> Conf:
     """The settings that Hydra composed for a job, which have been validated before."""
     data = to_plain(config)
-    move_renamed(data, warn=False)
     drop_groups_without_body(data)
     drop_values_of_other_world(data)
-    faults = expand_options(data, GlobalHydra.instance().config_loader(), warn=False)
+    faults = expand_options(data, GlobalHydra.instance().config_loader())
     replace_default_actors(data)
-    move_renamed(data, warn=False)
     return validate(Conf, data, faults)
 
 
@@ -237,7 +235,7 @@ def _compose(
         if saved is None:
             data = to_plain(config)
         else:
-            saved = migrated(saved)
+            saved = upgrade_saved(saved)
             if has_scenario(request):
                 saved = change_saved(saved, name, request)
             data = _overlay_saved(saved, config, request, model)
@@ -256,8 +254,7 @@ def _validate_all(
     `set_in_python` are the sections that were set beside the overrides.
     """
     # What a caller gave in Python stays as it is.
-    data = copied(data)
-    move_renamed(data)
+    data = copy_nested(data)
     if has_scenario(request):
         drop_groups_without_body(data, named_in("actors", request))
         given = set_in_python.get("world") if isinstance(set_in_python, Mapping) else None
@@ -273,8 +270,6 @@ def _validate_all(
                 f"{override.key_or_group}: the actors of the world's file take the place of {name}; set "
                 f"actors.{ACTOR_GROUP}.{setting}, or choose actors=walkers"
             )
-    # The kind of a named sensor may be known only now, from an option.
-    move_renamed(data)
     overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
     if data.get("agents") is not None and has_scenario(request):
         faults.append(

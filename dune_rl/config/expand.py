@@ -12,7 +12,6 @@ from dune_rl.config.actors import groups_of_list
 from dune_rl.config.controller_settings import EXTERNAL, PATH, TRAJECTORY, plain_controller
 from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import option_names
-from dune_rl.config.renaming import rename_in_section
 from dune_rl.config.resolved_groups import roaming_settings
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
@@ -30,8 +29,8 @@ _OF_WALKERS = {"sensors": "walker", "task": "walking"}
 class _OptionReader:
     """The options of Hydra's groups and their settings, each read once."""
 
-    def __init__(self, loader: ConfigLoader, warn: bool) -> None:
-        self._loader, self._warn = loader, warn
+    def __init__(self, loader: ConfigLoader) -> None:
+        self._loader = loader
         self._names: dict[str, list[str]] = {}
         self._settings: dict[tuple[str, str], dict[str, Any]] = {}
 
@@ -47,14 +46,13 @@ class _OptionReader:
             composed = OmegaConf.to_container(compose_words(f"{group}/{name}")[group], resolve=True)
             assert isinstance(composed, dict)
             settings = {str(key): value for key, value in composed.items()}
-            rename_in_section(group, settings, group, warn=self._warn)
             self._settings[group, name] = settings
         return merged(
             self._settings[group, name], {key: value for key, value in changes.items() if key != "name"}
         )
 
 
-def expand_options(data: dict[str, Any], loader: ConfigLoader, *, warn: bool = True) -> list[str]:
+def expand_options(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """Put the settings of options in the place of their names in `data`; the faults in the names.
 
     A robot of `robots`, and a group's `body`, `sensors`, `task` and `metrics`,
@@ -63,9 +61,9 @@ def expand_options(data: dict[str, Any], loader: ConfigLoader, *, warn: bool = T
     differs from those that it has otherwise (see `resolve_groups`), unless they
     have all settings, as in a saved run. A list of sensors is what is enabled,
     and a list of actors becomes groups. What has no known name is left out, so
-    that the rest is checked. With `warn`, older names in the options' files are told.
+    that the rest is checked.
     """
-    options = _OptionReader(loader, warn)
+    options = _OptionReader(loader)
     faults = _expand_robots(data, options)
     if isinstance(actors := data.get("actors"), Sequence) and not isinstance(actors, str):
         data["actors"] = groups_of_list(actors)

@@ -50,12 +50,12 @@ def describe_owner(checkpoint: str, group: str, settings: str) -> str:
     """
     # Only now: settings of runs need what composes settings.
     from dune_rl.config.checks import validate
-    from dune_rl.config.migration import migrated
+    from dune_rl.config.saved import upgrade_saved
     from dune_rl.learning.saved_policies import read_policy_groups
 
     try:
         trained, config = read_policy_groups(Path(checkpoint))
-        saved = migrated(config)
+        saved = upgrade_saved(config)
         owners = validate(
             EnvConf, {name: saved[name] for name in EnvConf.model_fields if name in saved}
         ).groups

@@ -11,8 +11,8 @@ from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose_environment
-from dune_rl.config.migration import migrated
 from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
+from dune_rl.config.saved import upgrade_saved
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of
@@ -101,7 +101,7 @@ def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
         raise ConfigError(f"{location} is no option of actors, {what} of your own need --config-dir FOLDER")
     file = find_checkpoint_file(path, *_SOURCES)
     content = read_checkpoint_file(file, "policy", "checkpoint")
-    config = migrated(content["config"])
+    config = upgrade_saved(content["config"])
     saved = {name: config[name] for name in EnvConf.model_fields if name in config}
     actors = [one for one in validate(EnvConf, saved).groups if not isinstance(one.body, RobotSettings)]
     if not any(one.is_external for one in actors):

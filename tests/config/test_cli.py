@@ -125,7 +125,7 @@ def test_two_policies_are_compared_on_the_same_episodes(
         "episodes=3",
         "out=both",
     ]
-    assert call(evaluate.main, *words, "task.termination.max_steps=250") == 0
+    assert call(evaluate.main, *words, "task.terminations.time_limit.max_steps=250") == 0
     assert "Paired: go_to_goal alone succeeds in " in capsys.readouterr().out
     rows = (folder / "both" / "episodes.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["go_to_goal"] * 3 + ["random"] * 3

@@ -28,7 +28,7 @@ TINY = [
     "learning.collector.steps=8",
     "learning.evaluation.episodes=2",
     "learning.evaluation.scenes=2",
-    "task.termination.max_steps=20",
+    "task.terminations.time_limit.max_steps=20",
     "actors=none",
 ]
 Call = Callable[..., int]
@@ -141,7 +141,13 @@ def test_a_kept_policy_arrives_on_the_second_engine(call: Call, folder: Path) ->
 
 @pytest.mark.parametrize("policy", ["go_to_goal", "random"])
 def test_built_in_policies(policy: str, call: Call, folder: Path) -> None:
-    words = ["+world=flat", "episodes=2", "task.termination.max_steps=30", "out=new/rows", "actors=none"]
+    words = [
+        "+world=flat",
+        "episodes=2",
+        "task.terminations.time_limit.max_steps=30",
+        "out=new/rows",
+        "actors=none",
+    ]
     assert call(evaluate.main, f"policy={policy}", *words) == 0
     assert len((folder / "new" / "rows" / "episodes.csv").read_text().splitlines()) == 3
 

@@ -154,12 +154,16 @@ def test_a_sweep_is_checked_in_every_value() -> None:
 
 
 def test_environment_settings_reach_what_the_command_line_reaches() -> None:
-    by_words = compose(["+world=flat", "actors=none", "task.termination.max_steps=100", "world.friction=0.5"])
+    by_words = compose(
+        ["+world=flat", "actors=none", "task.terminations.time_limit.max_steps=100", "world.friction=0.5"]
+    )
     by_settings = compose_environment(
-        {"name": "flat", "friction": 0.5}, (), {"actors": "none", "task": {"termination": {"max_steps": 100}}}
+        {"name": "flat", "friction": 0.5},
+        (),
+        {"actors": "none", "task": {"terminations": {"time_limit": {"max_steps": 100}}}},
     )
     mixed = compose_environment(
-        "flat", ["task.termination.max_steps=100", "world.friction=0.5"], {"actors": []}
+        "flat", ["task.terminations.time_limit.max_steps=100", "world.friction=0.5"], {"actors": []}
     )
     expected = EnvConf(**{name: getattr(by_words, name) for name in EnvConf.model_fields})
     assert by_settings == mixed == expected

@@ -255,7 +255,6 @@ def test_what_a_set_determines_is_not_set_beside_it() -> None:
         ("+world=flat", "set=flat-v1 determines world; leave \\+world=flat out"),
         ("world.size_m=30", "determines world; leave world.size_m=30 out"),
         ("task.terminations.time_limit.max_steps=3", "determines task.terminations"),
-        ("task.termination.max_steps=3", "determines task.termination"),
         ("seed=4", "determines seed"),
         ("robots=[rover_zero,rover_zero]", "is for one robot; take robot=NAME"),
     ):

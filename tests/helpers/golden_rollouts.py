@@ -109,7 +109,7 @@ def _limited(settings: dict[str, Any], limit: int | None) -> dict[str, Any]:
     try:
         import dune_rl.state  # noqa: F401
     except ModuleNotFoundError:
-        word = f"task.termination.max_steps={limit}"
+        word = f"task.terminations.time_limit.max_steps={limit}"
     else:
         word = f"task.terminations.time_limit.max_steps={limit}"
     return {**settings, "overrides": [*settings.get("overrides", ()), word]}

@@ -21,7 +21,6 @@ _ROUNDING_M = 1e-3
 _CONTROL_HZ = 20
 _DETERMINED = ("world", "weather", "actors", "randomisation", "task.spawn", "task.terminations")
 _ONE_ROBOT = ("agents", "robots")
-_RENAMED = ("task.termination",)
 
 
 def refuse_several_robots(name: str, conf: EnvConf) -> None:
@@ -37,7 +36,7 @@ def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
     """Raise ConfigError if `overrides` (words of a command line) set what the set `name` determines."""
     for word in overrides:
         key = word.partition("=")[0].lstrip("+~").replace("/", ".")
-        for section in (*_DETERMINED, *_RENAMED, "seed"):
+        for section in (*_DETERMINED, "seed"):
             if key == section or key.startswith(f"{section}."):
                 raise ConfigError(f"set={name} determines {section}; leave {word} out")
         if key == "scenario":

@@ -13,7 +13,7 @@ DEFAULT_RUNS = 10
 # Run r has the episodes from r times this on; a run has fewer, as each has a step at least.
 EPISODES_PER_RUN = MOST_RUN_STEPS
 
-_DETERMINED = ("task.rewards", "task.terminations", "task.reward", "task.termination")
+_DETERMINED = ("task.rewards", "task.terminations")
 _ONE_ROBOT = ("agents", "robots")
 _CODE = "dune_code"
 

@@ -1,0 +1,61 @@
+"""Settings of runs and evaluations that were saved before release 0.1.0, in the form of this version."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from dune_rl.tasks.task import TaskConf
+
+# Sections whose angles were in radians, under names that ended in `_rad`.
+_SECTIONS_OF_ANGLES = ("sensors", "weather", "randomisation")
+
+
+def upgrade_saved(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a saved run or evaluation, in the form of this version.
+
+    The published runs of `experiments/` are in all older forms there are. Those of `experiments/flat` had the
+    default rewards, terminations and metrics, which they state under older names.
+    """
+    data = copy_nested(saved)
+    task, metrics, learning = data.get("task"), data.get("metrics"), data.get("learning")
+    if isinstance(task, dict) and "reward" in task:
+        data["task"] = TaskConf.model_validate({"spawn": task.get("spawn", {})}).model_dump(mode="json")
+    if isinstance(metrics, dict) and "terms" not in metrics:
+        del data["metrics"]
+    if isinstance(learning, dict):
+        learning.setdefault("name", "sac")
+    if data.get("actors") == []:
+        data["actors"] = {}
+    for section in _SECTIONS_OF_ANGLES:
+        if section in data:
+            data[section] = _in_degrees(data[section])
+    return data
+
+
+def copy_nested(value: Any) -> Any:
+    """Nested mappings and lists, copied as dictionaries and lists."""
+    if isinstance(value, Mapping):
+        return {key: copy_nested(inner) for key, inner in value.items()}
+    return [copy_nested(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _in_degrees(settings: Any) -> Any:
+    """Nested settings, in which every angle `NAME_rad` is `NAME_deg`."""
+    if not isinstance(settings, dict):
+        return settings
+    return {
+        f"{key.removesuffix('_rad')}_deg" if key.endswith("_rad") else key: _degrees(value)
+        if key.endswith("_rad")
+        else _in_degrees(value)
+        for key, value in settings.items()
+    }
+
+
+def _degrees(value: Any) -> Any:
+    """An angle in degrees, rounded so that 1.4835298641951802 rad are 85; every number of a distribution."""
+    if isinstance(value, dict):
+        return {key: _degrees(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_degrees(inner) for inner in value]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return round(math.degrees(value), 9) if is_number else value

@@ -1,0 +1,108 @@
+"""Settings of published runs and evaluations, in all forms that they were saved in."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from dune_rl.config.compose import compose_evaluation, compose_resumed
+from dune_rl.config.saved import upgrade_saved
+from dune_rl.config.schema import EnvConf
+from dune_rl.env.distributions import Choice, LogUniform, Normal, Uniform
+from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.checkpoint import read_checkpoint_file
+from dune_rl.metrics.episode import MetricsConf
+from dune_rl.rendering.light import LightConf
+from dune_rl.rendering.weather import WeatherConf
+from dune_rl.tasks.task import TaskConf
+from dune_rl.worlds.appearance import with_own_sun
+from dune_rl.worlds.flat import FlatConf, build_flat
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+FLAT = build_flat(FlatConf())
+
+
+@pytest.mark.parametrize(
+    "file",
+    sorted([*EXPERIMENTS.rglob("config.yaml"), *EXPERIMENTS.rglob("policy.pt")]),
+    ids=lambda file: f"{file.parent.name}-{file.suffix[1:]}",
+)
+def test_settings_of_the_studies_are_read(file: Path) -> None:
+    if file.suffix == ".pt":
+        saved = dict(read_checkpoint_file(file, "policy")["config"])
+    else:
+        saved = yaml.safe_load(file.read_text())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        conf = compose_evaluation(["policy=random"], (), saved)
+    assert conf.external_groups[0].name == "rover"
+    # Sets with far goals give three times as long.
+    steps = 6000 if file.parent.name.endswith("-site-v1") else 2000
+    assert conf.task.terminations["time_limit"].max_steps == steps  # type: ignore[attr-defined]
+    if "learning" in saved:
+        assert compose_resumed([], (), saved).groups == conf.groups
+
+
+def test_the_oldest_runs_had_the_default_task_and_metrics() -> None:
+    saved = yaml.safe_load((EXPERIMENTS / "flat" / "seed1" / "config.yaml").read_text())
+    old = saved["task"]["reward"] | saved["task"]["termination"]
+    assert (old["alpha"], old["goal"], old["contact"], old["goal_distance_m"], old["stuck_steps"]) == (
+        *(1.5, 100.0, -10.0),
+        *(0.75, 300),
+    )
+    conf = EnvConf.model_validate(
+        {name: value for name, value in upgrade_saved(saved).items() if name in EnvConf.model_fields}
+    )
+    assert (conf.task, conf.metrics) == (TaskConf(), MetricsConf())
+    changed = compose_evaluation(["policy=random", "task.terminations.time_limit.max_steps=5"], (), saved)
+    assert changed.task == TaskConf().with_terms(terminations={"time_limit": {"max_steps": 5}})
+
+
+def test_angles_of_older_runs_are_the_same_in_degrees() -> None:
+    saved = yaml.safe_load((EXPERIMENTS / "inspection" / "config.yaml").read_text())
+    conf = compose_evaluation(["policy=random"], (), saved)
+    old = saved["sensors"]
+    assert conf.sensors.lidar.fov_deg == 360.0
+    assert np.deg2rad(conf.sensors.depth_strip.fov_deg) == pytest.approx(old["depth_strip"]["fov_rad"])
+    assert np.deg2rad(conf.weather.light.sun_bearing_deg) == pytest.approx(2.2)
+
+
+def test_the_former_default_sun_gives_way_to_a_world_s_own() -> None:
+    world = build_flat(FlatConf())
+    world.light = LightConf(sun_bearing_deg=10.0)
+    for old in ({}, {"sun_bearing_rad": 2.2, "sun_elevation_rad": 0.75}):
+        weather = WeatherConf.model_validate(upgrade_saved({"weather": {"light": old}})["weather"])
+        assert with_own_sun(world, weather).light == world.light
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ([-1.0, 2.0], Uniform(low=-57.295779513, high=114.591559026)),
+        ([0.0, 1.0, 2.0], Choice(values=(0.0, 57.295779513, 114.591559026))),
+        ({"name": "log_uniform", "low": np.pi / 6, "high": np.pi}, LogUniform(low=30.0, high=180.0)),
+        (
+            {"name": "normal", "mean": np.pi / 2, "deviation": np.pi / 18, "low": 0.0, "high": np.pi},
+            Normal(mean=90.0, deviation=10.0, low=0.0, high=180.0),
+        ),
+        (None, None),
+    ],
+)
+def test_every_number_of_a_distribution_becomes_degrees(old: object, new: object) -> None:
+    conf = RandomisationConf.model_validate(
+        upgrade_saved({"randomisation": {"sun_bearing_rad": old}})["randomisation"]
+    )
+    assert conf.sun_bearing_deg == new
+
+
+def test_an_older_run_s_seed_keeps_its_suns() -> None:
+    old = {"sun_bearing_rad": {"name": "uniform", "low": -2.0, "high": 2.0}, "friction": [0.5, 1.5]}
+    conf = RandomisationConf.model_validate(upgrade_saved({"randomisation": old})["randomisation"])
+    randomizer = DomainRandomizer(FlatConf(), WeatherConf(), conf, lambda _: FLAT)
+    drawn = [dict(zip(randomizer.names, randomizer.draw(3, episode), strict=True)) for episode in range(3)]
+    # As they were drawn in radians.
+    expected = [-1.7755365337416786, -1.0998335036208027, -0.015683946771946733]
+    assert [values["sun_bearing_deg"] for values in drawn] == pytest.approx(np.rad2deg(expected), abs=1e-6)
