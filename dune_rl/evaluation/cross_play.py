@@ -18,7 +18,7 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of, write_atomically
 from dune_rl.evaluation.actor_populations import CHECKPOINT, ActorPopulation
-from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices, title_of
+from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices, row_title
 from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
@@ -192,6 +192,6 @@ def _show(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
         for robot, group in robots:
             found = [cells.get((robot, group, name)) for name in populations]
             table.add_row(
-                title_of(robot, group, robots), *("" if one is None else describe_cell(one) for one in found)
+                row_title(robot, group, robots), *("" if one is None else describe_cell(one) for one in found)
             )
         console.print(table)

@@ -104,7 +104,7 @@ def _draw(
                     fontsize=7,
                     color="white" if shade[row, column] > 1 - _LIGHT else "#1d1d1f",
                 )
-    axes.set_yticks(range(len(robots)), [_short(title_of(*robot, robots)) for robot in robots])
+    axes.set_yticks(range(len(robots)), [_short(row_title(*robot, robots)) for robot in robots])
     axes.set_xticks(range(len(populations)), [_short(name) for name in populations], rotation=20, ha="right")
     unit = "" if about.is_share or not about.unit else f" [{about.unit}]"
     axes.set_title(f"{measure}: {about.meaning}{unit}", fontsize=8, loc="left")
@@ -116,7 +116,7 @@ def _draw(
     axes.spines[:].set_visible(False)
 
 
-def title_of(robot: str, group: str, robots: Sequence[tuple[str, str]]) -> str:
+def row_title(robot: str, group: str, robots: Sequence[tuple[str, str]]) -> str:
     """The name of a row: that of a policy, with its agent group where `robots` are of several groups."""
     return f"{robot}, {group}" if len({each for _, each in robots}) > 1 else robot
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
 from dune_rl.reporting.comparisons.collect import collect_comparisons
-from dune_rl.reporting.comparisons.comparison import Method
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.runs import Note, ReportInputs
 
@@ -29,7 +29,7 @@ class BlockSources:
         self.notes: list[Note] = []
         self._read: dict[Path, ReportInputs] = {}
 
-    def find_method(self, source: str | SourceConf) -> Method:
+    def find_method(self, source: str | SourceConf) -> EvaluatedPolicy:
         """The episodes of a source; raises ConfigError unless there is exactly one method."""
         conf = SourceConf(folder=source) if isinstance(source, str) else source
         inputs = self._inputs(self.beside / conf.folder)

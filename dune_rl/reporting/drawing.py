@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from dune_rl.core.paths import file_stem
-from dune_rl.reporting.comparisons.comparison import Comparison, Method
+from dune_rl.reporting.comparisons.comparison import Comparison, EvaluatedPolicy
 from dune_rl.reporting.figures.aggregates import (
     collect_scores,
     draw_aggregates,
@@ -286,7 +286,7 @@ def trained_groups(findings: Findings) -> dict[str, str]:
     return found
 
 
-def _places(method: Method) -> Iterator[Path]:
+def _places(method: EvaluatedPolicy) -> Iterator[Path]:
     """Where the weights of a method may lie: beside its episodes, or where its provenance says."""
     for run in method.runs:
         yield run.path.resolve()

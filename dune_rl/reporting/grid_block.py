@@ -12,7 +12,7 @@ from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.measure import Measure
 from dune_rl.metrics.number_text import NOTHING, format_difference, format_p
 from dune_rl.reporting.block_sources import BlockSources, SourceConf
-from dune_rl.reporting.comparisons.comparison import Method, compare_methods
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy, compare_methods
 from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, to_markdown
 from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
@@ -61,7 +61,7 @@ def make_grid(conf: GridConf, sources: BlockSources) -> str:
     return to_markdown(Table("", "", "", header, table, []), escape=False)
 
 
-def _methods_of(row: str, conf: GridConf, sources: BlockSources) -> dict[str, Method]:
+def _methods_of(row: str, conf: GridConf, sources: BlockSources) -> dict[str, EvaluatedPolicy]:
     """The methods of a row, by the title of their column, whose folders are there."""
     found = {}
     for title, source in conf.columns.items():
@@ -72,7 +72,7 @@ def _methods_of(row: str, conf: GridConf, sources: BlockSources) -> dict[str, Me
     return found
 
 
-def _cell(measure: Measure, method: Method | None, conf: GridConf) -> Cell:
+def _cell(measure: Measure, method: EvaluatedPolicy | None, conf: GridConf) -> Cell:
     if method is None:
         return Cell(_MISSING)
     found = estimate_of(measure.name, str(method.runs[0].path), method.rows, estimate_rows(method.rows))
@@ -81,7 +81,7 @@ def _cell(measure: Measure, method: Method | None, conf: GridConf) -> Cell:
 
 
 def _differences(
-    title: str, measure: Measure, found: Mapping[str, Mapping[str, Method]], conf: GridConf
+    title: str, measure: Measure, found: Mapping[str, Mapping[str, EvaluatedPolicy]], conf: GridConf
 ) -> dict[str, str]:
     """The text of a column of differences, by row, where both methods are there."""
     pairs: dict[str, PairedComparison] = {}

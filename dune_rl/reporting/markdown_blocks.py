@@ -31,7 +31,7 @@ from dune_rl.metrics.catalogue import measure_of
 from dune_rl.metrics.number_text import format_p, format_value
 from dune_rl.reporting import published
 from dune_rl.reporting.block_sources import BlockSources, SourceConf
-from dune_rl.reporting.comparisons.comparison import Method
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
 from dune_rl.reporting.comparisons.estimates import estimate_of, estimate_rows
 from dune_rl.reporting.csv_rows import read_rows
 from dune_rl.reporting.grid_block import GridConf, make_grid
@@ -188,7 +188,7 @@ def _label(name: str) -> str:
 
 
 def _cell(
-    name: str, methods: list[Method], estimates: Sequence[Mapping[str, Estimate]], conf: TableConf
+    name: str, methods: list[EvaluatedPolicy], estimates: Sequence[Mapping[str, Estimate]], conf: TableConf
 ) -> str:
     if name == "episodes":
         return ", ".join(f"{method.episodes}" for method in methods)
@@ -206,7 +206,7 @@ def _cell(
     return f"{values}{unit}"
 
 
-def _frames(method: Method) -> str:
+def _frames(method: EvaluatedPolicy) -> str:
     file = method.runs[0].path / "metrics.csv"
     if not file.exists():
         raise ConfigError(f"{file.parent} has no metrics.csv, so that its frames are not known")

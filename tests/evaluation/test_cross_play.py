@@ -28,7 +28,7 @@ from dune_rl.evaluation.cross_play import (
     run_cross_play,
     settings_among,
 )
-from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices, title_of
+from dune_rl.evaluation.cross_play_figure import describe_cell, draw_matrices, row_title
 from dune_rl.evaluation.folder import read_provenance
 from dune_rl.evaluation.running import BlockRunner
 from dune_rl.learning.algorithm import LearnerContext
@@ -187,8 +187,8 @@ def test_what_resuming_does_not_mend_is_told_alone(tmp_path: Path) -> None:
 
 def test_rows_of_several_groups_name_theirs() -> None:
     robots = [("go_to_goal", "scout"), ("go_to_goal", "rover")]
-    assert [title_of(*each, robots) for each in robots] == ["go_to_goal, scout", "go_to_goal, rover"]
-    assert title_of(*robots[0], robots[:1]) == "go_to_goal"
+    assert [row_title(*each, robots) for each in robots] == ["go_to_goal, scout", "go_to_goal, rover"]
+    assert row_title(*robots[0], robots[:1]) == "go_to_goal"
 
 
 def test_a_population_that_has_the_robots_name_is_refused() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dune_rl.reporting.comparisons.comparison import Cases, Comparison, Method
+from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.statistics.intervals import estimate_proportion, estimate_share_difference
 from dune_rl.statistics.measures import cluster_rows, compare_success, estimate_metrics
 from dune_rl.statistics.paired_comparison import compare_policies
@@ -153,7 +153,7 @@ def test_reports_keep_the_sites_of_rows() -> None:
     )
     rows = {name: [row | {"agent": "rover_0"} for row in of] for name, of in (("a", of_a), ("b", of_b))}
     cases = Cases("key", "inspection-v1", "inspection", "inspection-v1", "", "bullet", 1, "rover")
-    comparison = Comparison(cases, [Method(name, name, found) for name, found in rows.items()])
+    comparison = Comparison(cases, [EvaluatedPolicy(name, name, found) for name, found in rows.items()])
     assert comparison.sites == SITES
     assert comparison.estimates()["a"]["SR"] == estimate_proportion(a, OF_SITE)
     (one,) = comparison.paired()

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dune_rl.reporting.comparisons.comparison import Cases, Comparison, Method
+from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.reporting.comparisons.oddities import describe_oddities
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.runs import EvaluationRun, Row
@@ -94,7 +94,7 @@ def _add_method(comparison: Comparison, policy: str, rows: list[Row], run: Evalu
             known.runs.append(run)
             return
     ordered = sorted(rows, key=lambda row: (row["episode"], str(row["agent"])))
-    comparison.methods.append(Method(policy, policy, ordered, [run]))
+    comparison.methods.append(EvaluatedPolicy(policy, policy, ordered, [run]))
 
 
 def _same_rows(first: Sequence[Row], second: Sequence[Row]) -> bool:
@@ -110,7 +110,7 @@ def _same_row(first: Row, second: Row) -> bool:
     )
 
 
-def _name_apart(methods: list[Method]) -> None:
+def _name_apart(methods: list[EvaluatedPolicy]) -> None:
     for policy in {method.policy for method in methods}:
         same = [method for method in methods if method.policy == policy]
         if len(same) > 1:

@@ -35,7 +35,7 @@ class Cases:
 
 
 @dataclass
-class Method:
+class EvaluatedPolicy:
     """A policy on some cases: its episodes, and the evaluations that they come from."""
 
     name: str
@@ -62,7 +62,7 @@ class Comparison:
     """
 
     cases: Cases
-    methods: list[Method]
+    methods: list[EvaluatedPolicy]
     notes: list[str] = field(default_factory=list)
     numbered: str = ""
 
@@ -96,7 +96,9 @@ class Comparison:
         return sorted(value for value in found if value is not None)
 
 
-def compare_methods(methods: Mapping[str, Method], only: Measure | None = None) -> list[PairedComparison]:
+def compare_methods(
+    methods: Mapping[str, EvaluatedPolicy], only: Measure | None = None
+) -> list[PairedComparison]:
     """All pairs of methods, by their names, on the episodes that all of them have; empty without any.
 
     With `only`, that measure alone is compared. Raises ValueError if their cases differ.
@@ -118,11 +120,11 @@ def compare_methods(methods: Mapping[str, Method], only: Measure | None = None) 
     return [pair for pair in found if only is None or pair.measure.name == only.name]
 
 
-def _common_episodes(methods: Iterable[Method]) -> set[tuple[float, str]]:
+def _common_episodes(methods: Iterable[EvaluatedPolicy]) -> set[tuple[float, str]]:
     return set.intersection(*({(row["episode"], row["agent"]) for row in method.rows} for method in methods))
 
 
-def _rows_of(method: Method, ids: set[tuple[float, str]]) -> list[MetricsRow]:
+def _rows_of(method: EvaluatedPolicy, ids: set[tuple[float, str]]) -> list[MetricsRow]:
     rows = [row for row in method.rows if (row["episode"], row["agent"]) in ids]
     return numeric_rows(rows, sorted(measured_names(rows), key=column_names(rows).index))
 

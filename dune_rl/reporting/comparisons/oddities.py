@@ -4,7 +4,7 @@ from typing import get_args
 
 from dune_rl.config.commands import BuiltInPolicy
 from dune_rl.evaluation.episode_sets import read_episode_set
-from dune_rl.reporting.comparisons.comparison import Cases, Comparison, Method
+from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.reporting.origins import installed_checksum
 
 
@@ -53,7 +53,7 @@ def _episodes_of_set(cases: Cases) -> int:
     return read_episode_set(cases.set_name).header.episodes
 
 
-def _sites_of_training(method: Method) -> int:
+def _sites_of_training(method: EvaluatedPolicy) -> int:
     """On how many of the set's sites the policy was trained, as its evaluation notes."""
     for run in method.runs:
         policies = run.provenance.get("policies")
@@ -63,7 +63,7 @@ def _sites_of_training(method: Method) -> int:
     return 0
 
 
-def _is_at_home(cases: Cases, method: Method) -> bool:
+def _is_at_home(cases: Cases, method: EvaluatedPolicy) -> bool:
     """Whether a policy was measured on the one site of its training, as far as its folder tells."""
     if cases.set_name or method.policy in get_args(BuiltInPolicy):
         return False
