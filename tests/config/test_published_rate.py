@@ -31,7 +31,7 @@ def is_consistent(measured: Count, published: Count) -> bool:
 
 def published(policy: str) -> Count:
     """Successes and episodes of a policy of the study."""
-    with (STUDY / "episodes.csv").open() as file:
+    with (STUDY / "evaluation" / "episodes.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["policy"] == policy]
     return sum(float(row["success"]) == 1.0 for row in rows), len(rows)
 
@@ -41,8 +41,8 @@ def published(policy: str) -> Count:
     [(0, False), (55, False), (72, False), (89, True), (80, True), (96, True), (100, False)],
 )
 def test_which_rates_are_consistent(successes: int, expected: bool) -> None:
-    """The published 178 of 200: a rate of 72 % is refused, and so is one that is too good to be true."""
-    assert published("inspection") == (178, 200)
+    """The published 177 of 200: a rate of 72 % is refused, and so is one that is too good to be true."""
+    assert published("inspection") == (177, 200)
     assert is_consistent((successes, EPISODES), published("inspection")) == expected
 
 
