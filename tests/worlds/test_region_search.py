@@ -16,7 +16,7 @@ from dune_rl.config.build import describe_world
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.tasks.spawn import SpawnConf, Spawner
-from dune_rl.worlds.cache.serialization import pack, unpack
+from dune_rl.worlds.cache.serialization import deserialize_world, serialize_world
 from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, OPEN_GROUND, describe_choice
@@ -121,7 +121,7 @@ def test_the_choice_is_told_in_one_line(tmp_path):
 
 def test_candidates_are_kept_in_the_cache(tmp_path):
     world = build(tmp_path, "house")
-    again = unpack(*pack(world))
+    again = deserialize_world(*serialize_world(world))
     assert again.region_candidates == world.region_candidates
     assert describe_choice(again.region, again.region_candidates) is not None
 

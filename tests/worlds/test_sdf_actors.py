@@ -15,7 +15,7 @@ from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
-from dune_rl.worlds.cache.serialization import pack, unpack
+from dune_rl.worlds.cache.serialization import deserialize_world, serialize_world
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf, count_actors
 
 pytestmark = pytest.mark.filterwarnings("ignore::dune_rl.core.untrusted_files.WorldWarning")
@@ -161,7 +161,7 @@ def test_a_faulty_actor_is_refused(tmp_path, element, message):
 
 def test_trajectories_are_kept_in_the_cache(tmp_path):
     world = build_sdf(SdfConf(path=str(write(tmp_path, actor("walker", *SQUARE)))))
-    (again,) = unpack(*pack(world)).trajectories
+    (again,) = deserialize_world(*serialize_world(world)).trajectories
     np.testing.assert_array_equal(again.poses, world.trajectories[0].poses)
     assert (again.name, again.loop, again.on_ground) == ("walker", True, True)
 

@@ -1,1 +1,1 @@
-"""Disk cache of worlds, and the background process that fills it."""
+"""Disk cache of worlds, and the process that fills it ahead of their use."""

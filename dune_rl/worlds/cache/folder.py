@@ -5,7 +5,6 @@ import json
 import os
 import time
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +19,7 @@ from dune_rl.core.files import write_atomically
 Arrays = dict[str, NDArray[Any]]
 
 _SUFFIX = ".npz"
-_TEXT, _CHECKSUM = "text", "checksum"
+_TEXT = "text"
 # Older temporary files were left by processes that were killed.
 _ABANDONED_S = 3600.0
 
@@ -41,17 +40,17 @@ class CacheFolder:
         self._warned: set[str] = set()
 
     def entry(self, key: str) -> Path:
-        """Path of the entry of a hexadecimal `key`; raises ValueError for other keys."""
-        if not key or not set(key) <= set("0123456789abcdef"):
-            raise ValueError(f"a key must be hexadecimal (got {key!r})")
+        """Path of the entry of a `key`."""
         return self.path / f"{key}{_SUFFIX}"
 
     def read(self, key: str) -> tuple[Any, Arrays] | None:
         """Text (decoded from JSON) and arrays of an entry; None if it is missing or damaged."""
         path = self.entry(key)
         try:
-            with path.open("rb") as file:
-                found = _read(file, path.stat().st_size)
+            # Zip files have a checksum of each array, which is compared on reading.
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+            text = json.loads(arrays.pop(_TEXT).tobytes())
         except FileNotFoundError:
             return None
         # A damaged file may make the libraries that read it raise anything.
@@ -61,16 +60,14 @@ class CacheFolder:
         with suppress(OSError):
             # The time of last use, for eviction: many file systems do not record access times.
             os.utime(path)
-        return found
+        return text, arrays
 
     def write(self, key: str, text: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write an entry atomically; `text` must be serialisable as JSON."""
         path = self.entry(key)
+        everything: dict[str, Any] = {_TEXT: np.frombuffer(json.dumps(text).encode(), np.uint8), **arrays}
         try:
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
-            data = np.frombuffer(json.dumps(text).encode(), np.uint8)
-            everything: dict[str, Any] = {_TEXT: data, **arrays}
-            everything[_CHECKSUM] = _checksum(everything)
             with write_atomically(path) as temporary, temporary.open("wb") as file:
                 np.savez(file, **everything)
             self._evict(path)
@@ -82,21 +79,19 @@ class CacheFolder:
     def _evict(self, newest: Path) -> None:
         entries = []
         for path in self.path.iterdir():
-            try:
+            # Another process may remove entries at the same time.
+            with suppress(FileNotFoundError):
                 state = path.stat()
-            except FileNotFoundError:
-                continue
-            if path.suffix == _SUFFIX and path != newest:
-                entries.append((state.st_mtime, state.st_size, path))
-            elif path.suffix == ".tmp" and time.time() - state.st_mtime > _ABANDONED_S:
+                if path.suffix == _SUFFIX:
+                    entries.append((path != newest, -state.st_mtime, state.st_size, path))
+                elif path.suffix == ".tmp" and time.time() - state.st_mtime > _ABANDONED_S:
+                    path.unlink(missing_ok=True)
+        total = 0
+        # The newest entry stays, even if it is too large by itself.
+        for is_older, _, size, path in sorted(entries):
+            total += size
+            if is_older and total > self.limit_bytes:
                 path.unlink(missing_ok=True)
-        # Another process may have evicted the newest entry.
-        total = sum(size for _, size, _ in entries) + (newest.stat().st_size if newest.exists() else 0)
-        for _, size, path in sorted(entries, key=lambda entry: entry[0]):
-            if total <= self.limit_bytes:
-                break
-            path.unlink(missing_ok=True)
-            total -= size
 
     def warn(self, kind: str, text: str) -> None:
         """Issue a `CacheWarning` with `text`, unless one of this kind was issued before."""
@@ -127,25 +122,3 @@ class DiskCache:
         value = make()
         self._cache.write(key, [self._key, name], {"value": value})
         return value
-
-
-def _read(file: Any, size: int) -> tuple[Any, Arrays]:
-    with zipfile.ZipFile(file) as archive:
-        # Entries are written uncompressed, so one that unpacks to more than its size is not ours.
-        if sum(member.file_size for member in archive.infolist()) > size:
-            raise ValueError("compressed")
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    checksum = arrays.pop(_CHECKSUM)
-    if not np.array_equal(checksum, _checksum(arrays)):
-        raise ValueError("wrong checksum")
-    return json.loads(arrays.pop(_TEXT).tobytes()), arrays
-
-
-def _checksum(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
-    sums = hashlib.sha256()
-    for name, array in sorted(arrays.items()):
-        sums.update(f"{name} {array.dtype.str} {array.shape} ".encode())
-        sums.update(np.ascontiguousarray(array).data)
-    return np.frombuffer(sums.digest(), np.uint8)

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.file_dependencies import FileDependencies, record_dependencies
+from dune_rl.core.file_dependencies import record_dependencies
 from dune_rl.core.files import sha256_of
 from dune_rl.core.paths import assets_folder, cache_folder, package_folder
 from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.appearance import is_appearance_cached
 from dune_rl.worlds.cache.background_builder import BackgroundBuilder
 from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
-from dune_rl.worlds.cache.serialization import UnpackableError, pack, unpack
+from dune_rl.worlds.cache.serialization import SerializationError, deserialize_world, serialize_world
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.heightmap.build import HeightmapConf
@@ -114,7 +114,7 @@ class WorldStore:
         try:
             if text["key"] != key or not _unchanged(text["files"], text["absent"]):
                 return None
-            world = unpack(text["world"], arrays)
+            world = deserialize_world(text["world"], arrays)
             messages = [str(message) for message in text["warnings"]]
         # An entry with other content counts as damaged.
         except Exception as error:
@@ -135,37 +135,23 @@ class WorldStore:
             # Computed now so that it is cached: every spawn needs it, and it may take longer than all else.
             _ = world.clearance_field
         messages = [str(w.message) for w in caught if issubclass(w.category, WorldWarning)]
-        if sources.complete and len(messages) == len(caught):
-            self._save(cache, key, conf, world, sources, messages)
         if sources.complete:
             world.disk_cache = _appearance_cache(cache, key, sources.read, sorted(sources.absent))
+            if len(messages) == len(caught):
+                text = {
+                    "key": key,
+                    "files": sources.read,
+                    "absent": sorted(sources.absent),
+                    "warnings": messages,
+                }
+                try:
+                    tree, arrays = serialize_world(world)
+                    cache.write(key, {**text, "world": tree}, arrays)
+                except SerializationError as error:
+                    cache.warn("unserializable", f"worlds of {conf.name} cannot be cached: {error}")
         for warning in caught:
             warnings.warn(warning.message, stacklevel=3)
         return world
-
-    def _save(
-        self,
-        cache: CacheFolder,
-        key: str,
-        conf: WorldSettings,
-        world: World,
-        sources: FileDependencies,
-        messages: list[str],
-    ) -> None:
-        try:
-            tree, arrays = pack(world)
-        except UnpackableError as error:
-            cache.warn("unpackable", f"worlds of {conf.name} cannot be cached: {error}")
-            return
-        text = {
-            "key": key,
-            "settings": conf.model_dump(mode="json"),
-            "files": sources.read,
-            "absent": sorted(sources.absent),
-            "warnings": messages,
-            "world": tree,
-        }
-        cache.write(key, text, arrays)
 
 
 def _appearance_cache(cache: CacheFolder, key: str, files: dict[str, str], absent: list[str]) -> DiskCache:
