@@ -45,6 +45,7 @@ __all__ = [
     "register_behaviour",
     "register_body",
     "register_metric",
+    "register_randomisation",
     "register_reward",
     "register_robot",
     "register_sensor",
@@ -220,4 +221,5 @@ register_behaviour = RegisterDecorator("dune_rl.behaviours.registry:BEHAVIOURS")
 register_reward = RegisterDecorator("dune_rl.tasks.registry:REWARDS")
 register_termination = RegisterDecorator("dune_rl.tasks.registry:TERMINATIONS")
 register_metric = RegisterDecorator("dune_rl.metrics.registry:METRICS")
+register_randomisation = RegisterDecorator("dune_rl.env.randomisation:RANDOMISATIONS")
 register_algorithm = RegisterDecorator("dune_rl.learning.registry:ALGORITHMS")

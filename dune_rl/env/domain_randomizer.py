@@ -1,19 +1,24 @@
 """Domain randomisation: world, weather, contacts and body of each episode, from (seed, episode) alone."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 from dune_rl.core.seeding import stream
 from dune_rl.env.episodes.plan import EpisodePlan
-from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
+from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
+from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.traction import Traction
-from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
+from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.world import World
 
 Values = tuple[float, ...]
 
 _WORLD_SEED = "world_seed"
+# Random streams are named by former names of the properties, so that a seed keeps its episodes.
+_STREAMS = {"sun_bearing_deg": "sun_bearing_rad", "sun_elevation_deg": "sun_elevation_rad"}
 
 
 class DomainRandomizer:
@@ -35,22 +40,46 @@ class DomainRandomizer:
         prepare: Callable[[Sequence[Any]], None] | None = None,
         plan: EpisodePlan | None = None,
     ) -> None:
-        self._world_conf, self._weather = world_conf, weather
+        self._unvaried = EpisodeVariation(world_conf, weather)
         self._distributions = randomisation.distributions
         self._make_world, self._prepare = make_world, prepare
         self._plan = plan if plan is not None and plan.sets_worlds else None
         planned = () if self._plan is None else (_WORLD_SEED,)
         self.names = tuple(dict.fromkeys((*planned, *self._distributions)))
+        self._changes = {name: self._changed_fields(name) for name in self.names}
+        # An episode asks for the same variation several times, for its world and for each robot.
+        self._vary_once = lru_cache(maxsize=16)(self._vary)
+        changed = frozenset[str]().union(*self._changes.values())
+        # Whether worlds differ, bodies differ in more than their wheels' contacts, and commands are delayed.
+        self.randomizes_worlds = "world" in changed
+        self.randomizes_bodies = "body" in changed
+        self.randomizes_latency = "latency_s" in changed
 
     @classmethod
     def none(cls, world: World, weather: WeatherConf) -> "DomainRandomizer":
         """Every episode in the same world and weather."""
         return cls(None, weather, RandomisationConf(), lambda _: world)
 
-    @property
-    def randomizes_worlds(self) -> bool:
-        """Whether worlds differ."""
-        return any(PROPERTIES[name].world is not None for name in self.names)
+    def _changed_fields(self, name: str) -> frozenset[str]:
+        """Names of the fields of an `EpisodeVariation` that a property changes."""
+        least = self._distributions[name].limits[0] if name in self._distributions else 0.0
+        varied = self._apply(name, self._unvaried, least)
+        names = (field.name for field in fields(EpisodeVariation))
+        return frozenset(each for each in names if getattr(varied, each) is not getattr(self._unvaried, each))
+
+    def _apply(self, name: str, variation: EpisodeVariation, value: float) -> EpisodeVariation:
+        part = RANDOMISATIONS.find(name)
+        assert part is not None
+        return RANDOMISATIONS.build(part.settings.model_construct(name=name, value=value), variation)
+
+    def _vary(self, values: Values) -> EpisodeVariation:
+        variation = self._unvaried
+        for name, value in zip(self.names, values, strict=True):
+            variation = self._apply(name, variation, float(value))
+        return variation
+
+    def _variation(self, values: Sequence[float]) -> EpisodeVariation:
+        return self._vary_once(tuple(values))
 
     def draw(self, seed: int, episode: int, attempt: int = 0) -> Values:
         """The values of an episode; a further `attempt` draws another world and leaves the rest alone."""
@@ -61,19 +90,14 @@ class DomainRandomizer:
                 assert seed_of_world is not None
                 values.append(seed_of_world)
                 continue
-            drawn = PROPERTIES[name]
-            again = (attempt,) if attempt and drawn.world is not None else ()
-            rng = stream(seed, f"randomisation {drawn.stream or name}", episode, *again)
+            again = (attempt,) if attempt and "world" in self._changes[name] else ()
+            rng = stream(seed, f"randomisation {_STREAMS.get(name, name)}", episode, *again)
             values.append(self._distributions[name].draw(rng))
         return tuple(values)
 
     def world_conf(self, values: Values) -> Any:
         """World settings with sampled `values`."""
-        conf = self._world_conf
-        for name, value in zip(self.names, values, strict=True):
-            change = PROPERTIES[name].world
-            conf = conf if change is None else change(conf, value)
-        return conf
+        return self._variation(values).world
 
     def world(self, conf: Any) -> World:
         """The world of `conf`; raises WorldError if it cannot be built."""
@@ -81,41 +105,23 @@ class DomainRandomizer:
 
     def weather(self, values: Values) -> WeatherConf:
         """Weather with sampled `values`."""
-        weather = self._weather
-        for name, value in zip(self.names, values, strict=True):
-            change = PROPERTIES[name].weather
-            weather = weather if change is None else change(weather, value)
-        return weather
+        return self._variation(values).weather
 
     def apply_to_contacts(self, traction: Traction, row: int, values: Sequence[float]) -> None:
         """Set the contact factors of a robot's wheels, before its start."""
-        for name, value in zip(self.names, values, strict=True):
-            change = PROPERTIES[name].traction
-            if change is not None:
-                change(traction, row, float(value))
-
-    @property
-    def randomizes_bodies(self) -> bool:
-        """Whether bodies differ in more than their wheels' contacts."""
-        return any(PROPERTIES[name].body is not None for name in self.names)
-
-    @property
-    def randomizes_latency(self) -> bool:
-        """Whether commands are delayed."""
-        return any(PROPERTIES[name].latency for name in self.names)
+        factors = self._variation(values).contacts
+        traction.friction_factor[row] = factors.friction
+        traction.stiffness_factor[row] = factors.stiffness
+        traction.tyre_factor[row] = factors.tyres
+        traction.load_factor[row] = factors.load
 
     def body(self, values: Sequence[float]) -> BodyVariation:
         """Masses and motor strength of the robot with sampled `values`."""
-        body = AS_DESCRIBED
-        for name, value in zip(self.names, values, strict=True):
-            change = PROPERTIES[name].body
-            body = body if change is None else change(body, float(value))
-        return body
+        return self._variation(values).body
 
     def latency_s(self, values: Sequence[float]) -> float:
         """Delay of motor commands [s]."""
-        sampled = zip(self.names, values, strict=True)
-        return float(sum(value for name, value in sampled if PROPERTIES[name].latency))
+        return self._variation(values).latency_s or 0.0
 
     def prepare(self, seed: int, episodes: Sequence[int]) -> None:
         """Announce the next episodes, so that their worlds can be built in the background."""

@@ -1,158 +1,123 @@
-"""Domain-randomisation settings: which properties vary, their distributions, and how values are applied.
+"""Domain-randomisation settings: a distribution for each property that varies, and the registry of these."""
 
-A property is a setting of `RandomisationConf` and an entry of `PROPERTIES` of the same name.
-"""
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Self
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from pydantic import ConfigDict, create_model, model_validator
 
-from pydantic import model_validator
-
+from dune_rl.core.errors import DuneError
+from dune_rl.core.registry import RegisteredPart, Registry
 from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Distribution, WholeNumbers
-from dune_rl.env.latency import LONGEST_S
-from dune_rl.env.traction import Traction
-from dune_rl.physics.varied_body import BodyVariation
+from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.rendering.weather import WeatherConf
 
-# Metrics are float32, which holds whole numbers below this.
-_LARGEST_SEED = 2**24 - 1
+_OWN = (
+    "world_seed",
+    "layout_seed",
+    "friction",
+    "stiffness",
+    "sun_bearing_deg",
+    "sun_elevation_deg",
+    "brightness",
+    "mass",
+    "centre_x_m",
+    "centre_y_m",
+    "centre_z_m",
+    "motor_strength",
+    "wheel_friction",
+    "action_latency_s",
+)
 
 
-@dataclass(frozen=True)
-class RandomizedProperty:
-    """How a sampled value is applied to an episode, and the `limits` of its distribution.
+class RandomisedValue(Settings):
+    """The settings of a property in an episode: its name, and the drawn `value`."""
 
-    `world` and `weather` change settings, `traction` the wheel contacts of a
-    robot before its start, and `body` its masses and motors. `latency` marks
-    the delay of its motor commands [s]. `stream` names its random stream, by a
-    former name of the property, so that a seed keeps its episodes; None: its own name.
-    """
-
-    limits: tuple[float, float]
-    world: Callable[[Any, float], Any] | None = None
-    weather: Callable[[WeatherConf, float], WeatherConf] | None = None
-    traction: Callable[[Traction, int, float], None] | None = None
-    body: Callable[[BodyVariation, float], BodyVariation] | None = None
-    latency: bool = False
-    stream: str | None = None
+    name: str
 
 
-def _world_setting(name: str) -> Callable[[Any, float], Any]:
-    return lambda world, value: world.model_copy(update={name: int(value)})
+RANDOMISATIONS: Registry[EpisodeVariation] = Registry(
+    "randomisation",
+    "dune_rl.env.randomisation:RANDOMISATIONS",
+    own={name: f"dune_rl.env.randomised_properties:{name}" for name in _OWN},
+    base=RandomisedValue,
+    product=EpisodeVariation,
+    form="a function of (episode, value) that returns the changed EpisodeVariation",
+    function_leading=("episode",),
+)
 
 
-def _light_setting(name: str) -> Callable[[WeatherConf, float], WeatherConf]:
-    def change(weather: WeatherConf, value: float) -> WeatherConf:
-        return weather.model_copy(update={"light": weather.light.model_copy(update={name: value})})
-
-    return change
-
-
-def _scale_friction(traction: Traction, scene: int, factor: float) -> None:
-    traction.friction_factor[scene] = factor
+def _field(part: RegisteredPart) -> tuple[Any, None]:
+    """The field of `RandomisationConf` that a property has."""
+    if set(part.settings.model_fields) != {"name", "value"}:
+        raise ValueError(f"{part.origin}, whose parameters must be episode and value.")
+    whole = part.settings.model_fields["value"].annotation is int
+    return (WholeNumbers if whole else Distribution) | None, None
 
 
-def _scale_stiffness(traction: Traction, scene: int, factor: float) -> None:
-    traction.stiffness_factor[scene] = factor
+def _find(name: str) -> RegisteredPart:
+    part = RANDOMISATIONS.find(name)
+    assert part is not None
+    return part
 
 
-def _scale_tyres(traction: Traction, scene: int, factor: float) -> None:
-    traction.tyre_factor[scene] = factor
+if TYPE_CHECKING:
+    _OwnProperties = Settings
+else:
+    _OwnProperties = create_model(
+        "_OwnProperties", __base__=Settings, **{name: _field(_find(name)) for name in _OWN}
+    )
 
 
-def _scale_load(traction: Traction, scene: int, factor: float) -> None:
-    traction.load_factor[scene] = factor
-
-
-def _weigh(body: BodyVariation, factor: float) -> BodyVariation:
-    return replace(body, mass_factor=factor)
-
-
-def _strengthen(body: BodyVariation, factor: float) -> BodyVariation:
-    return replace(body, motor_strength=factor)
-
-
-def _centre(axis: int) -> Callable[[BodyVariation, float], BodyVariation]:
-    def change(body: BodyVariation, value: float) -> BodyVariation:
-        x, y, z = (value if place == axis else part for place, part in enumerate(body.centre_shift_b))
-        return replace(body, centre_shift_b=(x, y, z))
-
-    return change
-
-
-PROPERTIES: dict[str, RandomizedProperty] = {
-    "world_seed": RandomizedProperty((0, _LARGEST_SEED), world=_world_setting("seed")),
-    "layout_seed": RandomizedProperty((0, _LARGEST_SEED), world=_world_setting("layout_seed")),
-    "friction": RandomizedProperty((0.01, 10.0), traction=_scale_friction),
-    "stiffness": RandomizedProperty((0.01, 100.0), traction=_scale_stiffness),
-    "sun_bearing_deg": RandomizedProperty(
-        (-360.0, 360.0), weather=_light_setting("sun_bearing_deg"), stream="sun_bearing_rad"
-    ),
-    "sun_elevation_deg": RandomizedProperty(
-        (1.0, 90.0), weather=_light_setting("sun_elevation_deg"), stream="sun_elevation_rad"
-    ),
-    "brightness": RandomizedProperty((0.01, 10.0), weather=_light_setting("brightness")),
-    "mass": RandomizedProperty((0.1, 10.0), traction=_scale_load, body=_weigh),
-    "centre_x_m": RandomizedProperty((-0.5, 0.5), body=_centre(0)),
-    "centre_y_m": RandomizedProperty((-0.5, 0.5), body=_centre(1)),
-    "centre_z_m": RandomizedProperty((-0.5, 0.5), body=_centre(2)),
-    "motor_strength": RandomizedProperty((0.05, 5.0), body=_strengthen),
-    "wheel_friction": RandomizedProperty((0.01, 10.0), traction=_scale_tyres),
-    "action_latency_s": RandomizedProperty((0.0, LONGEST_S), latency=True),
-}
-
-
-class RandomisationConf(Settings):
+class RandomisationConf(_OwnProperties):
     """Distributions that are sampled for each episode; null properties keep the configured values.
 
-    `world_seed` replaces the world's `seed`, and so terrain and props;
-    `layout_seed` only the props, on the same terrain. `friction` is a factor on
-    that of the world under the wheels, and `stiffness` on that of its surfaces,
-    which a world without a map of them has not. The sun's place and the `brightness` take the place of
-    those in `weather.light`.
-
-    `mass` is a factor on the masses and inertias of all the robot's links, and
-    `centre_x_m`, `centre_y_m` and `centre_z_m` move its centre of mass forward,
-    left and up. `motor_strength` is a factor on its motors' voltage: on their
-    stall torque and on their speed without load. `wheel_friction` is a factor
-    on that of its tyres or feet, which multiplies with `friction`. Commands
-    reach the motors `action_latency_s` late, in the nearest whole number of
-    control steps.
+    The properties are those of `dune_rl.env.randomised_properties`, and registered ones.
     """
 
-    world_seed: WholeNumbers | None = None
-    layout_seed: WholeNumbers | None = None
-    friction: Distribution | None = None
-    stiffness: Distribution | None = None
-    sun_bearing_deg: Distribution | None = None
-    sun_elevation_deg: Distribution | None = None
-    brightness: Distribution | None = None
-    mass: Distribution | None = None
-    centre_x_m: Distribution | None = None
-    centre_y_m: Distribution | None = None
-    centre_z_m: Distribution | None = None
-    motor_strength: Distribution | None = None
-    wheel_friction: Distribution | None = None
-    action_latency_s: Distribution | None = None
+    model_config = ConfigDict(extra="allow")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _parse_registered(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        others = {name: value for name, value in data.items() if name not in cls.model_fields}
+        try:
+            parts = {name: RANDOMISATIONS.find(name) for name in others}
+        except DuneError as error:
+            raise ValueError(str(error)) from None
+        # Raises an error for each name that is not registered.
+        fields: dict[str, Any] = {name: _field(part) for name, part in parts.items() if part is not None}
+        return {**data, **dict(create_model("Registered", __base__=Settings, **fields)(**others))}
 
     @property
     def distributions(self) -> dict[str, Any]:
         """The distributions that are not null, by property name."""
-        found = ((name, getattr(self, name)) for name in PROPERTIES)
-        return {name: distribution for name, distribution in found if distribution is not None}
+        return {name: distribution for name, distribution in self if distribution is not None}
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
         for name, distribution in self.distributions.items():
-            low, high = PROPERTIES[name].limits
+            bounds = {
+                key: getattr(bound, key)
+                for bound in _find(name).settings.model_fields["value"].metadata
+                for key in ("ge", "le")
+                if hasattr(bound, key)
+            }
+            low, high = bounds.get("ge", -float("inf")), bounds.get("le", float("inf"))
             least, most = distribution.limits
             if least < low or most > high:
                 raise ValueError(
                     f"{name} must lie between {low:.10g} and {high:.10g} (got {least:.10g} to {most:.10g})"
                 )
         return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Worker processes get the functions along.
+        parts = {name: _find(name) for name, _ in self}
+        targets = {name: part.target for name, part in parts.items() if not part.is_own}
+        return _restore, (targets, dict(self))
 
     def check(self, world: Settings, weather: WeatherConf) -> None:
         """Raise ValueError if a property is drawn that `world` or `weather` does not have."""
@@ -163,7 +128,7 @@ class RandomisationConf(Settings):
                     f"randomisation.{name}: the world {getattr(world, 'name', '')!r} has no {needed}; "
                     "leave it null, or choose a world that is made from a seed"
                 )
-        if self.stiffness is not None and not _has_surfaces(world):
+        if "stiffness" in self.distributions and not _has_surfaces(world):
             raise ValueError(
                 "randomisation.stiffness: the world's ground is rigid; set its surfaces "
                 "(world.surfaces=natural, or world.surface_map), or leave it null"
@@ -174,6 +139,13 @@ class RandomisationConf(Settings):
                     f"randomisation.{name}: weather.time_of_day_h={weather.time_of_day_h:g} determines the "
                     "position of the sun; set one of them to null"
                 )
+
+
+def _restore(targets: Mapping[str, Callable[..., Any]], values: Mapping[str, Any]) -> RandomisationConf:
+    for name, target in targets.items():
+        if RANDOMISATIONS.find(name) is None:
+            RANDOMISATIONS.register(target, name)
+    return RandomisationConf(**values)
 
 
 def _has_surfaces(world: Settings) -> bool:

@@ -20,7 +20,7 @@ from dune_rl.core.errors import WorldError
 from dune_rl.env.distributions import Choice, Integers, LogUniform, Normal, Uniform
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.pictures import Pictures
-from dune_rl.env.randomisation import PROPERTIES, RandomisationConf
+from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.rendering.weather import WeatherConf
@@ -159,7 +159,7 @@ def test_each_property_has_a_stream_of_its_own() -> None:
 
 
 def test_every_property_is_a_setting_and_the_other_way_round() -> None:
-    assert list(PROPERTIES) == list(RandomisationConf.model_fields)
+    assert list(RANDOMISATIONS.own) == list(RandomisationConf.model_fields)
 
 
 @pytest.mark.slow(all_but=["construction", "island"])
