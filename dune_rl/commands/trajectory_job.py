@@ -10,8 +10,7 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.trajectories.files import write_trajectory
 from dune_rl.trajectories.picture import draw_trajectory
-from dune_rl.trajectories.settings import parse_words
-from dune_rl.trajectories.world_choice import choose_world
+from dune_rl.trajectories.settings import choose_world, parse_words
 
 _DPI = 120
 

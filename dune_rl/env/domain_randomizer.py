@@ -70,7 +70,8 @@ class DomainRandomizer:
     def _apply(self, name: str, variation: EpisodeVariation, value: float) -> EpisodeVariation:
         part = RANDOMISATIONS.find(name)
         assert part is not None
-        return RANDOMISATIONS.build(part.settings.model_construct(name=name, value=value), variation)
+        drawn: dict[str, Any] = {"name": name, "value": value}
+        return RANDOMISATIONS.build(part.settings.model_construct(**drawn), variation)
 
     def _vary(self, values: Values) -> EpisodeVariation:
         variation = self._unvaried

@@ -16,9 +16,8 @@ from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.context import SensorContext
 from dune_rl.state.sensor_carrier import SensorCarrier
-from dune_rl.worlds.appearance import bake_in_weather, with_own_sun
+from dune_rl.worlds.appearance import bake_in_weather, beam_surface, with_own_sun
 from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
-from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.world import World
 
 # Over the highest and under the lowest solid point, where a body can still be.

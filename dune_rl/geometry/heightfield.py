@@ -13,6 +13,14 @@ from dune_rl.geometry.grid_loops import (
 )
 
 
+def cell_centres(extent: tuple[float, float, float, float], rows: int, columns: int) -> Array:
+    """Centres (rows, columns, 2) [m] of cells that divide `extent` (xmin, xmax, ymin, ymax) evenly."""
+    xmin, xmax, ymin, ymax = extent
+    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
+    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
 class HeightField:
     """Heights `(ny, nx)` [m] at `origin` + `spacing_m` * (column, row), with two triangles per cell.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.arrays import Flags, Floats
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.embree.triangle_scene import TriangleScene
 
 Order = NDArray[np.int64] | None
@@ -73,6 +73,12 @@ class RayScene:
             np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32), ranges
         )
         return hit.range, hit.normal
+
+    def topmost(self, xy: Array, top_m: float, reach_m: float) -> Array:
+        """Heights (N,) [m] of the first surface below `top_m` at points (N, 2), -inf beyond `reach_m`."""
+        origins = np.column_stack([xy, np.full(len(xy), top_m)])
+        hit, _ = self.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), reach_m)
+        return np.where(hit < reach_m, top_m - hit, -np.inf)
 
     def any_hit(self, origins: Floats, directions: Floats) -> Flags:
         """Whether each ray, of unlimited length, hits any triangle, (N,)."""

@@ -4,11 +4,14 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 
 import numpy as np
+from scipy import ndimage
 
 from dune_rl.geometry.arrays import Floats
+from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.rendering.baked_scenery import LAST_CACHED, BakedScenery
+from dune_rl.rendering.beam_surface import BeamSurface
 from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
-from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, join_meshes
+from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, Segment, join_meshes
 from dune_rl.rendering.weather import Haze, WeatherConf, weather_light
 from dune_rl.worlds.cache.folder import DiskCache
 from dune_rl.worlds.grass import Grass
@@ -85,10 +88,7 @@ def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
 def _shade_by_grass(albedo: Floats, grass: Grass) -> Floats:
     """Ground albedo (rows, columns, 3), reduced by the light that the grass on it absorbs."""
     rows, columns = albedo.shape[:2]
-    xmin, xmax, ymin, ymax = grass.terrain.extent
-    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
-    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
-    share = grass.foliage.shade(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    share = grass.foliage.shade(cell_centres(grass.terrain.extent, rows, columns).reshape(-1, 2))
     return albedo * share.reshape(rows, columns, 1)
 
 
@@ -99,3 +99,38 @@ def _coloured_mesh(prop: Prop) -> ColouredMesh:
     return ColouredMesh(
         prop.vertices, prop.faces, albedo, np.full(count, prop.segment_class, np.uint8), prop.texture
     )
+
+
+def beam_surface(world: World) -> BeamSurface:
+    """Segments and luminances of the faces of `world.solid_mesh()`, in their order; cached with the world."""
+    return world.memoize("beam surface", lambda: _build_beam_surface(world))
+
+
+def _build_beam_surface(world: World) -> BeamSurface:
+    scenery = build_scenery(world)
+    albedo = _face_albedo(world.terrain, scenery.ground.albedo)
+    solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])
+    if len(solid) != len(scenery.props.faces):
+        raise ValueError(
+            f"the props of {world.name} have {len(solid)} faces, but its scenery has "
+            f"{len(scenery.props.faces)}: they must be the same, in the same order"
+        )
+    ground = np.full(len(albedo), Segment.GROUND, np.uint8)
+    solid = solid.astype(bool)
+    return BeamSurface.from_faces(
+        np.concatenate([ground, scenery.props.segments[solid]]),
+        np.concatenate([albedo, scenery.props.albedo[solid]]),
+    )
+
+
+def _face_albedo(terrain: HeightField, texture: Floats) -> Floats:
+    """Linear RGB (F, 3) of the terrain's faces: the texture's mean over a square of a cell's size."""
+    rows, columns = texture.shape[:2]
+    xmin, xmax, ymin, ymax = terrain.extent
+    per_m = np.array([columns / (xmax - xmin), rows / (ymax - ymin)])
+    width, height = np.maximum(1, np.round(terrain.spacing_m * per_m).astype(int))
+    mean = ndimage.uniform_filter(texture, (height, width, 1), mode="nearest")
+    vertices, faces = terrain.mesh()
+    centres = vertices[faces, :2].mean(axis=1)
+    column, row = ((centres - [xmin, ymin]) * per_m).astype(np.intp).T
+    return mean[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]

@@ -1,6 +1,7 @@
 """Distance to the nearest obstacle, computed once on a grid and interpolated."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,7 +58,7 @@ class ClearanceField:
         scene = RayScene(*merge_meshes(blocking))
         blocked = _is_band_occupied(scene, xy, ground, self._band_m)
         if decks:
-            top = _deck_height(RayScene(*merge_meshes(decks)), xy)
+            top = RayScene(*merge_meshes(decks)).topmost(xy, 0.5 * _RAY_RANGE_M, 2 * _RAY_RANGE_M)
             above = top > ground
             blocked[above] |= _is_band_occupied(scene, xy[above], top[above], self._band_m)
         if not blocked.any():
@@ -101,13 +102,6 @@ class ClearanceField:
         return clearance
 
 
-def _deck_height(scene: RayScene, xy: Array) -> Array:
-    top = 0.5 * _RAY_RANGE_M
-    origins = np.column_stack([xy, np.full(len(xy), top)])
-    hit, _ = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), 2 * _RAY_RANGE_M)
-    return np.where(hit < 2 * _RAY_RANGE_M, top - hit, -np.inf)
-
-
 def _is_band_occupied(scene: RayScene, xy: Array, ground: Array, band_m: float) -> Flags:
     # A vertical ray from the band's bottom: a hit within the band is an obstacle. So is a solid that the
     # ray starts in: the ray leaves it once more often than it enters it.
@@ -128,3 +122,41 @@ def _is_band_occupied(scene: RayScene, xy: Array, ground: Array, band_m: float) 
         occupied[live] |= height[live] - start[live] < band_m
         balance[live] += np.sign(normal[:, 2]).astype(int)
     return occupied | (balance > 0)
+
+
+class NearestObstacle(NamedTuple):
+    """Distances (...) [m] to nearest obstacles, and their points (..., 2); inf and NaN without obstacles."""
+
+    distance: Array
+    point: Array
+
+
+class ObstacleSearch:
+    """Callable: the nearest obstacle of any points, consistent with a `ClearanceField`."""
+
+    def __init__(self, field: ClearanceField) -> None:
+        self._field = field
+        self._nearest: NDArray[np.int32] | None = None
+        if field.distance is None:
+            return
+        free = field.distance.reshape(field.rows, field.columns) > 0.0
+        row, column = distance_transform_edt(
+            free, sampling=field.cell_m, return_distances=False, return_indices=True
+        )
+        self._nearest = (row * field.columns + column).astype(np.int32).reshape(-1)
+
+    def __call__(self, xy: ArrayLike) -> NearestObstacle:
+        """Nearest obstacles of points (..., 2); outside the world, those of the edge's nearest point."""
+        points = np.asarray(xy, dtype=np.float64)
+        distance = self._field(points)
+        if self._nearest is None:
+            return NearestObstacle(distance, np.full(points.shape, np.nan))
+        row, column = np.divmod(self._nearest[self._field.nearest_cell(points)], self._field.columns)
+        point = np.empty(points.shape)
+        xmin, ymin = self._field.origin
+        point[..., 0] = xmin + self._field.cell_m * column
+        point[..., 1] = ymin + self._field.cell_m * row
+        # A point inside an obstacle is its own nearest point.
+        inside = distance == 0.0
+        point[inside] = points[inside]
+        return NearestObstacle(distance, point)

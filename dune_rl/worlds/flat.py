@@ -8,9 +8,9 @@ from pydantic import Field
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.ground_texture import GRAVEL
-from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
-from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceChoice
+from dune_rl.worlds.settings import GrassyConf
+from dune_rl.worlds.surface_map import SurfaceShare, surface_map
+from dune_rl.worlds.surfaces import SURFACE_NAMES
 from dune_rl.worlds.world import World
 
 # Contact solvers lose precision on triangles much longer than the robot.
@@ -19,17 +19,12 @@ _SPACING_M = 5.0
 _SURFACES = tuple(SurfaceShare(name, 1.0 / len(SURFACE_NAMES)) for name in SURFACE_NAMES)
 
 
-class FlatConf(WorldSettings):
+class FlatConf(GrassyConf):
     """Settings of `build_flat`."""
 
     name: Literal["flat"] = "flat"
     size_m: float = Field(default=100.0, ge=20.0, le=1000.0, description="length of the plane's side")
     region_size_m: float = Field(default=8.0, gt=0.0, le=1000.0, description="side of the spawn region")
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
-    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
-    surfaces: SurfaceChoice = "uniform"
-    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def build_flat(conf: FlatConf) -> World:

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import GroundTexture
 from dune_rl.worlds.fractal_terrain import smooth_step
@@ -96,16 +96,14 @@ def ground_texture(
     terrain: HeightField, ground: GroundColours, seed: int, surfaces: SurfaceMap | None = None
 ) -> GroundTexture:
     """Ground texture of `ground` on `terrain`, or of its `surfaces`; deterministic in `seed`."""
-    xmin, xmax, ymin, ymax = terrain.extent
+    xmin, xmax, _, _ = terrain.extent
     rows, columns = texture_shape(terrain)
     rng = stream(seed, "ground texture")
     texel_m = (xmax - xmin) / columns
     patches = _noise(rng, rows, columns, [9.0, 4.0, 1.6, 0.6], texel_m)
     edges = _noise(rng, rows, columns, [3.0, 1.2, 0.5, 0.25], texel_m)
     grain = _noise(rng, rows, columns, [0.5, 0.2, 0.1], texel_m)
-    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
-    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
-    xy = np.stack(np.meshgrid(x, y), axis=-1)
+    xy = cell_centres(terrain.extent, rows, columns)
     slope = terrain.slope(xy)
     slope = ndimage.gaussian_filter(slope, 0.5 / texel_m)
     growth = smooth_step((patches + 0.8) / 1.6)[..., None]

@@ -9,15 +9,14 @@ from pydantic import Field, model_validator
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array
-from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.worlds.fractal_terrain import rough_field, smooth_step
 from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground_texture import GroundColours
-from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.occupancy import OccupiedRectangles
 from dune_rl.worlds.props import unit_vector, upright_box
-from dune_rl.worlds.seeded_settings import SeededConf
-from dune_rl.worlds.surfaces import SurfaceChoice
+from dune_rl.worlds.settings import GrassyConf, SeededConf
+from dune_rl.worlds.surface_map import SurfaceShare, surface_map
 from dune_rl.worlds.world import Colour, Prop, World
 
 # Four points per metre, the shortest bump length; a wheel's radius is about half a spacing.
@@ -56,7 +55,7 @@ _SURFACES = (
 )
 
 
-class IslandConf(SeededConf):
+class IslandConf(SeededConf, GrassyConf):
     """Settings of `build_island`.
 
     Slopes are proportional to `roughness_m` / `bump_length_m`: with the
@@ -71,11 +70,6 @@ class IslandConf(SeededConf):
     bump_length_m: float = Field(default=2.0, ge=1.0, le=6.0, description="mean length of the bumps")
     boxes_per_100m2: float = Field(default=2.5, ge=0.0, le=8.0, description="boxes on land")
     region_size_m: float = Field(default=8.0, ge=3.0, le=24.0, description="side of the spawn region")
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the land in tall grass")
-    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
-    surfaces: SurfaceChoice = "uniform"
-    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
     @model_validator(mode="after")
     def _region_on_land(self) -> Self:
@@ -183,11 +177,7 @@ def _grass(conf: IslandConf, terrain: HeightField, boxes: list[Prop]) -> Grass |
     grass = grow_grass(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed)
     if grass is None:
         return None
-    rows, columns = grass.density.shape
-    xmin, xmax, ymin, ymax = terrain.extent
-    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
-    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
-    dry = terrain.height(np.stack(np.meshgrid(x, y), axis=-1)) > _GRASS_FROM_M
+    dry = terrain.height(cell_centres(terrain.extent, *grass.density.shape)) > _GRASS_FROM_M
     return replace(grass, density=np.where(dry, grass.density, np.float32(0.0)))
 
 

@@ -92,10 +92,7 @@ def _height_of_first(meshes: list[tuple[Array, NDArray[np.int32]]], points: Arra
     vertices, faces = merge_meshes(meshes)
     top = float(vertices[:, 2].max()) + 1.0
     reach = top - float(vertices[:, 2].min()) + 1.0
-    origins = np.column_stack([points, np.full(len(points), top)])
-    down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
-    distance, _ = RayScene(vertices, faces).first_hit(origins, down, reach)
-    return np.where(distance < reach, top - distance, -np.inf)
+    return RayScene(vertices, faces).topmost(points, top, reach)
 
 
 def _lattice(world: World) -> tuple[Array, Array, float]:

@@ -88,3 +88,12 @@ def level_axes(direction: Array) -> tuple[Array, Array, Array]:
 def _strip(a: Indices, b: Indices, c: Indices, d: Indices) -> NDArray[np.int32]:
     # Quads a-b-d-c as two triangles each.
     return np.concatenate([np.stack([a, b, d], axis=-1), np.stack([a, d, c], axis=-1)]).astype(np.int32)
+
+
+def bisect_triangles(corners: Array, side: NDArray[np.intp]) -> Array:
+    """Both halves of triangles (N, 3, 3), cut at the middle of the `side` (N,) that follows that corner."""
+    row = np.arange(len(corners))
+    first, second, third = (corners[row, (side + k) % 3] for k in range(3))
+    middle = (first + second) / 2
+    halves = [np.stack([first, middle, third], axis=1), np.stack([middle, second, third], axis=1)]
+    return np.concatenate(halves)

@@ -1,9 +1,41 @@
-"""The base of every world's settings."""
+"""Bases of the settings of worlds."""
+
+from pydantic import Field
 
 from dune_rl.core.settings import Settings
+from dune_rl.worlds.surfaces import SurfaceChoice
 
 
 class WorldSettings(Settings):
     """Settings of a world; `name` selects the settings class when a file is read."""
 
     name: str
+
+
+class SeededConf(WorldSettings):
+    """Seed of a world's terrain and props; `layout_seed` replaces it for the props."""
+
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    layout_seed: int | None = Field(
+        default=None, ge=0, lt=2**32, description="seed of the props' layout alone; null: the seed"
+    )
+
+    @property
+    def layout(self) -> int:
+        """The seed of the props' layout."""
+        return self.seed if self.layout_seed is None else self.layout_seed
+
+
+class SurfacedConf(WorldSettings):
+    """The ground's friction, or its surfaces."""
+
+    friction: float = Field(default=1.0, gt=0.0, le=5.0)
+    surfaces: SurfaceChoice = "uniform"
+    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
+
+
+class GrassyConf(SurfacedConf):
+    """Tall grass on the ground, and its surfaces."""
+
+    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the land in tall grass")
+    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)

@@ -16,10 +16,9 @@ from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.folder import DiskCache
-from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.clearance import ClearanceField, NearestObstacle, ObstacleSearch
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import MEADOW, GroundColours, GroundPicture
-from dune_rl.worlds.obstacle_search import NearestObstacle, ObstacleSearch
 from dune_rl.worlds.region_candidates import Rectangle, RegionCandidate
 from dune_rl.worlds.roughness_field import RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap

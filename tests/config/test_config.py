@@ -41,8 +41,8 @@ from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.tasks.task import TaskConf, walking_task
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap.build import HeightmapConf
-from dune_rl.worlds.importing.mesh.build import MeshConf
+from dune_rl.worlds.importing.heightmap_world import HeightmapConf
+from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf

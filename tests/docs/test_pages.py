@@ -43,8 +43,8 @@ from dune_rl.evaluation.episode_sets import read_episode_set
 from dune_rl.reporting.settings import parse_words
 from dune_rl.robots import __main__ as robots
 from dune_rl.sensors.conf import ROBOT_SENSORS
+from dune_rl.trajectories.settings import choose_world
 from dune_rl.trajectories.settings import parse_words as trajectory_words
-from dune_rl.trajectories.world_choice import choose_world
 
 # The page of clients has tests of its own.
 SHOWN = [

@@ -9,8 +9,8 @@ import tifffile
 from PIL import Image
 from world_files import SHARED_WORLDS, box, bumpy_ground, ground_height, write_yard
 
-from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap
-from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.heightmap_world import HeightmapConf, build_heightmap
+from dune_rl.worlds.importing.mesh_world import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 
 MESHES = ("obj", "stl", "ply", "glb", "dae")

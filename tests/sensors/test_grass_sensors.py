@@ -18,8 +18,7 @@ from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.depth_strip import DepthStrip
 from dune_rl.sensors.lidar_3d import Lidar3d
 from dune_rl.sensors.medium import InGrass
-from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.appearance import bake_world, beam_surface
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.world import World
 

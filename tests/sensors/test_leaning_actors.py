@@ -17,8 +17,7 @@ from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.depth_strip import DepthStrip
 from dune_rl.sensors.lidar import Lidar
 from dune_rl.sensors.lidar_3d import Lidar3d
-from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.appearance import bake_world, beam_surface
 
 RED, BLUE = (0.8, 0.05, 0.05), (0.05, 0.05, 0.8)
 EYE = np.array([0.2, 0.0, 0.3])

@@ -19,7 +19,7 @@ from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
-from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.appearance import beam_surface
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
 from dune_rl.worlds.props import upright_box

@@ -19,8 +19,7 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.camera import Camera
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
-from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.beam_surface import beam_surface
+from dune_rl.worlds.appearance import bake_world, beam_surface
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.world import World
 

@@ -13,7 +13,7 @@ from world_digest import digest
 
 from dune_rl.worlds.cache.store import WorldStore
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.mesh.build import MeshConf
+from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.registry import build_uncached
 

@@ -13,9 +13,8 @@ from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.light import Light, LightConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.worlds.appearance import bake_world
+from dune_rl.worlds.appearance import bake_world, beam_surface
 from dune_rl.worlds.batched_worlds import BatchedWorlds
-from dune_rl.worlds.beam_surface import beam_surface
 from dune_rl.worlds.island import IslandConf, build_island
 from dune_rl.worlds.world import World
 

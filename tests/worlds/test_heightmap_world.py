@@ -14,7 +14,7 @@ from world_files import SHARED_WORLDS, ground_height
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.tasks.spawn import SpawnConf, Spawner
-from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap
+from dune_rl.worlds.importing.heightmap_world import HeightmapConf, build_heightmap
 from dune_rl.worlds.importing.imported_world import ImportedWorld
 
 

@@ -10,7 +10,7 @@ from world_files import joined, yard
 
 import dune_rl
 from dune_rl.core.errors import WorldError
-from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.mesh_world import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 
 ON_ITS_SIDE = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from dune_rl.core.paths import assets_folder
 from dune_rl.evaluation.episode_sets.files import read_episode_set
 from dune_rl.worlds.inspection import terrain as terrain_module
-from dune_rl.worlds.inspection.relief import fit, known_amplitudes
-from dune_rl.worlds.inspection.terrain import build_terrain, triangle_slopes_deg
+from dune_rl.worlds.inspection.terrain import build_terrain, fit, known_amplitudes, triangle_slopes_deg
 
 Array = NDArray[np.float64]
 SETS = ("inspection-v1", "inspection-site-v1", "inspection-crowd-v1")

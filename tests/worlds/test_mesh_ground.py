@@ -14,7 +14,7 @@ from world_files import (
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.worlds.importing.imported_world import ImportedWorld
-from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.mesh_world import MeshConf, build_mesh
 from dune_rl.worlds.importing.topology import boundary_edges, weld_vertices
 
 

@@ -18,7 +18,7 @@ from world_files import (
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import MAX_FILE_BYTES, WorldWarning
-from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.mesh_world import MeshConf, build_mesh
 
 
 def refused(path, match: str, **settings) -> None:

@@ -26,8 +26,8 @@ from dune_rl.worlds.cache.serialization import state_of
 from dune_rl.worlds.cache.store import WorldStore, shared_store, world_key
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap.build import HeightmapConf
-from dune_rl.worlds.importing.mesh.build import MeshConf
+from dune_rl.worlds.importing.heightmap_world import HeightmapConf
+from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf

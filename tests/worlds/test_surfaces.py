@@ -16,7 +16,7 @@ from dune_rl.core.paths import assets_folder
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
 from dune_rl.worlds.appearance import build_scenery
-from dune_rl.worlds.importing.heightmap.build import HeightmapConf, build_heightmap
+from dune_rl.worlds.importing.heightmap_world import HeightmapConf, build_heightmap
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SURFACES, Soil, Surface, WheelLoad, contact_table

@@ -20,7 +20,7 @@ from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.camera import Camera
 from dune_rl.worlds.appearance import bake_in_weather, bake_world, build_scenery, with_own_sun
-from dune_rl.worlds.importing.mesh.build import MeshConf, build_mesh
+from dune_rl.worlds.importing.mesh_world import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 from dune_rl.worlds.world import Prop, World
 

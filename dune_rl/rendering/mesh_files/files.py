@@ -28,8 +28,7 @@ from dune_rl.core.untrusted_files import (
 )
 from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.mesh_files.collada import load_collada_parts
-from dune_rl.rendering.mesh_files.frame_hints import frame_hints
-from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles, mean_face_colours
+from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles, frame_hints, mean_face_colours
 from dune_rl.rendering.mesh_texture import MeshTexture
 
 UpAxis = Literal["y", "z"]

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.props import bisect_triangles
 
 # Triangles that reach below the ground are cut into pieces of at most this size, or this share of the world.
 _LONGEST_M, _LONGEST_SHARE = 0.5, 1 / 250
@@ -28,20 +29,12 @@ def clip_above_ground(corners: Array, terrain: HeightField) -> Array:
         long = edges.max(axis=1, initial=0.0) > longest_m
         if not long.any():
             break
-        rest = np.concatenate([rest[~long], _bisect(rest[long], edges[long].argmax(axis=1))])
+        rest = np.concatenate([rest[~long], bisect_triangles(rest[long], edges[long].argmax(axis=1))])
     return np.concatenate([*whole, *_cut_at_ground(rest, _height_above_ground(rest, terrain))])
 
 
 def _height_above_ground(corners: Array, terrain: HeightField) -> Array:
     return corners[..., 2] - terrain.height(corners[..., :2]) - _FLUSH_M
-
-
-def _bisect(corners: Array, side: NDArray[np.intp]) -> Array:
-    """Both halves of triangles (N, 3, 3), cut at the middle of the `side` (N,) that follows that corner."""
-    first, second, third = _rotate(corners, side)
-    middle = (first + second) / 2
-    halves = [np.stack([first, middle, third], axis=1), np.stack([middle, second, third], axis=1)]
-    return np.concatenate(halves)
 
 
 def _rotate(values: Array, first: NDArray[np.intp]) -> tuple[Array, Array, Array]:

@@ -137,11 +137,8 @@ def covered_by(props: Iterable[Prop], ground: GroundGrid) -> Flags:
     vertices, faces = merge_meshes(meshes)
     top = float(vertices[:, 2].max()) + 1.0
     room = top - float(ground.height.min()) + 1.0
-    origins = np.concatenate([ground.points, np.full((*covered.shape, 1), top)], axis=-1).reshape(-1, 3)
-    down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
-    hit, _ = RayScene(vertices, faces).first_hit(origins, down, room)
-    hit = hit.reshape(covered.shape)
-    return (hit < room) & (top - hit > ground.height)
+    highest = RayScene(vertices, faces).topmost(ground.points.reshape(-1, 2), top, room)
+    return highest.reshape(covered.shape) > ground.height
 
 
 def water_props(world: World) -> list[Prop]:

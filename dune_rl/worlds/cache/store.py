@@ -22,8 +22,8 @@ from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
 from dune_rl.worlds.cache.serialization import SerializationError, deserialize_world, serialize_world
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap.build import HeightmapConf
-from dune_rl.worlds.importing.mesh.build import MeshConf
+from dune_rl.worlds.importing.heightmap_world import HeightmapConf
+from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
 from dune_rl.worlds.inspection.build import InspectionConf
@@ -165,7 +165,7 @@ def encode_request(conf: WorldSettings, with_appearance: bool) -> str:
     return json.dumps({"world": conf.model_dump(mode="json"), "with_appearance": with_appearance})
 
 
-def decode_request(line: bytes) -> tuple[WorldSettings, bool]:
+def decode_request(line: str) -> tuple[WorldSettings, bool]:
     """Settings and `with_appearance` of a request; raises ValueError or KeyError for an invalid line."""
     request = json.loads(line)
     return parse_built_in_settings(request["world"]), bool(request["with_appearance"])

@@ -11,9 +11,8 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.construction.layout import place_props
 from dune_rl.worlds.construction.walls import build_storey
 from dune_rl.worlds.ground_texture import GroundColours
-from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
-from dune_rl.worlds.seeded_settings import SeededConf
-from dune_rl.worlds.surfaces import SurfaceChoice
+from dune_rl.worlds.settings import SeededConf, SurfacedConf
+from dune_rl.worlds.surface_map import SurfaceShare, surface_map
 from dune_rl.worlds.world import World
 
 LENGTH_M, WIDTH_M = 44.0, 25.0
@@ -34,7 +33,7 @@ _SURFACES = (
 )
 
 
-class ConstructionConf(SeededConf):
+class ConstructionConf(SeededConf, SurfacedConf):
     """Settings of `build_construction`."""
 
     name: Literal["construction"] = "construction"
@@ -49,9 +48,6 @@ class ConstructionConf(SeededConf):
     mounds_per_100m2: float = Field(default=1.0, ge=0.0, le=4.0)
     mound_height_m: float = Field(default=0.15, ge=0.0, le=0.6)
     region_size_m: float = Field(default=8.0, ge=3.0, le=20.0, description="side of the spawn region")
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    surfaces: SurfaceChoice = "uniform"
-    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
     @model_validator(mode="after")
     def _doors_fit(self) -> Self:

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.arrays import Flags, Floats
-from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.rendering.light import linear_to_srgb
 from dune_rl.rendering.mesh_texture import TextureSampler
 from dune_rl.worlds.ground_texture import GroundPicture, texture_shape
@@ -27,15 +27,13 @@ def bake_ground_picture(
     ground = np.flatnonzero(is_ground)
     sampler = TextureSampler(soup.texture.select_faces(ground))
     rows, columns = texture_shape(terrain, _TEXEL_M)
-    xmin, xmax, ymin, ymax = terrain.extent
-    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
-    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
+    xmin, xmax, _, _ = terrain.extent
+    xy = cell_centres(terrain.extent, rows, columns)
     points = soup.vertices[soup.faces[ground], :2].reshape(-1, 2)
-    heights, hit = cast_down(soup, ground, x, y, points.min(axis=0), points.max(axis=0))
+    heights, hit = cast_down(soup, ground, xy, points.min(axis=0), points.max(axis=0))
     # From indices into all triangles to indices into those of the ground; -1 for a miss.
     face = np.where(hit >= 0, np.searchsorted(ground, hit), -1).reshape(-1)
     textured = np.flatnonzero((face >= 0) & sampler.textured[face])
-    xy = np.stack(np.meshgrid(x, y), axis=-1)
     positions = np.concatenate([xy, heights[..., None]], axis=-1).reshape(-1, 3)[textured]
     picture = resample_to_texels(colours, (rows, columns))
     texel_m = (xmax - xmin) / columns

@@ -89,14 +89,12 @@ def grid_axes(low: Array, high: Array, step: float) -> tuple[Array, Array, tuple
 
 
 def cast_down(
-    soup: Triangles, ground: NDArray[np.intp], x: Array, y: Array, low: Array, high: Array
+    soup: Triangles, ground: NDArray[np.intp], points: Array, low: Array, high: Array
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Heights (rows, columns) of the topmost triangle of `ground`, and its index, -1 for none."""
+    """Heights (...) of the topmost triangle of `ground` at points (..., 2), and its index, -1 for none."""
     # Rays exactly at the edge may miss it by a rounding error.
     inside = 1e-6 * (high - low) + 1e-6
-    at = np.stack(np.meshgrid(np.clip(x, low[0] + inside[0], high[0] - inside[0]),
-                              np.clip(y, low[1] + inside[1], high[1] - inside[1])), axis=-1)  # fmt: skip
-    xy = at.reshape(-1, 2)
+    xy = np.clip(points, low + inside, high - inside).reshape(-1, 2)
     middle = (low + high) / 2
     # Centred at the origin, where single precision is finest.
     vertices = soup.vertices - [*middle, 0.0]
@@ -109,7 +107,7 @@ def cast_down(
     hits = scene.hits(origins, down, np.full(len(xy), far, np.float32))
     face = np.where(hits.face >= 0, ground[hits.face], -1)
     heights = np.where(face >= 0, _plane_height(soup, face, xy), 0.0)
-    return heights.reshape(len(y), len(x)), face.reshape(len(y), len(x))
+    return heights.reshape(points.shape[:-1]), face.reshape(points.shape[:-1])
 
 
 def _plane_height(soup: Triangles, face: NDArray[np.intp], xy: Array) -> Array:

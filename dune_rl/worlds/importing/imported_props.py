@@ -13,7 +13,12 @@ from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.mesh_files.parts import MeshPart
 from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
-from dune_rl.worlds.importing.topology import close_surface, label_face_components, weld_vertices
+from dune_rl.worlds.importing.topology import (
+    close_surface,
+    doubled_areas,
+    label_face_components,
+    weld_vertices,
+)
 from dune_rl.worlds.world import Prop
 
 Ids = NDArray[np.int64]
@@ -115,8 +120,7 @@ def _is_terrain_face(part: MeshPart, faces: NDArray[np.intp], over: Array, terra
 
 def is_single_sheet(part: MeshPart) -> bool:
     # Hardly any face of a terrain faces down; of a closed surface, as much area faces down as up.
-    corners = part.vertices[part.faces]
-    upward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    upward = doubled_areas(part.vertices[part.faces])[:, 2]
     return bool(upward[upward > 0].sum() > 5 * -upward[upward < 0].sum())
 
 
@@ -167,10 +171,7 @@ def _build_props(groups: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedPr
     for part, pieces in groups:
         for vertices, faces, colours, texture in _merge_within_limits(pieces):
             number = counts[part.name] = counts.get(part.name, 0) + 1
-            corners = vertices[faces]
-            area = np.linalg.norm(
-                np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-            )
+            area = np.linalg.norm(doubled_areas(vertices[faces]), axis=1)
             red, green, blue = np.average(colours, axis=0, weights=area + 1e-12)
             props.append(
                 ImportedProp(

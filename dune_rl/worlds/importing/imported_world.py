@@ -15,9 +15,9 @@ from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
+from dune_rl.worlds.importing.ground import extract_ground
 from dune_rl.worlds.importing.ground_pictures import picture_from_colours
 from dune_rl.worlds.importing.imported_props import ImportedProp, extract_props
-from dune_rl.worlds.importing.mesh.ground import extract_ground
 from dune_rl.worlds.importing.region_search import find_region_candidates
 from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.world import Rectangle, World

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.clearance import BAND_BOTTOM_M, BAND_TOP_M, ClearanceField
-from dune_rl.worlds.props import Mesh, merge_meshes
+from dune_rl.worlds.props import Mesh, bisect_triangles, merge_meshes
 
 _COARSE_M = 0.5
 # Distance of sample points in cells: at most this, marked cells touch at least at their corners.
@@ -70,7 +69,7 @@ class SurfaceClearance(ClearanceField):
             if len(corners) > _MOST_TRIANGLES:
                 small[:] = True
             yield from self._sample_triangles(corners[small], edges[small].max(axis=1))
-            corners = _bisect(corners[~small], edges[~small].argmax(axis=1))
+            corners = bisect_triangles(corners[~small], edges[~small].argmax(axis=1))
 
     def _sample_triangles(self, corners: Array, edges: Array) -> Iterator[Array]:
         pieces = np.clip(np.ceil(edges / (_SPACING * self.cell_m)), 1, _MOST_PIECES).astype(int)
@@ -96,16 +95,6 @@ class SurfaceClearance(ClearanceField):
         inside = _is_inside(meshes, xy, self._terrain.height(xy) + (BAND_BOTTOM_M + BAND_TOP_M) / 2)
         is_interior = inside.reshape(count, _SAMPLES_PER_REGION).mean(axis=1) > 0.5
         free &= ~np.concatenate([[False], is_interior])[labels]
-
-
-def _bisect(corners: Array, side: NDArray[np.intp]) -> Array:
-    """Both halves of triangles (F, 3, 3), cut at the middle of the `side` (F,) that follows that corner."""
-    row = np.arange(len(corners))
-    first, second, third = (corners[row, (side + k) % 3] for k in range(3))
-    middle = (first + second) / 2
-    return np.concatenate(
-        [np.stack([first, middle, third], axis=1), np.stack([middle, second, third], axis=1)]
-    )
 
 
 def _barycentric_lattice(count: int) -> Array:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import open_image, raise_unreadable, read_bytes
-from dune_rl.worlds.importing.heightmap.files import load_npy
+from dune_rl.worlds.importing.height_files import load_npy
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.surface_map import Rectangle, SurfaceMap
 from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceName

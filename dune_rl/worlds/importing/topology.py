@@ -26,43 +26,45 @@ def weld_vertices(vertices: Array, faces: Faces) -> Ids:
     return np.asarray(place, np.int64).reshape(-1)[faces]
 
 
+def doubled_areas(corners: Array) -> Array:
+    """Normals (F, 3) of triangles (F, 3, 3), as long as twice their areas."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 def label_face_components(ids: Ids) -> Ids:
     """Number of the connected component (F,) of each face (F, 3): faces that share an edge are connected."""
     count = len(ids)
-    low, high = _edges(ids)
-    key = low * (int(ids.max(initial=0)) + 1) + high
-    _, edge = np.unique(key, return_inverse=True)
+    _, _, keys, edge, _ = _edges(ids)
     face = np.tile(np.arange(count), 3)
     # A bipartite graph of faces and edges.
-    nodes = count + int(edge.max(initial=-1)) + 1
-    graph = coo_array((np.ones(len(face), np.int8), (face, count + edge.reshape(-1))), shape=(nodes, nodes))
+    nodes = count + len(keys)
+    graph = coo_array((np.ones(len(face), np.int8), (face, count + edge)), shape=(nodes, nodes))
     _, label = connected_components(graph, directed=False)
     return np.unique(label[:count], return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
 def open_edges(ids: Ids) -> tuple[Ids, Ids]:
     """Face indices and sides (N,) of the edges that belong to only one of the faces (F, 3)."""
-    low, high = _edges(ids)
-    key = low * (int(ids.max(initial=0)) + 1) + high
-    _, edge, uses = np.unique(key, return_inverse=True, return_counts=True)
-    single = np.flatnonzero(uses[edge.reshape(-1)] == 1)
+    _, _, _, edge, uses = _edges(ids)
+    single = np.flatnonzero(uses[edge] == 1)
     return single % len(ids), single // len(ids)
 
 
-def _edges(ids: Ids) -> tuple[Ids, Ids]:
-    # Sides 0 of all faces, then sides 1, then sides 2.
+def _edges(ids: Ids) -> tuple[Ids, Ids, Ids, Ids, Ids]:
+    """Start and end (3F,) of all sides, sides 0 of all faces first; keys (E,) of the edges; the edge of each
+    side (3F,); and the number of sides of each edge (E,).
+    """
     start, end = ids.T.reshape(-1), np.roll(ids, -1, axis=1).T.reshape(-1)
-    return np.minimum(start, end), np.maximum(start, end)
+    key = np.minimum(start, end) * (int(ids.max(initial=0)) + 1) + np.maximum(start, end)
+    keys, edge, uses = np.unique(key, return_inverse=True, return_counts=True)
+    return start, end, keys, edge.reshape(-1), uses
 
 
 def boundary_edges(ids: Ids) -> tuple[Ids, Ids]:
     """Start and end ids (N,) of the directed edges without an opposite edge; they may repeat."""
-    start, end = ids.T.reshape(-1), np.roll(ids, -1, axis=1).T.reshape(-1)
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    count = int(ids.max(initial=0)) + 1
-    keys, edge = np.unique(low * count + high, return_inverse=True)
-    net = np.bincount(edge.reshape(-1), np.where(start < end, 1, -1), minlength=len(keys)).astype(int)
-    least, most = np.divmod(keys, count)
+    start, end, keys, edge, _ = _edges(ids)
+    net = np.bincount(edge, np.where(start < end, 1, -1), minlength=len(keys)).astype(int)
+    least, most = np.divmod(keys, int(ids.max(initial=0)) + 1)
     net[least == most] = 0
     times = np.abs(net)
     first, second = np.where(net > 0, least, most), np.where(net > 0, most, least)
@@ -103,10 +105,8 @@ def close_surface(
 
 
 def _thicken(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Faces, NDArray[np.intp]]:
-    corners = points[ids]
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(points)
-    np.add.at(normals, ids.reshape(-1), np.repeat(doubled, 3, axis=0))
+    np.add.at(normals, ids.reshape(-1), np.repeat(doubled_areas(points[ids]), 3, axis=0))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     # Where sheets touch back to back, normals cancel; any direction will do.
     normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])

@@ -7,9 +7,8 @@ from pydantic import Field
 from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.inspection.layout import place_props
 from dune_rl.worlds.inspection.terrain import YARD_CENTRE, YARD_HALF_M, build_terrain
-from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
-from dune_rl.worlds.seeded_settings import SeededConf
-from dune_rl.worlds.surfaces import SurfaceChoice
+from dune_rl.worlds.settings import GrassyConf, SeededConf
+from dune_rl.worlds.surface_map import SurfaceShare, surface_map
 from dune_rl.worlds.world import World
 
 _SURFACES = (
@@ -19,7 +18,7 @@ _SURFACES = (
 )
 
 
-class InspectionConf(SeededConf):
+class InspectionConf(SeededConf, GrassyConf):
     """Settings of `build_inspection`.
 
     Every `seed` gives a different site with the same distribution of slopes,
@@ -30,11 +29,6 @@ class InspectionConf(SeededConf):
     yard_obstacles: int = Field(
         default=4, ge=0, le=20, description="things in and round the 8 by 8 m training square"
     )
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
-    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
-    surfaces: SurfaceChoice = "uniform"
-    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def build_inspection(conf: InspectionConf) -> World:

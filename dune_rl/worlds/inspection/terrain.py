@@ -1,14 +1,18 @@
 """Terrain of the inspection world: hills round a hollow, a gully, and a smoother yard."""
 
+import csv
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from dune_rl.core.paths import assets_folder
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.fractal_terrain import smooth_step
-from dune_rl.worlds.inspection.relief import Amplitudes, fit, known_amplitudes
 from dune_rl.worlds.props import unit_vector
 
 HALF_EXTENT_M = 32.0
@@ -27,6 +31,12 @@ _SLOPE_DEG = {50: 13.0, 90: 25.2, 99: 35.6}
 _YARD_SLOPE_DEG = {10: 5.0, 50: 8.8, 90: 17.7}
 # Slant and bumps of the yard while those of the site are solved for.
 _FIRST_YARD = np.array([0.12, 0.2])
+# Of the site (hills, roughness, contrast) and of its yard (slant, bumps).
+Amplitudes = tuple[Array, Array]
+# Amplitudes and misfits are rounded to 10^-6: finer than slopes can be told apart, and far coarser than what
+# processors differ by in the last bits of their arithmetic.
+_AMPLITUDE_DECIMALS, _MISFIT_DECIMALS = 6, 6
+_DIFFERENCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -130,3 +140,41 @@ def triangle_slopes_deg(z: Array, spacing_m: float) -> Array:
     upper = np.hypot(z[1:, 1:] - z[1:, :-1], z[1:, :-1] - z[:-1, :-1])
     lower = np.hypot(z[:-1, 1:] - z[:-1, :-1], z[1:, 1:] - z[:-1, 1:])
     return np.rad2deg(np.arctan(np.concatenate([upper.ravel(), lower.ravel()]) / spacing_m))
+
+
+def known_amplitudes(seed: int) -> Amplitudes | None:
+    """Amplitudes of the site of `seed`, if they are recorded: those of the episode sets and of seeds 0 to 49.
+
+    The studies were made on these sites. Their amplitudes were found without the rounding of `fit`: solved
+    for again, they would be slightly different, and others on each kind of processor.
+    """
+    return _known().get(seed)
+
+
+@cache
+def _known() -> dict[int, Amplitudes]:
+    with (assets_folder() / "worlds" / "inspection_relief.csv").open(encoding="utf-8", newline="") as file:
+        rows = [[float(value) for value in row] for row in list(csv.reader(file))[1:]]
+    return {int(row[0]): (np.array(row[1:4]), np.array(row[4:6])) for row in rows}
+
+
+def fit(misfit: Callable[[Array], Array], start: Array, bounds: tuple[list[float], list[float]]) -> Array:
+    """The amplitudes (A,) with the least sum of squares of `misfit`, the same ones on every processor.
+
+    `misfit` maps amplitudes (A,) to residuals (R,) without unit; `start` and both `bounds` are (A,).
+
+    The solver's way from step to step is chaotic, as slopes' percentiles have kinks: a misfit that differs in
+    its last bit would lead it elsewhere. So it is told rounded misfits of rounded amplitudes.
+    """
+
+    def rounded(amplitudes: Array) -> Array:
+        found: Array = np.round(misfit(np.round(amplitudes, _AMPLITUDE_DECIMALS)), _MISFIT_DECIMALS)
+        return found
+
+    def derivatives(amplitudes: Array) -> Array:
+        here = rounded(amplitudes)
+        steps = np.eye(len(amplitudes)) * _DIFFERENCE
+        return np.stack([(rounded(amplitudes + step) - here) / _DIFFERENCE for step in steps], axis=1)
+
+    found = least_squares(rounded, start, jac=derivatives, bounds=bounds).x
+    return np.round(found, _AMPLITUDE_DECIMALS)

@@ -10,11 +10,10 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.fractal_terrain import rough_field, slope_magnitude, smooth_step
 from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.ground_texture import GroundColours
-from dune_rl.worlds.natural_surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.rubicon.layout import place_props
-from dune_rl.worlds.seeded_settings import SeededConf
-from dune_rl.worlds.surfaces import SurfaceChoice
+from dune_rl.worlds.settings import GrassyConf, SeededConf
+from dune_rl.worlds.surface_map import SurfaceShare, surface_map
 from dune_rl.worlds.world import World
 
 HALF_EXTENT_M = 22.0
@@ -39,7 +38,7 @@ _SURFACES = (
 )
 
 
-class RubiconConf(SeededConf):
+class RubiconConf(SeededConf, GrassyConf):
     """Settings of `build_rubicon`.
 
     Every `seed` gives a different hillside. The terrain's slopes result from
@@ -58,11 +57,6 @@ class RubiconConf(SeededConf):
     trees_per_100m2: float = Field(default=3.0, ge=0.0, le=12.0)
     undergrowth_per_100m2: float = Field(default=6.0, ge=0.0, le=40.0, description="bushes")
     region_size_m: float = Field(default=8.0, ge=3.0, le=40.0, description="side of the spawn region")
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    grass_cover: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the ground in tall grass")
-    grass_height_m: float = Field(default=0.6, gt=0.0, le=3.0)
-    surfaces: SurfaceChoice = "uniform"
-    sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
 def build_rubicon(conf: RubiconConf) -> World:

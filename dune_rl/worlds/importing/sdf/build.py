@@ -11,8 +11,8 @@ from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world
 from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles
 from dune_rl.worlds.importing.ground_pictures import tile_picture
-from dune_rl.worlds.importing.heightmap.build import terrain_from_samples
-from dune_rl.worlds.importing.heightmap.files import read_heights
+from dune_rl.worlds.importing.height_files import read_heights
+from dune_rl.worlds.importing.heightmap_world import terrain_from_samples
 from dune_rl.worlds.importing.imported_props import extract_props, is_single_sheet
 from dune_rl.worlds.importing.imported_world import (
     REGION_TEXT,
@@ -23,9 +23,9 @@ from dune_rl.worlds.importing.imported_world import (
     set_region,
 )
 from dune_rl.worlds.importing.sdf.actors import place_on_ground
+from dune_rl.worlds.importing.sdf.elements import build_plane
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
-from dune_rl.worlds.importing.sdf.shapes import build_plane
 from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
 
 _MOST_FRICTION = 5.0

@@ -24,9 +24,8 @@ from dune_rl.rendering.mesh_files.files import load_mesh_parts
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart, guess_colour
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
+from dune_rl.worlds.importing.sdf.elements import build_primitive, parse_numbers, parse_pose, parse_sun
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
-from dune_rl.worlds.importing.sdf.shapes import build_primitive, parse_numbers, parse_pose
-from dune_rl.worlds.importing.sdf.sun import parse_sun
 
 Colour = tuple[float, float, float]
 

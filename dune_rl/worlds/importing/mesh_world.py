@@ -10,8 +10,7 @@ from pydantic import Field
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world_path
 from dune_rl.rendering.mesh_files.files import UpAxis, load_mesh_parts
-from dune_rl.rendering.mesh_files.frame_hints import has_usual_size
-from dune_rl.rendering.mesh_files.parts import MeshPart
+from dune_rl.rendering.mesh_files.parts import MeshPart, has_usual_size
 from dune_rl.worlds.importing.imported_world import (
     REGION_TEXT,
     ImportedWorld,

@@ -23,7 +23,7 @@ from dune_rl.worlds.importing.height_grid import (
     grid_spacing,
     ground_extent,
 )
-from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
+from dune_rl.worlds.importing.topology import doubled_areas, label_face_components, open_edges, weld_vertices
 
 Faces = NDArray[np.int32]
 
@@ -75,7 +75,9 @@ def extract_ground(
     low, high = ground_extent(soup, is_ground)
     step = grid_spacing(low, high, spacing_m)
     x, y, origin = grid_axes(low, high, step)
-    heights, face = cast_down(soup, np.flatnonzero(is_ground), x, y, low, high)
+    heights, face = cast_down(
+        soup, np.flatnonzero(is_ground), np.stack(np.meshgrid(x, y), axis=-1), low, high
+    )
     known = face >= 0
     colours = np.where(known[..., None], soup.colours[face], 0.0).astype(np.float32)
     _warn_of_holes(soup, is_ground, known, x, y, report)
@@ -95,8 +97,7 @@ def _join_triangles(parts: Sequence[MeshPart]) -> Triangles:
     claims = [
         np.full(len(part.faces), claim[part.ground if part.solid else False], np.int8) for part in parts
     ]
-    corners = vertices[faces]
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = doubled_areas(vertices[faces])
     length = np.linalg.norm(doubled, axis=1)
     return Triangles(
         vertices,
@@ -208,15 +209,9 @@ def _rims_on_ground(soup: Triangles, ground: Flags, probes: _Probes, count: int)
     if not len(probes.at):
         return np.zeros(count), np.zeros(count)
     beside_m = 0.05
-    top = float(soup.vertices[:, 2].max()) + 1.0
-    far = top - float(soup.vertices[:, 2].min()) + 1.0
-    scene = RayScene(soup.vertices, soup.faces[ground])
-    origins = np.column_stack([probes.at[:, :2] + beside_m * probes.outward, np.full(len(probes.at), top)])
-    down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
-    hit, _ = scene.first_hit(origins, down, far)
-    has_ground = hit < far
-    above = probes.at[:, 2] - (top - hit)
-    touches = has_ground & (above < _STEP_M + beside_m * np.tan(_STEEPEST_RAD) / 2)
+    below = _topmost(soup, ground, probes.at[:, :2] + beside_m * probes.outward)
+    has_ground = np.isfinite(below)
+    touches = probes.at[:, 2] - below < _STEP_M + beside_m * np.tan(_STEEPEST_RAD) / 2
     total = np.maximum(np.bincount(probes.surface, probes.weight, minlength=count), 1e-12)
     joined = np.bincount(probes.surface, probes.weight * touches, minlength=count) / total
     return joined, np.bincount(probes.surface, probes.weight * ~has_ground, minlength=count) / total
@@ -226,14 +221,16 @@ def _surfaces_above_ground(soup: Triangles, ground: Flags, surface: NDArray[np.i
     """Mask (count,) of the surfaces with ground above or below any of their triangles' centres."""
     candidates = np.flatnonzero((surface >= 0) & ~ground)
     centres = soup.vertices[soup.faces[candidates]].mean(axis=1)
+    over = np.zeros(count, bool)
+    over[surface[candidates[np.isfinite(_topmost(soup, ground, centres[:, :2]))]]] = True
+    return over
+
+
+def _topmost(soup: Triangles, faces: Flags, xy: Array) -> Array:
+    """Height [m], (N,), of the topmost of the triangles in `faces` (F,) at points (N, 2); -inf for none."""
     top = float(soup.vertices[:, 2].max()) + 1.0
     far = top - float(soup.vertices[:, 2].min()) + 1.0
-    scene = RayScene(soup.vertices, soup.faces[ground])
-    origins = np.column_stack([centres[:, :2], np.full(len(centres), top)])
-    hit, _ = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), far)
-    over = np.zeros(count, bool)
-    over[surface[candidates[hit < far]]] = True
-    return over
+    return RayScene(soup.vertices, soup.faces[faces]).topmost(xy, top, far)
 
 
 def _warn_of_holes(
@@ -242,14 +239,9 @@ def _warn_of_holes(
     if known.all():
         return
     rows, columns = np.nonzero(~known)
-    top = float(soup.vertices[:, 2].max()) + 1.0
-    far = top - float(soup.vertices[:, 2].min()) + 1.0
-    origins = np.column_stack([x[columns], y[rows], np.full(len(rows), top)])
     covered = np.zeros(len(rows), bool)
     if not ground.all():
-        scene = RayScene(soup.vertices, soup.faces[~ground])
-        hit, _ = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), far)
-        covered = hit < far
+        covered = np.isfinite(_topmost(soup, ~ground, np.column_stack([x[columns], y[rows]])))
     share = float((~covered).sum()) / known.size
     if share > 0.001:
         report.warn(

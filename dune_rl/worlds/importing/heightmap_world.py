@@ -11,8 +11,8 @@ from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, resolve_world_path
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.worlds.importing.height_files import HeightSamples, read_heights
 from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps
-from dune_rl.worlds.importing.heightmap.files import HeightSamples, read_heights
 from dune_rl.worlds.importing.imported_world import (
     REGION_TEXT,
     ImportedWorld,

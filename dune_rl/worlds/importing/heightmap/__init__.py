@@ -1,1 +1,0 @@
-"""Worlds from height maps: GeoTIFF, PNG and .npy files."""

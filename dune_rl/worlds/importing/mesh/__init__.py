@@ -1,1 +1,0 @@
-"""Worlds from mesh files: .dae, .obj, .stl, .ply and .glb."""
