@@ -144,10 +144,10 @@ class DestinedBehaviour(SteeredBehaviour):
 
     def targets(self, state: State, group: GroupState) -> tuple[Array, Flags]:
         """Where the agents go now, (N, 2) [m], and which of them pause, (N,)."""
-        if group.is_robot:
+        if group.body.is_robot:
             return group.goal.position_w, np.zeros(self._num_rows, bool)
         near_m = max(_NEAR_M, self.context.vehicle.turning_radius_m)
-        pauses = self._destinations.update(state, group, self._fresh, group.reach_m, near_m)
+        pauses = self._destinations.update(state, group, self._fresh, group.body.reach_m, near_m)
         return self._destinations.target_w, pauses
 
     def want(self, state: State, group: GroupState) -> Array:

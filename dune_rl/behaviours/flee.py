@@ -48,7 +48,7 @@ class Flee(SteeredBehaviour):
             values.reshape(self._num_rows, -1) for values in state.surroundings.obstacles(group.name)
         )
         into = np.maximum((away * wall).sum(axis=1), 0.0)
-        nearness = np.clip(1.0 - (gap[:, 0] - group.reach_m) / _WALL_M, 0.0, 1.0)
+        nearness = np.clip(1.0 - (gap[:, 0] - group.body.reach_m) / _WALL_M, 0.0, 1.0)
         along, length = unit_vectors(away - (nearness * into)[:, None] * wall)
         # Straight at a wall neither side is better: the one on the left.
         left = np.stack([-wall[:, 1], wall[:, 0]], axis=1)

@@ -87,7 +87,7 @@ class Reactions:
                 speed_mps = np.where(looks, 0.0, np.where(reacts, slow, speed_mps))
                 target_w = np.where(reacts[:, None], place, target_w)
             case "scared":
-                gap = np.maximum(distance - group.reach_m, 0.1)
+                gap = np.maximum(distance - group.body.reach_m, 0.1)
                 push = (
                     -direction * np.where(notices, _SCARY_FACTOR_MPS2 * _SCARY_LENGTH_M / gap, 0.0)[:, None]
                 )

@@ -26,7 +26,7 @@ from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
 from dune_rl.state.state import EnergyState, GoalState, GroupState, ScanQueries, State
 from dune_rl.tasks.presence import PresenceConf
-from dune_rl.tasks.task import Task, TaskConf
+from dune_rl.tasks.task import Endings, Task, TaskConf
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
 RobotFactory = Callable[[int], Robot]
@@ -127,9 +127,8 @@ class AgentGroup:
         self.action_bounds = low.astype(np.float32), high.astype(np.float32)
         self.action_size = len(low)
         self.rest_action = body.rest_action()
-        self.outline, self.radius_m = body.outline, body.radius_m
-        self.reach_m = body.outline.radius_m or float(np.hypot(*body.outline.half_size))
-        self.wheel_radius_m = body.wheel_radius_m
+        self.description = replace(body.description, avoids=not setup.is_scripted)
+        self._ends: Endings | None = None
         self.num_rows = num_rows
         self._controller: Controller | None = None
         self.scanner: ScanQueries | None = None
@@ -254,12 +253,19 @@ class AgentGroup:
         """Distances and bearings of the goals after a step; not updated if nothing reads them."""
         return self.goals.measure(self.body.motion) if self._reads_goals else self.goals.latest
 
+    def find_endings(self, state: State) -> Mapping[str, Flags]:
+        """The flags (N,) of each termination term of the task by name, after a control step."""
+        if self.task is None:
+            return {}
+        self._ends = self.task.end(state, state.groups[self.name])
+        return self._ends.by_term
+
     def evaluate(self, state: State) -> Evaluation:
         """Evaluate the task's terms and the metrics of the step that `state` describes."""
         now = state.groups[self.name]
-        if self.task is None:
+        if self.task is None or self._ends is None:
             return Evaluation(np.zeros(len(self.done), np.float32), now)
-        ends = self.task.end(state, now)
+        ends = self._ends
         reward = self.task.reward(state, now)
         self.measured.update(state, now, reward)
         renews = ends.renews & ~self.done

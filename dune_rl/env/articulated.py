@@ -14,6 +14,7 @@ from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion, Robot
 from dune_rl.sensors.odometry import DriveGeometry
+from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier, WheelMotion
 from dune_rl.state.state import EnergyState, JointState, Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
@@ -46,9 +47,6 @@ class ArticulatedBody:
         self.count = count
         self.traction = Traction(robot, physics, rows)
         self.latency = Latency(rows, robot.body.rest_commands(), physics.control_hz) if has_latency else None
-        self.kind = "robot"
-        # Robots turn by their own controllers, whatever heading they are told.
-        self.turning_radius_m, self.rear_axle_m = 0.0, 0.0
         self.reads_joints = False
         self._measures_work = measures_work
         self._worlds = worlds
@@ -59,8 +57,15 @@ class ArticulatedBody:
         self.motion = self._derive(np.zeros(rows, bool), np.zeros((rows, 3)))
         self.work_j: Array | None = np.zeros(rows) if measures_work else None
         self.outline = Outline(robot.outline(), np.array([robot.length_m, robot.width_m]) / 2)
-        self.radius_m, self.height_m = robot.width_m / 2, robot.height_m
-        self.wheel_radius_m = None if robot.wheels is None else robot.wheels.radius_m
+        # Robots turn by their own controllers, whatever heading they are told.
+        self.description = BodyDescription(
+            kind="robot",
+            is_robot=True,
+            radius_m=robot.width_m / 2,
+            reach_m=self.outline.reach_m,
+            height_m=robot.height_m,
+            wheel_radius_m=None if robot.wheels is None else robot.wheels.radius_m,
+        )
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the action, each (A,)."""

@@ -8,6 +8,7 @@ from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion
+from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import EnergyState, Motion
 
@@ -31,38 +32,13 @@ class Body(Protocol):
     def poses(self) -> Array: ...
 
     @property
-    def kind(self) -> str:
-        """The class of the bodies, by which encounters and collisions are named."""
-        ...
-
-    @property
-    def turning_radius_m(self) -> float:
-        """Radius [m] of the tightest curve of bodies that cannot turn on the spot; 0 for all others."""
-        ...
-
-    @property
-    def rear_axle_m(self) -> float:
-        """Distance [m] behind the origin of what runs on that curve."""
+    def description(self) -> BodyDescription:
+        """What is constant of the bodies."""
         ...
 
     @property
     def outline(self) -> Outline:
         """The shape in plan view."""
-        ...
-
-    @property
-    def radius_m(self) -> float:
-        """Radius [m] of the disc in plan view by which metrics measure gaps: half the width."""
-        ...
-
-    @property
-    def height_m(self) -> float:
-        """Height above the ground [m]."""
-        ...
-
-    @property
-    def wheel_radius_m(self) -> float | None:
-        """Radius of the driven wheels [m]; None without wheels."""
         ...
 
     @property

@@ -34,7 +34,7 @@ def _unicycle(group: AgentGroup) -> Unicycle:
     if isinstance(body, KinematicBody):
         # It turns to the commanded heading within the step, as far as its limits let it.
         length, width, _ = body.conf.size_m
-        radius = body.turning_radius_m
+        radius = body.description.turning_radius_m
         limit = body.limits.max_turn_radps
         fastest = speeds[1] / radius if radius else np.pi / body.step_s if limit is None else limit
         reach = body.conf.keep_out_radius_m

@@ -201,7 +201,7 @@ class RegionGoals:
             reason = spawner.why_not(x, y)
             if reason:
                 raise ValueError(f"the {what} of {name} ({x:g}, {y:g}) {reason}: choose another")
-        self.goals_w[row] = placement.goal_x, placement.goal_y
+        self.set_goals(np.array([row]), np.array([placement.goal_x, placement.goal_y]))
         return placement
 
     def renew(self, mask: Flags) -> None:

@@ -18,6 +18,7 @@ from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.robots.robot import BodyMotion, rectangle_outline
+from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
@@ -74,20 +75,21 @@ class KinematicBody:
         self._rotation: Array | None = rotation_from_angles(np.zeros((rows, 3))) if self._leans else None
         still = np.zeros((rows, 3))
         self.motion = self._moving(still, still, still)
-        _, width, self.height_m = conf.size_m
+        _, width, height = conf.size_m
         self.outline = _outline(conf)
-        self.radius_m = width / 2
-        self.turning_radius_m, self.rear_axle_m = self.limits.turning_radius_m, self.limits.rear_m
-        self.wheel_radius_m, self.energy, self.reads_joints = None, None, False
+        self.description = BodyDescription(
+            kind=conf.kind,
+            radius_m=width / 2,
+            reach_m=self.outline.reach_m,
+            height_m=height,
+            turning_radius_m=self.limits.turning_radius_m,
+            rear_axle_m=self.limits.rear_m,
+        )
+        self.energy, self.reads_joints = None, False
 
     @property
     def _leans(self) -> bool:
         return self._stance.leans
-
-    @property
-    def kind(self) -> str:
-        """The class of the body, by which encounters and collisions are named."""
-        return self.conf.kind
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds, each (2,), of speed [m/s] and relative heading [rad].

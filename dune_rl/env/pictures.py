@@ -128,7 +128,7 @@ class Pictures:
         yaw = float(motion.yaw[row])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         # Somebody as tall as the eye would fill the picture, from so near.
-        more = max(group.body.height_m - _USUAL_HEIGHT_M, 0.0)
+        more = max(group.description.height_m - _USUAL_HEIGHT_M, 0.0)
         others = self._others(scene, group, row) if turns_for_agents else np.zeros((0, 4))
         views = []
         for turn in np.deg2rad(_TURNS_DEG):
@@ -180,7 +180,7 @@ class Pictures:
             for each in self._rows(scene, other):
                 if other is not group or each != row:
                     x, y = body.motion.position_w[each, :2].tolist()
-                    found.append([x, y, other.radius_m, body.height_m])
+                    found.append([x, y, other.description.radius_m, other.description.height_m])
         return np.array(found).reshape(-1, 4)
 
     def _group_of(self, agent: str) -> AgentGroup:

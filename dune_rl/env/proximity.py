@@ -31,6 +31,11 @@ class Outline:
         """A disc of `radius_m`."""
         return cls(np.zeros((1, 2)), np.zeros(2), radius_m)
 
+    @property
+    def reach_m(self) -> float:
+        """Radius [m] of a disc about the origin that holds the outline."""
+        return self.radius_m or float(np.hypot(*self.half_size))
+
 
 @dataclass(frozen=True)
 class GroupLayout:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +40,10 @@ class StateBuilder:
         firsts = np.cumsum([0, *(group.count for group in self._movers)]).tolist()
         self._first = {group.name: first for group, first in zip(self._movers, firsts[:-1], strict=True)}
         self._layouts = {
-            group.name: GroupLayout(index, group.count, group.outline, self._columns(group, firsts[-1]))
+            group.name: GroupLayout(index, group.count, group.body.outline, self._columns(group, firsts[-1]))
             for index, group in enumerate(groups)
         }
-        self._kinds = [group.body.kind for group in self._movers for _ in range(group.count)]
+        self._kinds = [group.description.kind for group in self._movers for _ in range(group.count)]
         self._order = [self._layouts[group.name].index for group in self._movers]
         self._identity: dict[str, tuple[Counts, Counts]] = {}
 
@@ -73,7 +74,7 @@ class StateBuilder:
         for group in self._groups:
             goals.append(group.goals.begin(scene_rows(mask, group.count), group.body.motion))
             contacts.append(group.collisions.at_rest)
-        return self._build(seed, steps, goals, contacts)
+        return self._build(seed, steps, goals, contacts, [{} for _ in self._groups])
 
     def build(
         self, seed: int, steps: Counts, contacts: dict[str, Contacts], count_statics: Callable[[int], int]
@@ -93,7 +94,12 @@ class StateBuilder:
                 pairs = self._contacts_of_kinematic(group, contacts, count_statics)
             kind_of = partial(self._kind_of, group, count_statics)
             found.append(group.collisions.update(pairs, row_steps, kind_of))
-        return self._build(seed, steps, goals, found)
+        # The terminations of all groups are the last part of the state: they read all of the rest.
+        endings: list[dict[str, Flags]] = [{} for _ in self._groups]
+        state = self._build(seed, steps, goals, found, endings)
+        for group, flags in zip(self._groups, endings, strict=True):
+            flags.update(group.find_endings(state))
+        return state
 
     def _contacts_of_kinematic(
         self, group: AgentGroup, contacts: dict[str, Contacts], count_statics: Callable[[int], int]
@@ -116,7 +122,12 @@ class StateBuilder:
         return self._kinds[mover] if mover >= 0 else "static"
 
     def _build(
-        self, seed: int, steps: Counts, goals: Sequence[GoalState], contacts: Sequence[ContactState]
+        self,
+        seed: int,
+        steps: Counts,
+        goals: Sequence[GoalState],
+        contacts: Sequence[ContactState],
+        endings: Sequence[dict[str, Flags]],
     ) -> State:
         motions = [group.body.motion for group in self._groups]
         proximity = Proximity(self._worlds, self._layouts, self._order, motions)
@@ -126,22 +137,16 @@ class StateBuilder:
             states[group.name] = GroupState(
                 name=group.name,
                 count=group.count,
+                body=group.description,
                 episode=EpisodeState(seed, ids, group.own_steps(steps), streams, self._step_s),
                 motion=motions[index],
                 contacts=contacts[index],
                 goal=goals[index],
                 done=group.done.copy(),
                 proximity=proximity,
-                radius_m=group.radius_m,
-                wheel_radius_m=group.wheel_radius_m,
+                absent=group.absent,
                 energy=group.energy,
                 scanner=group.scanner,
-                kind=group.body.kind,
-                turning_radius_m=group.body.turning_radius_m,
-                rear_axle_m=group.body.rear_axle_m,
-                reach_m=group.reach_m,
-                is_robot=isinstance(group.body, ArticulatedBody),
-                avoids=not group.setup.is_scripted,
-                absent=group.absent,
+                endings=MappingProxyType(endings[index]),
             )
         return State(states, self._worlds, len(steps))

@@ -138,7 +138,9 @@ class Turnover:
             assert isinstance(source.follower, PathFollower), "trajectories have times of their own"
             draws = stream(seed, f"arrival {group.name}_{agent}", episode)
             discs = None if group.setup.is_scripted else self._discs_on_paths(scene)
-            return source.follower.place_agent(scene, agent, draws, self._points(scene), discs, group.reach_m)
+            return source.follower.place_agent(
+                scene, agent, draws, self._points(scene), discs, group.description.reach_m
+            )
         assert isinstance(source, RegionGoals)
         try:
             one = source.place_agent(scene, seed, episode, agent, taken)
@@ -174,7 +176,7 @@ class Turnover:
 def discs_of(group: AgentGroup, scene: int) -> Array:
     """Discs (G, 3: x, y, radius) [m] that hold the bodies of a group in a scene."""
     rows = slice(scene * group.count, (scene + 1) * group.count)
-    return np.column_stack([group.body.poses[rows, :2], np.full(group.count, group.reach_m)])
+    return np.column_stack([group.body.poses[rows, :2], np.full(group.count, group.description.reach_m)])
 
 
 def park_absent(group: AgentGroup, scene: int) -> None:
@@ -195,4 +197,4 @@ def _placement_of(group: AgentGroup, row: int) -> tuple[Placement, float]:
     """Where an agent is and goes to, and the radius of a disc that holds it [m]."""
     x, y, _, yaw = group.body.poses[row, :4].tolist()
     goal_x, goal_y = group.goals.source.goals_w[row].tolist()
-    return Placement(x, y, yaw, goal_x, goal_y), group.reach_m
+    return Placement(x, y, yaw, goal_x, goal_y), group.description.reach_m

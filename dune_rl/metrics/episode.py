@@ -10,7 +10,7 @@ from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.metrics.registry import METRICS, MetricTermConf, MetricTerms, Reduction
 from dune_rl.state.state import GroupState, State
-from dune_rl.state.terms import bind_terms, note_term
+from dune_rl.state.terms import bind_terms, name_term
 
 BUILT_IN = ("episode", "steps", "return")
 
@@ -119,7 +119,7 @@ class MetricSet:
                     row[:] = values
         except Exception as error:
             named = zip(self._first_names, self._terms, strict=True)
-            note_term(error, "metric", next(name for name, (each, _) in named if each is term))
+            name_term(error, "metric", next(name for name, (each, _) in named if each is term))
             raise
         _reduce(self._reductions, self._new, group.done, self._values, self._sums, self._counts)
 

@@ -42,8 +42,8 @@ def find_others(names: Sequence[str], observer: GroupState, state: State) -> Oth
         if other.absent is not None:
             there &= ~np.repeat(other.by_scene(other.absent), observer.count, axis=0)
         present.append(there)
-        radii.append(np.full(other.count, other.radius_m))
-        robots.append(np.full(other.count, other.kind == "robot"))
+        radii.append(np.full(other.count, other.body.radius_m))
+        robots.append(np.full(other.count, other.body.is_robot))
     return Others(
         np.concatenate(positions, axis=1),
         np.concatenate(velocities, axis=1),

@@ -1,6 +1,7 @@
 """The state of one control step, and what it says of what is around each agent."""
 
 from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.state import (
     BatteryModel,
     ContactState,
@@ -19,6 +20,7 @@ from dune_rl.state.state import (
 __all__ = [
     "Array",
     "BatteryModel",
+    "BodyDescription",
     "ContactState",
     "Counts",
     "EnergyState",

@@ -1,8 +1,8 @@
 """The state of one control step: what sensors, behaviours, rewards, terminations and metrics read.
 
-The simulation writes a `State` once a step and nothing else changes it. Arrays of a group have the leading
-axis N = M * G, of M scenes with G agents each, scene after scene: row m * G + g is agent g of scene m.
-Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
+The simulation makes a `State` once a step, and its arrays cannot be written. Arrays of a group have the
+leading axis N = M * G, of M scenes with G agents each, scene after scene: row m * G + g is agent g of scene
+m. Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, z up).
 """
 
 from collections.abc import Mapping
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.geometry.arrays import Array, Counts, Flags, freeze
 from dune_rl.geometry.frames import rotation_from_angles, rotation_from_yaw, to_body
+from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.surroundings import GroupBodies, Surroundings
 
 
@@ -79,6 +80,9 @@ class EnergyState:
     work_j: Array
     battery: BatteryModel
 
+    def __post_init__(self) -> None:
+        freeze(self.work_j)
+
 
 @dataclass(frozen=True)
 class JointState:
@@ -91,6 +95,10 @@ class JointState:
     angle: Array
     speed: Array
     torque: Array
+
+    def __post_init__(self) -> None:
+        for values in (self.angle, self.speed, self.torque):
+            freeze(values)
 
 
 class Motion:
@@ -123,32 +131,36 @@ class Motion:
         self.velocity_w, self.angular_w = velocity_w, angular_w
         self.diverged, self.joints = diverged, joints
         self.__dict__.update(derived)
+        for values in (position_w, roll_pitch_yaw, velocity_w, angular_w, diverged, *derived.values()):
+            freeze(values)
 
     @cached_property
     def rotation(self) -> Array:
         """Rotation matrices from body to world, (N, 3, 3)."""
         angles = self.roll_pitch_yaw
-        return rotation_from_angles(angles) if angles[:, :2].any() else rotation_from_yaw(angles[:, 2])
+        return freeze(
+            rotation_from_angles(angles) if angles[:, :2].any() else rotation_from_yaw(angles[:, 2])
+        )
 
     @cached_property
     def velocity_b(self) -> Array:
         """Velocity of the origin in the body frame [m/s], (N, 3)."""
-        return to_body(self.rotation, self.velocity_w)
+        return freeze(to_body(self.rotation, self.velocity_w))
 
     @cached_property
     def angular_b(self) -> Array:
         """Angular velocity in the body frame [rad/s], (N, 3)."""
-        return to_body(self.rotation, self.angular_w)
+        return freeze(to_body(self.rotation, self.angular_w))
 
     @cached_property
     def acceleration_b(self) -> Array:
         """Mean acceleration of the origin over the control step, in the body frame [m/s²], (N, 3)."""
-        return np.zeros_like(self.velocity_w)
+        return freeze(np.zeros_like(self.velocity_w))
 
     @cached_property
     def frames(self) -> Array:
         """Numbers of the frames of the bodies' meshes, (N,), whole numbers."""
-        return np.zeros(len(self.position_w))
+        return freeze(np.zeros(len(self.position_w)))
 
     @property
     def yaw(self) -> Array:
@@ -158,7 +170,7 @@ class Motion:
     @cached_property
     def tilt(self) -> Array:
         """Angle between the body's z and the world's [rad], (N,)."""
-        return np.arccos(np.minimum(np.maximum(self.rotation[:, 2, 2], -1.0), 1.0))
+        return freeze(np.arccos(np.minimum(np.maximum(self.rotation[:, 2, 2], -1.0), 1.0)))
 
 
 @dataclass(frozen=True)
@@ -171,6 +183,10 @@ class GoalState:
     distance: Array
     previous_distance: Array
     bearing: Array
+
+    def __post_init__(self) -> None:
+        for values in (self.position_w, self.distance, self.previous_distance, self.bearing):
+            freeze(values)
 
 
 @dataclass(frozen=True)
@@ -188,6 +204,10 @@ class ContactState:
     total: Counts
     new_by_kind: Mapping[str, Counts] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for values in (self.touching, self.new, self.total, *self.new_by_kind.values()):
+            freeze(values)
+
 
 @dataclass(frozen=True)
 class EpisodeState:
@@ -204,45 +224,41 @@ class EpisodeState:
     streams: Counts
     step_s: float
 
+    def __post_init__(self) -> None:
+        for values in (self.ids, self.steps, self.streams):
+            freeze(values)
+
 
 @dataclass(frozen=True)
 class GroupState:
     """One agent group after a control step; every array has the leading axis N = M * G.
 
-    `done` (N,) marks agents whose own episode ended in an earlier step, or has not begun, while their scene's
-    goes on. `episode.steps` of an agent that comes later count from then on.
-    `radius_m` is the radius of the circle that approximates an agent in rewards of distances between agents:
-    half the width of a robot, the radius of a person; `wheel_radius_m` is that of its wheels, None without
-    any, and `reach_m` the radius of a disc that holds the outline. `kind` is the class of the bodies, such as
-    person or vehicle; `is_robot` marks those that physics simulates. `turning_radius_m` is that of the
-    tightest curve of bodies that cannot turn on the spot, 0 for all others; a rear axle runs on it,
-    `rear_axle_m` behind the origin. `avoids` is False for groups that are moved along paths, and give way to
-    nobody. `absent` (N,) marks agents that have not come yet, or are gone: they are far outside of the world,
-    at rest, and `done`; None where agents do not come and go. `energy` and `scanner` are None unless a term
-    needs them. `endings` has the flags (N,) of each termination term by name; rewards and metrics are
-    evaluated after these.
+    `body` describes what never changes. `done` (N,) marks agents whose own episode ended in an earlier step,
+    or has not begun, while their scene's goes on. `episode.steps` of an agent that comes later count from
+    then on. `absent` (N,) marks agents that have not come yet, or are gone: they are far outside of the
+    world, at rest, and `done`; None where agents do not come and go. `energy` and `scanner` are None unless a
+    term needs them. `endings` has the flags (N,) of each termination term by name; it is empty for the
+    terminations themselves, which are evaluated before rewards and metrics.
     """
 
     name: str
     count: int
+    body: BodyDescription
     episode: EpisodeState
     motion: Motion
     contacts: ContactState
     goal: GoalState
     done: Flags
     proximity: ProximityQueries
-    radius_m: float = 0.0
-    energy: EnergyState | None = None
-    endings: dict[str, Flags] = field(default_factory=dict)
-    wheel_radius_m: float | None = None
-    scanner: ScanQueries | None = None
-    kind: str = "robot"
-    turning_radius_m: float = 0.0
-    rear_axle_m: float = 0.0
-    reach_m: float = 0.0
-    is_robot: bool = False
-    avoids: bool = True
     absent: Flags | None = None
+    energy: EnergyState | None = None
+    scanner: ScanQueries | None = None
+    endings: Mapping[str, Flags] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self.done)
+        if self.absent is not None:
+            freeze(self.absent)
 
     @cached_property
     def nearest_return(self) -> Array:
@@ -255,7 +271,7 @@ class GroupState:
             raise ConfigError(
                 f"no scan is measured of {self.name}: give the term that reads it `needs_scan = True`"
             )
-        return self.scanner.nearest_return(self.motion, self.neighbours)
+        return freeze(self.scanner.nearest_return(self.motion, self.neighbours))
 
     @cached_property
     def clearance(self) -> Array:
@@ -264,7 +280,7 @@ class GroupState:
         """
         apart = np.maximum(self.proximity.clearance(self.name), 0.0)
         apart[self.contacts.touching] = 0.0
-        return apart
+        return freeze(apart)
 
     @cached_property
     def neighbours(self) -> Array:
@@ -272,7 +288,7 @@ class GroupState:
 
         x, y, z [m], yaw, roll and pitch [rad], and the number of the frame of its mesh: see `Motion.frames`.
         """
-        return self.proximity.neighbours(self.name)
+        return freeze(self.proximity.neighbours(self.name))
 
     def ended_by(self, termination: str) -> Flags:
         """Flags (N,) of the termination term of this name; all False if the task has no such term."""
@@ -302,9 +318,7 @@ class State:
                 group.motion.position_w[:, :2],
                 group.motion.velocity_w[:, :2],
                 group.motion.yaw,
-                group.reach_m,
-                group.is_robot,
-                group.avoids,
+                group.body,
                 group.absent,
             )
             for group in self.groups.values()

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array, Flags, freeze
+from dune_rl.state.body_description import BodyDescription
 
 # Kinematic bodies stop this far from the world's edge [m].
 EDGE_M = 1.0
@@ -19,10 +20,9 @@ _PROBES = np.array([[0.0, 0.0], [_PROBE_M, 0.0], [-_PROBE_M, 0.0], [0.0, _PROBE_
 
 @dataclass(frozen=True)
 class GroupBodies:
-    """The bodies of one group: `position_w`, `velocity_w` (N, 2) [m, m/s], `yaw` (N,) [rad], `reach_m`.
+    """The bodies of one group: `position_w`, `velocity_w` (N, 2) [m, m/s], `yaw` (N,) [rad].
 
-    `reach_m` is the radius of a disc about the origin that holds the outline. `avoids` says whether the group
-    may give way to others, and `absent` (N,) marks bodies that are not there, but far outside; None: all are.
+    `absent` (N,) marks bodies that are not there, but far outside; None: all are there.
     """
 
     name: str
@@ -30,9 +30,7 @@ class GroupBodies:
     position_w: Array
     velocity_w: Array
     yaw: Array
-    reach_m: float
-    is_robot: bool
-    avoids: bool
+    body: BodyDescription
     absent: Flags | None = None
 
 
@@ -40,7 +38,7 @@ class Surroundings:
     """The K bodies of each of M scenes, group after group, and the nearest static obstacle of each.
 
     `position_w`, `velocity_w` (M, K, 2) [m, m/s]; `yaw` (M, K) [rad]; `reach_m` (K,) [m], `is_robot` and
-    `avoids` (K,) as in `GroupBodies`. `are_here` (M, K) is False for bodies that are far outside.
+    `avoids` (K,) as in `BodyDescription`. `are_here` (M, K) is False for bodies that are far outside.
     `clearance` measures points (M, ..., 2); `extents` are the terrains' rectangles (M, 4) [m].
     """
 
@@ -51,11 +49,11 @@ class Surroundings:
         self.velocity_w = _by_scene([each.velocity_w for each in bodies], bodies)
         self.yaw = _by_scene([each.yaw for each in bodies], bodies)
         counts = [each.count for each in bodies]
-        self.reach_m = np.repeat([each.reach_m for each in bodies], counts)
-        self.is_robot = np.repeat([each.is_robot for each in bodies], counts)
-        self.avoids = np.repeat([each.avoids for each in bodies], counts)
+        self.reach_m = freeze(np.repeat([each.body.reach_m for each in bodies], counts))
+        self.is_robot = freeze(np.repeat([each.body.is_robot for each in bodies], counts))
+        self.avoids = freeze(np.repeat([each.body.avoids for each in bodies], counts))
         absent = [np.zeros(len(each.yaw), bool) if each.absent is None else each.absent for each in bodies]
-        self.are_here: Flags = ~_by_scene(absent, bodies)
+        self.are_here: Flags = freeze(~_by_scene(absent, bodies))
         firsts = np.cumsum([0, *counts]).tolist()
         self._columns: Mapping[str, slice] = {
             each.name: slice(first, first + each.count)
@@ -108,7 +106,7 @@ class Surroundings:
         is_edge = to_edge < distance
         distance[is_edge] = to_edge[is_edge]
         direction[is_edge] = _TO_EDGES[nearest[is_edge]]
-        return distance, direction
+        return freeze(distance), freeze(direction)
 
 
 _TO_EDGES = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
@@ -119,4 +117,4 @@ def _by_scene(values: Sequence[NDArray[Any]], bodies: Sequence[GroupBodies]) -> 
     parts = [
         value.reshape(-1, each.count, *value.shape[1:]) for value, each in zip(values, bodies, strict=True)
     ]
-    return np.ascontiguousarray(np.concatenate(parts, axis=1))
+    return freeze(np.ascontiguousarray(np.concatenate(parts, axis=1)))

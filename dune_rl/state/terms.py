@@ -109,6 +109,19 @@ def bind_terms(
     return terms, stateful
 
 
-def note_term(error: Exception, kind: str, name: str) -> None:
-    """Add to an error in which term of which kind it was raised."""
+def name_term(error: Exception, kind: str, name: str) -> None:
+    """Add to an error in which term of which kind it was raised.
+
+    Raises `RegistryError`, which names the term, if the error is that of writing into the state.
+    """
+    check_written_state(error, f"the {kind} term {name!r}")
     error.add_note(f"in the {kind} term {name!r}")
+
+
+def check_written_state(error: Exception, part: str) -> None:
+    """Raise `RegistryError` if NumPy raised `error` because `part` wrote into an array of the state."""
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        raise RegistryError(
+            f"{part} writes into an array of the state, which cannot be changed: let it work on a copy "
+            "(`values.copy()`)."
+        ) from error

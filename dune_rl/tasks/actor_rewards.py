@@ -45,7 +45,7 @@ def robots_of(state: State, group: GroupState, names: tuple[str, ...] = ()) -> R
     found = [
         other
         for name, other in state.groups.items()
-        if name != group.name and (name in names if names else other.kind == "robot")
+        if name != group.name and (name in names if names else other.body.is_robot)
     ]
     if not found:
         none = np.zeros((len(group.done) // group.count, 0, 2))
@@ -162,7 +162,7 @@ class _JudgedContact(ABC):
         self._own, self._theirs = own, theirs
         contacts = group.contacts
         touching, begins = contacts.touching, contacts.new > 0
-        if group.kind == "robot":
+        if group.body.is_robot:
             touching = begins = contacts.new_by_kind.get("robot", np.zeros(rows, int)) > 0
         if not touching.any():
             return np.zeros(rows)
@@ -182,7 +182,7 @@ class _JudgedContact(ABC):
         counts = [
             not self._groups or name in self._groups
             for name, other in state.groups.items()
-            if name != group.name and other.kind == "robot"
+            if name != group.name and other.body.is_robot
             for _ in range(other.count)
         ]
         return robots_of(state, group), np.array(counts, bool)

@@ -94,7 +94,7 @@ def near_miss(
         if is_own and (not own_group or group.count == 1):
             continue
         offset = other.by_scene(other.motion.position_w[:, :2])[:, None] - own
-        apart = np.hypot(offset[..., 0], offset[..., 1]) - group.radius_m - other.radius_m
+        apart = np.hypot(offset[..., 0], offset[..., 1]) - group.body.radius_m - other.body.radius_m
         if is_own:
             apart = np.where(np.eye(group.count, dtype=bool), np.inf, apart)
         nearest = np.maximum(apart, 0.0).min(axis=2)

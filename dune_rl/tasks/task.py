@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array, Flags, freeze
 from dune_rl.state.state import GroupState, State
-from dune_rl.state.terms import bind_terms, note_term
+from dune_rl.state.terms import bind_terms, name_term
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTerms, TerminationTerms
 from dune_rl.tasks.spawn import SpawnConf
 
@@ -95,8 +95,12 @@ def walking_task() -> TaskConf:
 
 
 class Endings(NamedTuple):
-    """Flags (N,) of agents whose episode ends in this step, and of those that get a new goal instead."""
+    """Flags (N,) of agents whose episode ends in this step, and of those that get a new goal instead.
 
+    `by_term` has the flags (N,) of each termination term by name, as `GroupState.endings`.
+    """
+
+    by_term: dict[str, Flags]
     terminated: Flags
     truncated: Flags
     renews: Flags
@@ -104,6 +108,8 @@ class Endings(NamedTuple):
 
 class Task:
     """The terms of a task for the N agents of a group: call `end`, then `reward`, once a control step.
+
+    Rewards read the flags of `end` from the state (`GroupState.endings`).
 
     `needs_scan` tells whether a term reads `GroupState.nearest_return`.
     `reward_sums` (N, T) are the weighted sums of each reward term over the present episodes, and
@@ -147,7 +153,7 @@ class Task:
             term.reset(mask, group)
 
     def end(self, state: State, group: GroupState) -> Endings:
-        """Which agents' episodes end in this step; it fills `group.endings`.
+        """Which agents' episodes end in this step.
 
         Diverged physics always truncates and overrides all other terms; a terminated episode is not
         truncated as well.
@@ -159,17 +165,20 @@ class Task:
             for row, term in enumerate(self._terminations, 1):
                 flags[row] = term(state, group)
         except Exception as error:
-            note_term(error, "termination", self._endings[row])
+            name_term(error, "termination", self._endings[row])
             raise
-        group.endings.update(zip(self._endings, flags, strict=True))
         if not np.count_nonzero(flags):
-            return Endings(np.zeros(num_rows, bool), np.zeros(num_rows, bool), np.zeros(num_rows, bool))
+            nobody = flags[0]
+            return Endings(self._by_term(flags), nobody, nobody, nobody)
         flags[1:] &= ~flags[0]
         terminated = flags[self._terminating].any(axis=0)
         flags[self._truncating] &= ~terminated
         truncated = flags[self._truncating].any(axis=0) | flags[0]
         renews = flags[self._renewing].any(axis=0) & ~(terminated | truncated | group.done)
-        return Endings(terminated, truncated, renews)
+        return Endings(self._by_term(flags), terminated, truncated, renews)
+
+    def _by_term(self, flags: Flags) -> dict[str, Flags]:
+        return dict(zip(self._endings, freeze(flags), strict=True))
 
     def reward(self, state: State, group: GroupState) -> Array:
         """Reward (N,) of this step, 0 for agents that are done."""
@@ -181,7 +190,7 @@ class Task:
                 row[:] = term(state, group)
         except Exception as error:
             named = zip(self.conf.rewards, self._rewards, strict=True)
-            note_term(error, "reward", next(name for name, each in named if each is term))
+            name_term(error, "reward", next(name for name, each in named if each is term))
             raise
         suppressing = values.take(self._suppressing, axis=0)
         if np.count_nonzero(suppressing):

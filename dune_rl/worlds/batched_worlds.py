@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.arrays import Array, freeze
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.rendering.participating_media import ParticipatingMedia
@@ -56,7 +56,9 @@ class BatchedWorlds:
     def put(self, scene: int, world: World, weather: WeatherConf) -> None:
         """Replace the world and the weather of one scene."""
         self.worlds.put(scene, world)
-        self._extents[scene] = world.extent
+        extents = self._extents.copy()
+        extents[scene] = world.extent
+        self._extents = freeze(extents)
         if self.appearances[scene].world is world and self.appearances[scene].weather == weather:
             return
         # Scenes of equal world and weather share one appearance, so that they are rendered together.

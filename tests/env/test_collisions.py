@@ -17,6 +17,7 @@ from simulations import (
     motion_of_group,
     outcome,
     put_walkers,
+    set_goal,
     started_simulation,
     state_of_group,
 )
@@ -254,7 +255,7 @@ def test_a_collision_costs_success_and_is_in_the_reward(backend: Backend) -> Non
     rover = RoverByWall(backend, 0.5)
     rover.drive(0.5, 3.0)
     assert rover["reward/collision"] == pytest.approx(-0.5 * rover["steps"], abs=1e-3)
-    goals_w(rover.simulation)[0] = motion_of_group(rover.simulation).position_w[0, :2]
+    set_goal(rover.simulation, 0, motion_of_group(rover.simulation).position_w[0, :2])
     rover.drive(0.0, 0.05)
     assert (rover["reached"], rover["success"]) == (1.0, 0.0)
     rover.simulation.close()

@@ -13,6 +13,7 @@ from simulations import (
     motion_of_group,
     observation,
     outcome,
+    set_goal,
     started_simulation,
 )
 
@@ -47,7 +48,7 @@ def test_leaving_the_world_terminates(edge: int) -> None:
 @every_engine
 def test_rover_drives_out_of_the_world(engine: str) -> None:
     simulation = started_simulation(physics=engine, task={"spawn": {"region": [46.0, 49.0, -2.0, 2.0]}})
-    goals_w(simulation)[:] = [[0.0, 0.0]]
+    set_goal(simulation, 0, [0.0, 0.0])
     for _ in range(160):
         turn = bearing(motion_of_group(simulation), [[100.0, 0.0]])[0]
         step = act(simulation, [1.0, turn])

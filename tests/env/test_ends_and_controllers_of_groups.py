@@ -17,6 +17,7 @@ from simulations import (
     observation,
     outcome,
     rest,
+    set_goal,
     started_simulation,
     state_of_group,
 )
@@ -47,7 +48,7 @@ def engine(request: pytest.FixtureRequest) -> str:
 
 def test_members_that_are_done_wait_for_the_others() -> None:
     core = simulation("team")
-    goals_w(core)[0] = motion_of_group(core).position_w[0, :2]
+    set_goal(core, 0, motion_of_group(core).position_w[0, :2])
     step = act(core)
     assert outcome(step).terminated.tolist() == [True, False, False]
     assert not step.done[0], "the others still have to arrive"
@@ -67,7 +68,7 @@ def test_in_pettingzoo_all_agents_end_in_the_last_step_each_as_it_did() -> None:
     made = dune_rl.parallel_env("flat", task=SHORT, **SCENES["team"])
     made.reset(seed=0)
     core = made.simulation
-    goals_w(core)[1] = motion_of_group(core).position_w[1, :2]
+    set_goal(core, 1, motion_of_group(core).position_w[1, :2])
     idle = {agent: np.zeros(2, np.float32) for agent in made.possible_agents}
     for step in range(15):
         _, rewards, terminated, truncated, infos = made.step(idle)
@@ -141,7 +142,7 @@ def test_groups_have_their_own_tasks_and_metrics() -> None:
     }
     core = started_simulation("flat", 1, agents=agents)
     for name in agents:
-        goals_w(core, name)[0] = motion_of_group(core, name).position_w[0, :2]
+        set_goal(core, 0, motion_of_group(core, name).position_w[0, :2], name)
     step = act(core)
     assert step.groups["scout"].reward[0] == 7.0 and step.groups["carrier"].reward[0] == 9.0
     assert metric(core, "reward/goal", "carrier")[0] == 9.0

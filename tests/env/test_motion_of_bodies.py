@@ -331,8 +331,7 @@ def test_go_to_goal_reaches_goals_all_round_a_vehicle(name: str) -> None:
         reached |= distance < 0.75
         state: Any = SimpleNamespace(
             goal=SimpleNamespace(distance=distance, bearing=bearing),
-            turning_radius_m=body.turning_radius_m,
-            rear_axle_m=body.rear_axle_m,
+            body=body.description,
         )
         body.command(driver.act(state, state), body.motion)
         body.read()

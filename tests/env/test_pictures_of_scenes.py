@@ -8,7 +8,7 @@ from plain_worlds import SIZE, box, plain
 from scanning import turned
 from scenes import about
 from scripted_physics import scripted_simulation
-from simulations import act, goals_w, motion_of_group, started_simulation
+from simulations import act, goals_w, motion_of_group, set_goal, started_simulation
 
 import dune_rl
 from dune_rl.core.errors import ConfigError
@@ -30,7 +30,7 @@ class RoverInWorld:
         self.world = world
         self.simulation, (self._robot,) = scripted_simulation(world, sensors=["goal"], task=ANYWHERE)
         self.pictures = Pictures(self.simulation)
-        goals_w(self.simulation)[0] = 3.0, 0.0
+        set_goal(self.simulation, 0, (3.0, 0.0))
         self.put(x, y, yaw)
 
     def put(self, x: float, y: float, yaw: float) -> None:

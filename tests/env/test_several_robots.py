@@ -29,6 +29,7 @@ from simulations import (
     motion_of_group,
     new_simulation,
     observation,
+    set_goal,
     started_simulation,
     state_of_group,
 )
@@ -70,7 +71,7 @@ def test_who_arrives_waits_for_the_others(robots: list[str]) -> None:
     names = [group.name for group in simulation.external]
     # The second robot is a group of its own, or the second of the first's.
     other, row = (names[1], 0) if len(names) == 2 else (names[0], 1)
-    goals_w(simulation, other)[row] = motion_of_group(simulation, other).position_w[row, :2]
+    set_goal(simulation, row, motion_of_group(simulation, other).position_w[row, :2], other)
 
     def step(turn: float) -> Any:
         return act(simulation, **{name: [0.4, turn] for name in names})
@@ -106,7 +107,7 @@ def test_the_episode_ends_when_all_have_arrived() -> None:
     simulation = simulation_of(KINDS, task={"terminations": {"goal_reached": {"distance_m": 0.3}}})
     for number, group in enumerate(simulation.external):
         assert not act(simulation).done[0]
-        goals_w(simulation, group.name)[0] = motion_of_group(simulation, group.name).position_w[0, :2]
+        set_goal(simulation, 0, motion_of_group(simulation, group.name).position_w[0, :2], group.name)
         taken = act(simulation)
         assert taken.terminated[0] == taken.done[0] == (number == 1)
         assert taken.groups[group.name].terminated[0]

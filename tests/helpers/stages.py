@@ -12,7 +12,7 @@ from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.state import EpisodeState, GroupState, Motion, State
+from dune_rl.state import BodyDescription, EpisodeState, GroupState, Motion, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
@@ -85,7 +85,8 @@ class Stage:
         steps = np.full(len(ids), self.steps)
         group = group_state(motion, count=count, name=name)
         episode = EpisodeState(self.seed, ids, steps, streams, STEP_S)
-        return replace(group, episode=episode, reach_m=reach_m, is_robot=is_robot)
+        body = BodyDescription(reach_m=reach_m, is_robot=is_robot)
+        return replace(group, episode=episode, body=body)
 
     def _robot_motion(self) -> Motion:
         states = np.zeros((self.robots[..., 0].size, 13))

@@ -6,7 +6,16 @@ from scenes import about
 
 from dune_rl.geometry.frames import multiply_quaternions, roll_pitch_yaw, rotation_matrices, to_body
 from dune_rl.sensors.sensor import Sensor
-from dune_rl.state import ContactState, EpisodeState, GoalState, GroupState, JointState, Motion, State
+from dune_rl.state import (
+    BodyDescription,
+    ContactState,
+    EpisodeState,
+    GoalState,
+    GroupState,
+    JointState,
+    Motion,
+    State,
+)
 
 STEP_S = 0.05
 
@@ -86,6 +95,7 @@ def group_state(
     return GroupState(
         name,
         count,
+        BodyDescription(is_robot=True),
         EpisodeState(seed, ids, np.broadcast_to(np.asarray(steps, np.int64), rows).copy(), ids, step_s),
         motion,
         ContactState(none > 0, none, none),

@@ -8,6 +8,7 @@ from states import STEP_S, FixedProximity, NoGround
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.state import (
     BatteryModel,
+    BodyDescription,
     ContactState,
     EnergyState,
     EpisodeState,
@@ -91,6 +92,7 @@ def agents(
     return GroupState(
         name,
         count,
+        BodyDescription(kind, kind == "robot", radius_m, wheel_radius_m=wheel_radius_m),
         EpisodeState(0, numbers(episode, int), numbers(step, int), numbers(episode, int), STEP_S),
         Motion(
             vector(position),
@@ -108,12 +110,9 @@ def agents(
         GoalState(vector(goal), distances, distances + numbers(progress), numbers(bearing)),
         numbers(done, bool),
         FixedProximity(np.zeros((rows, 0, 7)), numbers(clearance)),
-        radius_m,
-        None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
-        {key: numbers(flags, bool) for key, flags in (endings or {}).items()},
-        wheel_radius_m,
-        scanner,
-        kind,
+        energy=None if work_j is None or battery is None else EnergyState(numbers(work_j), battery),
+        scanner=scanner,
+        endings={key: numbers(flags, bool) for key, flags in (endings or {}).items()},
     )
 
 

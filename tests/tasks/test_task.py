@@ -1,6 +1,7 @@
 """A task: what its terms come to together, and how its settings are given."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,8 @@ def _users_terms_go() -> Iterator[None]:
 
 
 def step(task: Task, group: GroupState) -> np.ndarray:
-    state = state_of(group)
-    task.end(state, group)
-    return task.reward(state, group)
+    group = replace(group, endings=task.end(state_of(group), group).by_term)
+    return task.reward(state_of(group), group)
 
 
 def earned(group: GroupState, conf: TaskConf = PAPER) -> dict[str, float]:
@@ -48,8 +48,9 @@ def ended(group: GroupState, conf: TaskConf = PAPER) -> set[str]:
     """The terminations that are true of the first agent, and what follows of them."""
     task = begun(conf, group)
     end = task.end(state_of(group), group)
-    assert set(group.endings) == {*conf.terminations, "diverged"}
-    return {name for name, flags in {**group.endings, **end._asdict()}.items() if flags[0]}
+    assert set(end.by_term) == {*conf.terminations, "diverged"}
+    follows = {"terminated": end.terminated, "truncated": end.truncated, "renews": end.renews}
+    return {name for name, flags in {**end.by_term, **follows}.items() if flags[0]}
 
 
 # -- point-goal navigation -------------------------------------------------------------------------
@@ -258,9 +259,7 @@ def test_a_walker_earns_progress_and_room(apart: float, cost: float) -> None:
     rover = agents(position=(0.25 + apart, 0.0, 0.0))
     task = begun(walking_task(), walker)
     assert not task.has_ends
-    state = state_of(walker, rover)
-    task.end(state, walker)
-    assert task.reward(state, walker) == pytest.approx([0.05 + cost])
+    assert task.reward(state_of(walker, rover), walker) == pytest.approx([0.05 + cost])
 
 
 def test_a_walker_goes_on_to_its_next_way_point() -> None:

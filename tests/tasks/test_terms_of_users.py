@@ -3,6 +3,7 @@
 import json
 import pickle
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -28,9 +29,8 @@ def _users_terms_go() -> Iterator[None]:
 
 
 def step(task: Task, group: GroupState) -> np.ndarray:
-    state = state_of(group)
-    task.end(state, group)
-    return task.reward(state, group)
+    group = replace(group, endings=task.end(state_of(group), group).by_term)
+    return task.reward(state_of(group), group)
 
 
 # -- terms of a user -------------------------------------------------------------------------------

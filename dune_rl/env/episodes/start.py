@@ -132,7 +132,7 @@ class EpisodeStart:
             if isinstance(follower, TrajectoryFollower) or group.setup.is_scripted:
                 poses = follower.reset(scene, draws, avoid)
             else:
-                poses = follower.reset_apart(scene, draws, avoid, discs, group.reach_m)
+                poses = follower.reset_apart(scene, draws, avoid, discs, group.description.reach_m)
             group.body.place(scene, poses)
             park_absent(group, scene)
             discs = np.concatenate([discs, discs_of(group, scene)])
@@ -208,7 +208,7 @@ class EpisodeStart:
             follower = group.goals.source.follower
             if isinstance(follower, TrajectoryFollower):
                 for x, y, _, yaw in follower.start_poses(world).tolist():
-                    starts.append((Placement(x, y, yaw, x, y), group.radius_m))
+                    starts.append((Placement(x, y, yaw, x, y), group.description.radius_m))
         return starts
 
     def _reset_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:

@@ -102,9 +102,9 @@ class DuneEnv(CopiedByReplay, EnvBase):
     def turning_circles(self) -> dict[str, TurningCircle]:
         """The tightest curves of the groups whose bodies cannot turn on the spot."""
         return {
-            group.name: TurningCircle(group.body.turning_radius_m, group.body.rear_axle_m)
+            group.name: TurningCircle(group.description.turning_radius_m, group.description.rear_axle_m)
             for group in self._groups
-            if group.body.turning_radius_m
+            if group.description.turning_radius_m
         }
 
     # -- EnvBase interface ------------------------------------------------------------------------
@@ -148,7 +148,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
 
     def episode_keys(self) -> tuple[int, NDArray[np.int64]]:
         """The seed and the ids (M,) of the present episodes."""
-        return self._simulation.seed, self._simulation.episodes
+        return self._simulation.seed, self._simulation.episodes.copy()
 
     # -- packing ----------------------------------------------------------------------------------
 

@@ -113,7 +113,7 @@ def slip(state: State, group: GroupState, *, least_mps: Annotated[float, Field(g
     v [m/s] is the forward speed and r w that of the wheels' rims, the mean over the motors (Wong, Theory of
     Ground Vehicles, section 1.3, without the sign). NaN where both are below `least_mps`.
     """
-    joints, radius = group.motion.joints, group.wheel_radius_m
+    joints, radius = group.motion.joints, group.body.wheel_radius_m
     if joints is None or radius is None:
         raise ConfigError(f"slip is that of wheels, and {group.name} has none: leave this metric out for it")
     rim, forward = radius * joints.speed.mean(axis=1), group.motion.velocity_b[:, 0]

@@ -61,7 +61,7 @@ def collisions_with(state: State, group: GroupState, *, kinds: tuple[str, ...] =
     `static` is what never moves; agents are of the class of their body: robot, person, vehicle, animal,
     drone, or the `kind` of one's own.
     """
-    known = (*_KINDS, *(other.kind for other in state.groups.values()))
+    known = (*_KINDS, *(other.body.kind for other in state.groups.values()))
     for kind in kinds:
         if kind not in known:
             raise ConfigError(f"collisions_with.kinds: there is no class {kind!r}; choose {one_of(known)}")
@@ -153,7 +153,7 @@ def _gaps(state: State, group: GroupState, names: tuple[str, ...]) -> Array:
     found = np.full(len(group.done), np.inf)
     position = group.motion.position_w[:, :2]
     for other in _others(state, group, names):
-        places, reach = other.motion.position_w[:, :2], group.radius_m + other.radius_m
+        places, reach = other.motion.position_w[:, :2], group.body.radius_m + other.body.radius_m
         find_gaps(position, reach, places, group.count, other.count, other is group, found)
     return found
 
@@ -167,7 +167,7 @@ def _times_to_contact(state: State, group: GroupState, names: tuple[str, ...]) -
         find_times_to_contact(
             mine.position_w[:, :2],
             mine.velocity_w[:, :2],
-            group.radius_m + other.radius_m,
+            group.body.radius_m + other.body.radius_m,
             theirs.position_w[:, :2],
             theirs.velocity_w[:, :2],
             group.count,

@@ -1,0 +1,78 @@
+"""The state of a step cannot be written by the parts that read it."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from simulations import act, started_simulation
+
+import dune_rl
+from dune_rl.core.errors import RegistryError
+from dune_rl.metrics.registry import METRICS
+from dune_rl.state import GroupState, State
+from dune_rl.tasks.registry import REWARDS, TERMINATIONS
+
+
+@pytest.fixture(autouse=True)
+def _users_terms_go() -> Iterator[None]:
+    yield
+    for registry in (REWARDS, TERMINATIONS, METRICS):
+        registry._user_parts.clear()
+
+
+def pulls_walkers(state: State, group: GroupState) -> np.ndarray:
+    """A planted term that brings the walkers to the robot."""
+    state.groups["walker"].motion.position_w[:, :2] = 0.0
+    return np.zeros(len(group.done))
+
+
+@pytest.mark.parametrize(
+    ("kind", "path"),
+    [
+        ("reward", ("task", "rewards")),
+        ("termination", ("task", "terminations")),
+        ("metric", ("metrics", "terms")),
+    ],
+)
+def test_a_term_that_writes_into_the_state_is_named(kind: str, path: tuple[str, str]) -> None:
+    getattr(dune_rl, f"register_{kind}")(pulls_walkers)
+    part, terms = path
+    term = {part: {terms: {"near": {"term": "pulls_walkers"}}}}
+    simulation = started_simulation(actors="walkers", **term)
+    before = simulation.state.groups["walker"].motion.position_w.copy()
+    with pytest.raises(RegistryError, match=f"the {kind} term 'near' writes into an array of the state"):
+        act(simulation)
+    after = simulation.group("walker").body.motion.position_w
+    assert np.abs(after - before).max() < 0.5
+    simulation.close()
+
+
+def arrays_of(value: Any, seen: set[int]) -> Iterator[np.ndarray]:
+    """All arrays that are reached from `value` through the parts of a state."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, dict) or type(value).__module__.startswith("dune_rl.state"):
+        if id(value) in seen:
+            return
+        seen.add(id(value))
+        for each in value.values() if isinstance(value, dict) else vars(value).values():
+            yield from arrays_of(each, seen)
+
+
+@pytest.mark.parametrize("settings", [{"actors": "walkers"}, {"scenario": "farm"}])
+def test_no_array_of_a_state_can_be_written(settings: dict[str, str]) -> None:
+    simulation = started_simulation(num_scenes=2, **settings)
+    for _ in range(3):
+        act(simulation)
+        state = simulation.state
+        for group in state.groups.values():
+            for name in ("clearance", "neighbours"):
+                getattr(group, name)
+            for name in ("rotation", "velocity_b", "angular_b", "acceleration_b", "frames", "tilt", "yaw"):
+                getattr(group.motion, name)
+        assert state.surroundings.obstacles("rover")
+        found = list(arrays_of(state, set()))
+        assert len(found) > 30
+        assert not any(array.flags.writeable for array in found)
+    simulation.close()
