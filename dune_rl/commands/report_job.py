@@ -12,18 +12,16 @@ from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.reporting.drawing import DRAWN, plan_figures
-from dune_rl.reporting.folder import FIGURES, PAGE, TABLES, check_folder, write_aside
 from dune_rl.reporting.layout import (
     collect_findings,
-    compute_steps,
     describe_note,
     figures_of,
     lay_out,
     tables_of,
 )
 from dune_rl.reporting.markdown_blocks import rewrite_file
-from dune_rl.reporting.output import write_report
-from dune_rl.reporting.page.blocks import FigureBlock, Section
+from dune_rl.reporting.output import FIGURES, PAGE, TABLES, check_folder, write_aside, write_report
+from dune_rl.reporting.page.render import FigureBlock, Section
 from dune_rl.reporting.progress import ReportProgress, show_reading
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.runs import Note, ReportInputs
@@ -88,18 +86,19 @@ def _write(
     findings = collect_findings(inputs)
     progress = ReportProgress(console)
     plans = plan_figures(findings, conf.failures, progress)
-    statistics = compute_steps(findings)
-    progress.expect(_STATISTICS * len(statistics) + sum(plan.amount + _WRITTEN for plan in plans))
+    statistics = _STATISTICS * len(findings.comparisons)
+    progress.expect(statistics + sum(plan.amount + _WRITTEN for plan in plans))
     with progress:
-        for compute in statistics:
+        for comparison in findings.comparisons:
             progress.begin("statistics")
-            compute()
-            progress.advance(_STATISTICS)
+            # Computed once, and kept.
+            _ = comparison.estimates, comparison.pairs
+            progress.finish(_STATISTICS)
         figures: dict[str, list[FigureBlock]] = {}
         for number, plan in enumerate(plans, 1):
             progress.begin(f"drawing figure {number} of {len(plans)}")
             figures.setdefault(plan.section, []).append(plan.block())
-            progress.advance(DRAWN)
+            progress.finish(DRAWN)
         sections = lay_out(findings, figures)
         progress.begin("writing the report")
         write_report(
@@ -108,7 +107,7 @@ def _write(
             describe_inputs(inputs),
             sections,
             f"{now:%Y-%m-%d %H:%M}",
-            lambda: progress.advance(_WRITTEN),
+            lambda: progress.finish(_WRITTEN),
         )
     return sections
 

@@ -16,21 +16,19 @@ from dune_rl.reporting.figures.aggregates import (
     draw_profiles,
 )
 from dune_rl.reporting.figures.distributions import distribution_metrics, draw_distributions
-from dune_rl.reporting.figures.endings import failures_of
 from dune_rl.reporting.figures.failures import (
     MOST_FAILURES,
     choose_failures,
     collect_failures,
     draw_failures,
 )
-from dune_rl.reporting.figures.results import MethodRun, Results, axis_label
+from dune_rl.reporting.figures.results import MethodRun, Results, axis_label, failures_of
 from dune_rl.reporting.figures.success import draw_success_by
 from dune_rl.reporting.figures.track_data import collect_tracks
 from dune_rl.reporting.figures.tracks import draw_tracks
 from dune_rl.reporting.figures.training import by_world, draw_training_curves
 from dune_rl.reporting.layout import Findings
-from dune_rl.reporting.page.blocks import FigureBlock
-from dune_rl.reporting.page.render import shown_path
+from dune_rl.reporting.page.render import FigureBlock, shown_path
 from dune_rl.reporting.progress import ReportProgress
 
 _PROPERTIES = (
@@ -191,7 +189,23 @@ def _failures(findings: Findings, most: int, progress: ReportProgress) -> Iterat
     ]
     if not choose_failures(methods, most=max(most, 1)):
         return
-    gallery = FailureDrawing(methods, most, findings, progress)
+    replays = len(choose_failures(methods, most=most)) if most else 0
+
+    def begin(done: int) -> None:
+        if done < replays:
+            progress.begin(f"running failure {done + 1} of {replays} again")
+
+    def advance(done: int, total: int) -> None:
+        if most:
+            progress.finish(_REPLAYED)
+            begin(done)
+
+    def draw() -> Figure:
+        begin(0)
+        gallery = collect_failures(methods, most=most or MOST_FAILURES, progress=advance, simulate=most > 0)
+        findings.failures_left_out += gallery.left_out
+        return draw_failures(gallery)
+
     yield FigurePlan(
         "failures",
         "failures",
@@ -199,42 +213,9 @@ def _failures(findings: Findings, most: int, progress: ReportProgress) -> Iterat
         "The last seconds before a failure of each kind and method, from left to right; where an episode "
         "could not be run again, its recorded track.",
         _files(findings.comparisons),
-        gallery.draw,
-        DRAWN + _REPLAYED * gallery.replays,
+        draw,
+        DRAWN + _REPLAYED * replays,
     )
-
-
-@dataclass(frozen=True)
-class FailureDrawing:
-    """Draws the gallery of failures, and notes in the findings which could not be shown."""
-
-    methods: Sequence[MethodRun]
-    most: int
-    findings: Findings
-    progress: ReportProgress
-
-    @property
-    def replays(self) -> int:
-        """How many failures are run again."""
-        return len(choose_failures(self.methods, most=self.most)) if self.most else 0
-
-    def draw(self) -> Figure:
-        """The figure; at most `most` episodes are run again."""
-        self._begin(0, self.replays)
-        gallery = collect_failures(
-            self.methods, most=self.most or MOST_FAILURES, progress=self._advance, simulate=self.most > 0
-        )
-        self.findings.failures_left_out += gallery.left_out
-        return draw_failures(gallery)
-
-    def _advance(self, done: int, total: int) -> None:
-        if self.replays:
-            self.progress.advance(_REPLAYED)
-            self._begin(done, total)
-
-    def _begin(self, done: int, total: int) -> None:
-        if done < total:
-            self.progress.begin(f"running failure {done + 1} of {total} again")
 
 
 def method_runs(comparison: Comparison) -> list[MethodRun]:

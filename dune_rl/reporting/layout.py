@@ -1,13 +1,20 @@
 """Lays out a report: which tables and figures there are, in which section."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from dune_rl.core.paths import file_stem
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.comparisons.comparison import Comparison
-from dune_rl.reporting.page.blocks import Block, FigureBlock, HeadingBlock, Section, TableBlock, TextBlock
-from dune_rl.reporting.page.render import shown_path
+from dune_rl.reporting.page.render import (
+    Block,
+    FigureBlock,
+    HeadingBlock,
+    Section,
+    TableBlock,
+    TextBlock,
+    shown_path,
+)
 from dune_rl.reporting.runs import Note, ReportInputs
 from dune_rl.reporting.tables.methods import (
     PAPER_MEASURES,
@@ -21,19 +28,15 @@ from dune_rl.reporting.tables.origin import cases_table, evaluations_table, trai
 from dune_rl.reporting.tables.table import Table
 from dune_rl.reporting.tables.training import sweep_table, training_table
 from dune_rl.reporting.training_groups import TrainingGroup, group_runs
-from dune_rl.statistics.intervals import Estimate
-from dune_rl.statistics.paired_comparison import PairedComparison
 
 
 @dataclass
 class Findings:
-    """What was computed from the inputs: comparisons with their intervals and pairs, and groups of runs."""
+    """What the inputs give: comparisons of methods on the same cases, and groups of training runs."""
 
     inputs: ReportInputs
     comparisons: list[Comparison]
     groups: list[TrainingGroup]
-    estimates: list[dict[str, dict[str, Estimate]]] = field(default_factory=list)
-    pairs: list[list[PairedComparison]] = field(default_factory=list)
     failures_left_out: list[str] = field(default_factory=list)
 
     def name(self, comparison: Comparison) -> str:
@@ -43,21 +46,8 @@ class Findings:
 
 
 def collect_findings(inputs: ReportInputs) -> Findings:
-    """The comparisons and groups of the inputs; `compute_steps` fills in the statistics."""
+    """The comparisons and groups of the inputs."""
     return Findings(inputs, collect_comparisons(inputs.evaluations), group_runs(inputs.training))
-
-
-def compute_steps(findings: Findings) -> list[Callable[[], None]]:
-    """The statistics of each comparison, which take seconds, as steps to be called in order."""
-
-    def step(comparison: Comparison) -> Callable[[], None]:
-        def compute() -> None:
-            findings.estimates.append(comparison.estimates())
-            findings.pairs.append(comparison.paired())
-
-        return compute
-
-    return [step(comparison) for comparison in findings.comparisons]
 
 
 def lay_out(findings: Findings, figures: dict[str, list[FigureBlock]]) -> list[Section]:
@@ -118,10 +108,10 @@ def _results(findings: Findings) -> list[Block]:
     blocks: list[Block] = []
     if len(findings.comparisons) > 1:
         for measure in ("SR", "TR"):
-            if any(measure in found for each in findings.estimates for found in each.values()):
-                blocks.append(TableBlock(overview_table(findings.comparisons, findings.estimates, measure)))
-    for comparison, estimates in zip(findings.comparisons, findings.estimates, strict=True):
-        blocks.append(TableBlock(main_table(findings.name(comparison), comparison, estimates)))
+            if any(measure in found for each in findings.comparisons for found in each.estimates.values()):
+                blocks.append(TableBlock(overview_table(findings.comparisons, measure)))
+    for comparison in findings.comparisons:
+        blocks.append(TableBlock(main_table(findings.name(comparison), comparison)))
         if comparison.notes:
             blocks.append(TextBlock("", comparison.notes, warning=True))
     return blocks
@@ -129,9 +119,9 @@ def _results(findings: Findings) -> list[Block]:
 
 def _pairs(findings: Findings) -> list[Block]:
     blocks: list[Block] = []
-    for comparison, pairs in zip(findings.comparisons, findings.pairs, strict=True):
-        shown = [one for one in pairs if one.measure.name in PAPER_MEASURES]
-        others = [one for one in pairs if one.measure.name not in PAPER_MEASURES]
+    for comparison in findings.comparisons:
+        shown = [one for one in comparison.pairs if one.measure.name in PAPER_MEASURES]
+        others = [one for one in comparison.pairs if one.measure.name not in PAPER_MEASURES]
         name = findings.name(comparison)
         # Many pairs would push all else away.
         folded = len(findings.comparisons) > 1 or len(comparison.methods) > 2
@@ -144,12 +134,10 @@ def _pairs(findings: Findings) -> list[Block]:
 
 
 def _measures(findings: Findings) -> list[Block]:
+    folded = len(findings.comparisons) > 1
     return [
-        TableBlock(
-            all_measures_table(findings.name(comparison), comparison, estimates),
-            folded=len(findings.comparisons) > 1,
-        )
-        for comparison, estimates in zip(findings.comparisons, findings.estimates, strict=True)
+        TableBlock(all_measures_table(findings.name(comparison), comparison), folded=folded)
+        for comparison in findings.comparisons
     ]
 
 

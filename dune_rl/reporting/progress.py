@@ -3,24 +3,23 @@
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
-from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 # Speeds are those of the last minutes [s]: the steps of a report are few and long.
 _PERIOD_S = 300.0
+_TASK = TaskID(0)
 
 
-class ReportProgress:
-    """What a report is doing, how much of it is done, and the time left; a context manager.
+class ReportProgress(Progress):
+    """The present step of a report, the share that is done, and the time left.
 
-    The amounts of its steps are as they take long, about 0.3 s each.
+    The amounts of steps are proportional to their time, 1 for about 0.3 s.
     """
 
     def __init__(self, console: Console) -> None:
-        self._bar = Progress(
+        super().__init__(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=None),
             TaskProgressColumn(),
@@ -32,28 +31,19 @@ class ReportProgress:
             expand=True,
             speed_estimate_period=_PERIOD_S,
         )
-        self._task = self._bar.add_task("", total=None)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
+        self.add_task("", total=None)
 
     def expect(self, total: float) -> None:
         """Set the amount of all steps together."""
-        self._bar.update(self._task, total=total)
+        self.update(_TASK, total=total)
 
     def begin(self, activity: str) -> None:
-        """Say what goes on."""
-        self._bar.update(self._task, description=activity, refresh=True)
+        """Name the step that begins."""
+        self.update(_TASK, description=activity, refresh=True)
 
-    def advance(self, amount: float = 1.0) -> None:
-        """A step is done that has this amount."""
-        self._bar.update(self._task, advance=amount)
+    def finish(self, amount: float = 1.0) -> None:
+        """Add the amount of a step that has ended."""
+        self.advance(_TASK, amount)
 
 
 def is_shown(console: Console) -> bool:
@@ -63,7 +53,7 @@ def is_shown(console: Console) -> bool:
 
 @contextmanager
 def show_reading(console: Console) -> Iterator[Callable[[str], None]]:
-    """Yields what is to be called with the name of each folder that is read."""
+    """Yields a function that shows the name of the folder that is read."""
     if not is_shown(console):
         yield lambda name: None
         return

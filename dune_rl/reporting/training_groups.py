@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any
 
-from dune_rl.reporting.runs import Row, TrainingRun
-from dune_rl.reporting.settings_differences import differing_settings
+from dune_rl.reporting.runs import Row, TrainingRun, differing_settings
 
 _SHOWN = 3
 # Settings that change neither what is learnt nor on what.

@@ -155,6 +155,6 @@ def test_reports_keep_the_sites_of_rows() -> None:
     cases = Cases("key", "inspection-v1", "inspection", "inspection-v1", "", "bullet", 1, "rover")
     comparison = Comparison(cases, [EvaluatedPolicy(name, name, found) for name, found in rows.items()])
     assert comparison.sites == SITES
-    assert comparison.estimates()["a"]["SR"] == estimate_proportion(a, OF_SITE)
-    (one,) = comparison.paired()
+    assert comparison.estimates["a"]["SR"] == estimate_proportion(a, OF_SITE)
+    (one,) = comparison.pairs
     assert one.p_value == mcnemar_test(a, b, OF_SITE).p_value and one.difference.units == SITES

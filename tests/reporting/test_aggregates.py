@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dune_rl.reporting.aggregates import (
+from dune_rl.statistics.aggregates import (
     aggregate_scores,
     interquartile_mean,
     performance_profile,

@@ -219,7 +219,7 @@ def test_policies_of_several_folders_meet_where_the_cases_are_the_same(tmp_path:
     # Equal rows are one method; others of the same name are called after their folder too.
     assert [method.name for method in first.methods] == ["x (a)", "go", "x (b)"]
     assert len(first.methods[1].runs) == 2
-    pairs = {(one.first, one.second): one for one in first.paired() if one.measure.name == "SR"}
+    pairs = {(one.first, one.second): one for one in first.pairs if one.measure.name == "SR"}
     assert pairs["x (a)", "x (b)"].difference.value == pytest.approx(1.0)
     # Episodes that end otherwise do not pair.
     assert [method.name for method in second.methods] == ["x"]
@@ -231,19 +231,19 @@ def test_different_numbers_of_episodes_pair_on_those_in_common(tmp_path: Path) -
     write_evaluation(tmp_path / "a", episode_rows("x", 8))
     write_evaluation(tmp_path / "b", episode_rows("y", 4))
     (comparison,) = collect_comparisons(read_inputs([tmp_path]).evaluations)
-    assert {one.difference.count for one in comparison.paired() if one.measure.name == "SR"} == {4}
+    assert {one.difference.count for one in comparison.pairs if one.measure.name == "SR"} == {4}
     assert "x 8, y 4" in comparison.notes[0]
 
 
 def test_missing_and_users_own_metrics(tmp_path: Path) -> None:
     rows = [*episode_rows("x", 4, my_metric=2.5), *episode_rows("y", 4)]
     (comparison,) = collect_comparisons(read_inputs([write_evaluation(tmp_path / "a", rows)]).evaluations)
-    estimates = comparison.estimates()
+    estimates = comparison.estimates
     assert estimates["x"]["my_metric"].value == pytest.approx(2.5)
     assert "my_metric" not in estimates["y"]
     # Places and ids are no measures.
     assert not {"goal_x_m", "seed", "steps", "episode"} & set(estimates["x"])
-    assert "my_metric" not in {one.measure.name for one in comparison.paired()}
+    assert "my_metric" not in {one.measure.name for one in comparison.pairs}
 
 
 def test_several_agents_are_clusters_and_groups_stand_apart(tmp_path: Path) -> None:
@@ -251,7 +251,7 @@ def test_several_agents_are_clusters_and_groups_stand_apart(tmp_path: Path) -> N
     first, second = collect_comparisons(read_inputs([write_evaluation(tmp_path / "a", rows)]).evaluations)
     assert [one.cases.title for one in (first, second)] == ["flat, seed 5, rover", "flat, seed 5, walker"]
     assert (first.methods[0].episodes, first.methods[0].agents) == (5, 2)
-    assert first.estimates()["x"]["SR"].count == 10
+    assert first.estimates["x"]["SR"].count == 10
 
 
 def test_different_thresholds_are_told(tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_episodes_of_one_site_are_one_sample(tmp_path: Path) -> None:
     write_evaluation(tmp_path / "b", [*apart], set={"name": "mine", "sha256": "2"})
     first, second = collect_comparisons(read_inputs([tmp_path]).evaluations)
     assert (first.sites, second.sites) == (2, 0)
-    shared, own = first.estimates()["x"]["SR"], second.estimates()["y"]["SR"]
+    shared, own = first.estimates["x"]["SR"], second.estimates["y"]["SR"]
     assert shared.value == own.value == 0.5
     assert shared.high - shared.low > own.high - own.low
 

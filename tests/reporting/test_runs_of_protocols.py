@@ -8,7 +8,7 @@ from report_runs import CONFIG, episode_rows, write_evaluation
 
 from dune_rl.evaluation.folder import changed_files
 from dune_rl.reporting.comparisons.collect import collect_comparisons
-from dune_rl.reporting.comparisons.estimates import estimate_rows
+from dune_rl.reporting.comparisons.comparison import estimate_rows
 from dune_rl.reporting.figures.failure_replay import WantedFailure, replay_failures
 from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.reading import read_inputs

@@ -10,8 +10,9 @@ from states import episode_state
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
-from dune_rl.reporting.views import endings, maps
-from dune_rl.reporting.views.endings import describe_ending
+from dune_rl.reporting.views import maps
+from dune_rl.reporting.views import tracks as view_tracks
+from dune_rl.reporting.views.tracks import describe_ending
 from dune_rl.state import ContactState
 from dune_rl.tasks.spawn import Placement, Spawner
 from dune_rl.visualization.site_map import colours
@@ -153,7 +154,7 @@ def test_all_agents_of_all_groups_have_tracks() -> None:
 
 def test_every_ending_has_a_colour_and_a_mark() -> None:
     collided = {"goal reached, after a collision", "physics diverged"}
-    assert set(colours.ENDINGS) == {*endings._ENDINGS.values(), *collided}
+    assert set(colours.ENDINGS) == {*view_tracks._ENDINGS.values(), *collided}
     styles = {*colours.ENDINGS.values(), colours.ending_style("battery empty")}
     assert len(styles) == len({mark for _, mark in styles}) == len(colours.ENDINGS) + 1
 

@@ -10,14 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from dune_rl.reporting.aggregates import (
-    Scores,
-    aggregate_scores,
-    performance_profile,
-    probability_of_improvement,
-    run_scores,
-    site_scores,
-)
 from dune_rl.reporting.figures.results import Results, measure_of_metric
 from dune_rl.reporting.figures.style import (
     COLUMN_IN,
@@ -33,6 +25,14 @@ from dune_rl.reporting.figures.style import (
     scale_as_share,
     short_names,
     tidy,
+)
+from dune_rl.statistics.aggregates import (
+    Scores,
+    aggregate_scores,
+    performance_profile,
+    probability_of_improvement,
+    run_scores,
+    site_scores,
 )
 from dune_rl.statistics.intervals import Estimate
 

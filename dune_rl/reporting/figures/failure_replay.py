@@ -16,8 +16,7 @@ from dune_rl.evaluation.folder import read_provenance, read_settings
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.provenance import check_same_sources
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.reporting.figures.endings import failures_of
-from dune_rl.reporting.figures.results import MethodRun
+from dune_rl.reporting.figures.results import MethodRun, failures_of
 from dune_rl.reporting.runs import Row
 from dune_rl.statistics.measures import MetricsRow
 

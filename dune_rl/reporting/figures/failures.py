@@ -9,9 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from dune_rl.reporting.figures.endings import COLLISION, FAILURES, failures_of
 from dune_rl.reporting.figures.failure_replay import BEFORE_S, Replay, WantedFailure, replay_failures
-from dune_rl.reporting.figures.results import MethodRun
+from dune_rl.reporting.figures.results import COLLISION, FAILURES, MethodRun, failures_of
 from dune_rl.reporting.figures.style import FAINT, PAGE_IN, RC, SMALL, new_figure, note_figure
 from dune_rl.reporting.figures.track_data import TrackSite, track_of
 from dune_rl.reporting.figures.tracks import draw_track_map

@@ -12,8 +12,7 @@ from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import DuneError
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.figures.endings import Ending, ending_of
-from dune_rl.reporting.figures.results import MethodRun, column
+from dune_rl.reporting.figures.results import Ending, MethodRun, column, ending_of
 from dune_rl.reporting.runs import Row
 from dune_rl.worlds.world import World
 

@@ -1,21 +1,21 @@
 """Tracks on maps, coloured by speed: a panel for each method and site."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 from matplotlib import colormaps, patheffects, rc_context
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle as Box
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.figures.endings import COLLISION, FAILURES, REACHED, Ending
-from dune_rl.reporting.figures.site_ground import SiteGround
+from dune_rl.reporting.figures.results import COLLISION, FAILURES, REACHED, Ending
 from dune_rl.reporting.figures.style import (
     FAINT,
     INK,
@@ -27,7 +27,16 @@ from dune_rl.reporting.figures.style import (
     short_names,
 )
 from dune_rl.reporting.figures.track_data import EpisodeTrack, TrackSite
-from dune_rl.worlds.world import Rectangle
+from dune_rl.visualization.site_map.colours import rgb
+from dune_rl.visualization.site_map.layers import (
+    GroundGrid,
+    PropFootprints,
+    covered_by,
+    prop_footprints,
+    vegetation_props,
+    water_props,
+)
+from dune_rl.worlds.world import Rectangle, World
 
 # The lightness of viridis rises evenly.
 _SPEEDS = colormaps["viridis"]
@@ -37,6 +46,44 @@ _LEAST_SIDE_M, _MARGIN = 5.0, 0.06
 _MOST_PIECES = 1_000
 _SCALES_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _FASTEST_QUANTILE = 0.99
+# Of the ground below tracks.
+_CELLS = 260
+_KINDS = 8
+_DRIVABLE, _OBSTACLE, _WATER, _PLANTS = "#e4e0d6", "#9aa3b2", "#a7d3ef", "#a9cbac"
+
+
+@dataclass(frozen=True, eq=False)
+class SiteGround:
+    """The ground of `view` (xmin, xmax, ymin, ymax) [m] in colours (rows, columns, 3), and objects on it."""
+
+    view: Rectangle
+    picture: Array
+    footprints: Sequence[PropFootprints]
+
+    @classmethod
+    def of(cls, world: World, view: Rectangle) -> "SiteGround":
+        """The ground of `world`, lit from the north-west; white beyond its edge."""
+        ground = GroundGrid.sample(world.terrain, view, _CELLS, _CELLS)
+        light = np.clip(0.93 + 0.28 * (np.clip(ground.shade, 0.2, 1.6) - 1.0), 0.55, 1.0)
+        picture = np.repeat(light[..., None], 3, axis=2)
+        for props, colour in ((water_props(world), _WATER), (vegetation_props(world), _PLANTS)):
+            covered = covered_by(props, ground)
+            picture[covered] = 0.35 * picture[covered] + 0.65 * rgb(colour)
+        xmin, xmax, ymin, ymax = world.extent
+        across, up = (ground.x >= xmin) & (ground.x <= xmax), (ground.y >= ymin) & (ground.y <= ymax)
+        picture[~(up[:, None] & across)] = 1.0
+        return cls(view, picture, prop_footprints(world, _KINDS))
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it below everything else."""
+        axes.imshow(self.picture, extent=self.view, origin="lower", interpolation="bilinear", zorder=0)
+        for each in self.footprints:
+            colour = _DRIVABLE if each.drivable else _OBSTACLE
+            shapes = PolyCollection(
+                list(each.triangles), facecolors=colour, edgecolors=colour, linewidths=0.2, rasterized=True
+            )
+            shapes.set_zorder(1)
+            axes.add_collection(shapes, autolim=False)
 
 
 def draw_tracks(sites: Sequence[TrackSite]) -> Figure:

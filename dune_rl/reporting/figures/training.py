@@ -13,7 +13,6 @@ from scipy import stats
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures.style import (
-    COLUMN_IN,
     PAGE_IN,
     RC,
     SMALL,
@@ -184,26 +183,3 @@ def _caption(groups: Mapping[str, Sequence[TrainingRun]]) -> str:
     if numbers[-1] >= SEEDS_FOR_INTERVAL:
         kinds.append("95 % t interval of the mean")
     return f"{seeds} seeds; lines: means, bands: {' or '.join(kinds)}"
-
-
-def draw_learning_curve(groups: Mapping[str, Sequence[TrainingRun]], metric: str = "SR") -> Figure:
-    """Evaluations alone, of one measure, at the width of a column; as `draw_training_curves` otherwise."""
-    styles = method_styles(list(groups))
-    label = dict(_ROWS).get(metric, metric)
-    with rc_context(RC):
-        figure = new_figure(COLUMN_IN, 2.2 + legend_height_in(len(styles), COLUMN_IN))
-        axes = figure.subplots()
-        for name, runs in groups.items():
-            _draw(axes, training_band(runs, "eval", metric), styles[name], "eval", name)
-        tidy(axes)
-        axes.set_xlabel("frames (control steps of all scenes)")
-        axes.set_ylabel(f"{label}, evaluation")
-        axes.set_xlim(left=0)
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-        if metric == "SR":
-            scale_as_share(axes)
-        axes.set_title(_counts(groups, "eval"), loc="left")
-        if len(styles) > 1:
-            draw_legend(figure, styles)
-        figure.supxlabel(_caption(groups), fontsize=SMALL, x=0.995, ha="right")
-    return figure

@@ -13,21 +13,32 @@ from dune_rl.metrics.number_text import (
     format_range,
     format_value,
 )
-from dune_rl.reporting import published
 from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.figures.endings import COLLISION, FAILURES
+from dune_rl.reporting.figures.results import COLLISION, FAILURES
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, measure_title
 from dune_rl.statistics.intervals import Estimate
 from dune_rl.statistics.paired_comparison import PairedComparison
 
 PAPER_MEASURES = ("SR", "TR", "TC", "MTT", "OC", "VR", "VORT", "TSR")
 Estimates = Mapping[str, Mapping[str, Estimate]]
+PAPER = "DUnE paper"
+_CAVEAT = (
+    "The paper's figures come from another simulator, robot model and metrics code, without intervals: they "
+    "give the order of size, not a ranking."
+)
+
+# By world and measure, as the paper states them. Its TC is a total over an evaluation of 10 minutes.
+PAPER_FIGURES: Mapping[str, Mapping[str, str]] = {
+    "flat": {"SR": "100", "TC": "0 in all", "VORT": "0.78", "TSR": "12.82"},
+    "inspection": {"SR": "75", "TC": "52 in all", "VORT": "0.44", "TSR": "12.43"},
+    "island": {"SR": "73", "TC": "0 in all", "VORT": "0.61", "TSR": "14.46"},
+}
 
 
-def main_table(name: str, comparison: Comparison, estimates: Estimates) -> Table:
+def main_table(name: str, comparison: Comparison) -> Table:
     """The paper's measures: a row for each method, and one with what the paper reports of the same world."""
-    figures = published.PAPER_FIGURES.get(comparison.cases.world, {})
+    figures, estimates = PAPER_FIGURES.get(comparison.cases.world, {}), comparison.estimates
     # What the paper measures and we cannot, as VORT on flat ground, has dashes.
     shown = [
         measure_of(one)
@@ -51,8 +62,8 @@ def main_table(name: str, comparison: Comparison, estimates: Estimates) -> Table
     if len(comparison.methods) > 1:
         caption.append("The best value is marked, whether or not it differs significantly.")
     if figures:
-        rows.append([Cell(published.NAME), Cell(""), *(Cell(figures.get(one.name, "")) for one in shown)])
-        caption.append(published.CAVEAT)
+        rows.append([Cell(PAPER), Cell(""), *(Cell(figures.get(one.name, "")) for one in shown)])
+        caption.append(_CAVEAT)
     return Table(
         f"{name}_main",
         comparison.cases.title,
@@ -66,8 +77,9 @@ def main_table(name: str, comparison: Comparison, estimates: Estimates) -> Table
     )
 
 
-def all_measures_table(name: str, comparison: Comparison, estimates: Estimates) -> Table:
+def all_measures_table(name: str, comparison: Comparison) -> Table:
     """Every measure that some method has: a row for each, and a column for each method."""
+    estimates = comparison.estimates
     measures = [
         measure_of(one) for one in dict.fromkeys(one for found in estimates.values() for one in found)
     ]
@@ -165,18 +177,17 @@ def paired_table(
     )
 
 
-def overview_table(comparisons: Sequence[Comparison], estimates: Sequence[Estimates], measure: str) -> Table:
+def overview_table(comparisons: Sequence[Comparison], measure: str) -> Table:
     """One measure of all methods on all cases: a row for each method, a column for each set of cases."""
     one = measure_of(measure)
     methods = list(dict.fromkeys(method.name for each in comparisons for method in each.methods))
     rows = [
-        [Cell(name), *(estimate_cell(one, found.get(name, {}).get(measure)) for found in estimates)]
+        [Cell(name), *(estimate_cell(one, each.estimates.get(name, {}).get(measure)) for each in comparisons)]
         for name in methods
     ]
     data: list[Mapping[str, object]] = []
-    for each, found in zip(comparisons, estimates, strict=True):
-        chosen = {name: {measure: values.get(measure)} for name, values in found.items()}
-        data += _data(each, chosen)
+    for each in comparisons:
+        data += _data(each, {name: {measure: found.get(measure)} for name, found in each.estimates.items()})
     return Table(
         f"overview_{measure}",
         f"{measure_title(one)} of every method on all cases",

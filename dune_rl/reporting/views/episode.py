@@ -1,10 +1,12 @@
 """An episode of one scene under a policy, rendered from behind one of its agents."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torchrl.envs import EnvBase
 
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.commands import ViewConf
@@ -13,8 +15,10 @@ from dune_rl.core.suggestions import closest, one_of
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.reporting.views.endings import EndingRecorder
-from dune_rl.reporting.views.policies import policy_factory
+from dune_rl.learning.group_policy import Policy
+from dune_rl.learning.policies import built_in_policy
+from dune_rl.learning.saved_policies import load_policy
+from dune_rl.reporting.views.tracks import EndingRecorder
 from dune_rl.sensors.conf import SensorsConf
 
 Picture = NDArray[np.uint8]
@@ -111,3 +115,18 @@ class EpisodeView:
     def close(self) -> None:
         """Release the physics engine."""
         self._env.close()
+
+
+# What built-in policies read, where it is not `goal` alone.
+SENSORS_OF_POLICIES = {"mppi": ("lidar", "goal", "velocity"), "planner": ()}
+
+
+def policy_factory(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:
+    """Makes the policy of `conf` for all external groups of `env`: a new one for each episode.
+
+    A random policy thus does not depend on the episodes before.
+    """
+    if conf.checkpoint is not None:
+        trained, _ = load_policy(Path(conf.checkpoint), env, allow_more=True)
+        return lambda: trained
+    return lambda: built_in_policy(conf.policy or "go_to_goal", env, conf.seed)

@@ -19,7 +19,7 @@ from dune_rl.env.episodes.start import EpisodeStart
 from dune_rl.env.goals import PathGoals, RegionGoals, place_groups
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.views.policies import SENSORS_OF_POLICIES, policy_factory
+from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.tasks.spawn import Placement, SpawnConf
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS

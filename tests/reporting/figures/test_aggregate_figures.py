@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dune_rl.reporting.aggregates import aggregate_scores, probability_of_improvement
 from dune_rl.reporting.figures.aggregates import (
     collect_scores,
     draw_aggregates,
     draw_improvements,
     draw_profiles,
 )
+from dune_rl.statistics.aggregates import aggregate_scores, probability_of_improvement
 
 
 @pytest.fixture

@@ -14,11 +14,9 @@ from report_runs import methods_of
 from dune_rl.config.build import build_world
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
-from dune_rl.reporting.figures.endings import FAILURES, REACHED, ending_of, failures_of
-from dune_rl.reporting.figures.results import MethodRun
-from dune_rl.reporting.figures.site_ground import SiteGround
+from dune_rl.reporting.figures.results import FAILURES, REACHED, MethodRun, ending_of, failures_of
 from dune_rl.reporting.figures.track_data import collect_tracks, until_failure
-from dune_rl.reporting.figures.tracks import draw_tracks, view_of
+from dune_rl.reporting.figures.tracks import SiteGround, draw_tracks, view_of
 from dune_rl.reporting.runs import EvaluationRun
 from dune_rl.reporting.step_table import StepTable
 

@@ -9,7 +9,6 @@ from scipy import stats
 
 from dune_rl.reporting.figures.training import (
     by_world,
-    draw_learning_curve,
     draw_training_curves,
     training_band,
 )
@@ -107,6 +106,5 @@ def test_twelve_groups_and_none_can_be_drawn() -> None:
     figure = draw_training_curves(groups)
     assert len(figure.axes[0].lines) == 12 and "one seed each" in figure.get_supxlabel()
     assert figure.legends[0].get_texts()[0].get_text() == "0"
-    assert len(draw_learning_curve(groups).axes[0].lines) == 12
     nothing = draw_training_curves({"a": [TrainingRun(Path("a"), "a", {}, [])]})
     assert "no episode has ended" in nothing.texts[0].get_text()

@@ -11,15 +11,17 @@ which is not used as it needs pandas, seaborn and arch besides.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.runs import Row
 from dune_rl.statistics.intervals import CONFIDENCE, Estimate
 
+# The row of an episode.
+Row = Mapping[str, Any]
 # The scores of a method: for each set of cases those of its units, (U,) each.
 Scores = Mapping[str, Array]
 RESAMPLES = 2_000
