@@ -155,7 +155,7 @@ def test_a_p_value_that_is_not_defined_is_a_dash_with_its_reason(tmp_path: Path)
         row["time_to_goal"] = 3.0 if (row["policy"] == "x") == (row["episode"] < 2) else "nan"
     write_evaluation(tmp_path / "a", rows)
     (comparison,) = collect_comparisons(read_inputs([tmp_path / "a"]).evaluations)
-    table = paired_table("t", comparison, comparison.paired())
+    table = paired_table("t", comparison, comparison.pairs)
     row = next(cells for cells in table.rows if cells[0].text.startswith("MTT"))
     assert [cell.plain for cell in row[2:6]] == [NOTHING, "0", f"{NOTHING} (no pairs)", NOTHING]
     assert "no episode has a value of both" in table.caption
