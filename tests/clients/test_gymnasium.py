@@ -122,6 +122,7 @@ def test_specifications() -> None:
     assert drive(again, 5)[-1][3]
 
 
+@pytest.mark.slow
 @pytest.mark.client("Gymnasium", '`render_mode="rgb_array_list"`', "gymnasium.make")
 def test_a_list_of_pictures() -> None:
     env = gymnasium.make(ID, render_mode="rgb_array_list")
@@ -183,7 +184,7 @@ def test_gymnasium_s_own_copies_differ() -> None:
     envs.close()
 
 
-@pytest.mark.slow(all_but=["fork"])
+@pytest.mark.slow
 @pytest.mark.client("Gymnasium", "`AsyncVectorEnv`, its processes forked or spawned", "gymnasium.make_vec")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_processes(method: str) -> None:

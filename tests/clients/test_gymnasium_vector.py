@@ -73,6 +73,7 @@ def test_seeds() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 def test_unseeded_copies_differ() -> None:
     starts = []
     for _ in range(2):

@@ -197,6 +197,7 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
     assert list(done.glob("events.out.tfevents.*"))
 
 
+@pytest.mark.slow(all_but=["*evaluate-words*"])
 @pytest.mark.parametrize(
     ("program", "words", "message"),
     [

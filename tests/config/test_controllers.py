@@ -48,6 +48,7 @@ def test_a_group_drives_to_its_goals_by_itself(controller: object) -> None:
     simulation.close()
 
 
+@pytest.mark.slow(all_but=["*orca*"])
 @pytest.mark.parametrize("controller", ["orca", "social_force", "herd", "random_waypoint"])
 def test_people_with_a_behaviour_go_about_and_know_of_the_robot(controller: str) -> None:
     simulation = simulation_of(controller, body="person", count=3)

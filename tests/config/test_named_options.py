@@ -123,6 +123,7 @@ def test_a_list_of_sensors_is_changed_beside_it() -> None:
     assert sensors.named["neighbours"].model_dump()["number"] == 2
 
 
+@pytest.mark.slow(all_but=["words[2-9]*"])
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -26,6 +26,7 @@ CHOOSE = f"choose a world: +world=NAME with {WORLDS}"
 NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
 
 
+@pytest.mark.slow(all_but=["quick"])
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_experiments_compose_and_give_way(experiment: str) -> None:
     assert compose([f"+experiment={experiment}", "seed=7"]).seed == 7

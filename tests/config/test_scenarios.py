@@ -191,6 +191,7 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "world"), [("farm", "rubicon"), ("crowd", "inspection"), ("farm", "inspection")]
 )

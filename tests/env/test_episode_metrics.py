@@ -164,6 +164,7 @@ def test_in_collectors(kind: Any) -> None:
     sample.close()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version")
 def test_in_wrappers_of_our_other_environments() -> None:
     gym = TransformedEnv(GymEnv("dune_rl:dune_rl/Flat-v0", **SHORT), EpisodeMetrics(TERMS))
@@ -176,6 +177,7 @@ def test_in_wrappers_of_our_other_environments() -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_copies_of_the_environment_inside_go_on() -> None:
     env = make()
     env.rollout(3)

@@ -225,6 +225,7 @@ def test_scripted_walkers_have_the_velocity_that_they_walk_with() -> None:
     assert np.hypot(*walked.T).max() == pytest.approx(0.7, rel=0.01)
 
 
+@pytest.mark.slow(all_but=["*-bullet"])
 @every_engine
 @pytest.mark.parametrize("controller", ["path", "external"])
 def test_a_robot_holds_a_weak_walker_back(engine: str, controller: str) -> None:

@@ -67,6 +67,7 @@ def test_the_steepest_climb_is_what_friction_leaves_over_rolling_resistance(back
         assert (ahead > 0.5) if climbs else (ahead < 0.1)
 
 
+@pytest.mark.slow(all_but=["concrete-*", "sand-*"])
 @every_backend
 @pytest.mark.parametrize("sinkage", [False, True])
 @pytest.mark.parametrize("name", ["concrete", "gravel", "grass", "sand"])

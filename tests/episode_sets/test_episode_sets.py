@@ -58,6 +58,7 @@ def test_every_family_has_every_variant() -> None:
     assert len(RECIPES) == len(FAMILIES) * len(VARIANTS) == 15
 
 
+@pytest.mark.slow(all_but=["flat-v1", "inspection-v1", "island-crowd-v1", "construction-site-v1"])
 @pytest.mark.parametrize("name", RECIPES)
 def test_a_set_is_as_its_recipe_says(name: str) -> None:
     episode_set, recipe = read_episode_set(name), RECIPES[name]

@@ -16,6 +16,9 @@ from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
+# Farther than any of these instruments sees; a large ground takes long to colour.
+SIZE_M = 40.0
+
 
 def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
     """A plane with boxes (x, y, yaw, length, width), each 1 m high."""
@@ -23,7 +26,7 @@ def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
         Prop(f"box_{i}", "box", *upright_box((x, y), yaw, -0.1, 1.0, length, width))
         for i, (x, y, yaw, length, width) in enumerate(boxes)
     ]
-    ground = build_flat(FlatConf())
+    ground = build_flat(FlatConf(size_m=SIZE_M))
     return World("test", ground.terrain, props, region=ground.region)
 
 

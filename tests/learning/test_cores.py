@@ -29,7 +29,7 @@ def _job(folder: Path, needed: int, used: Any, most: Any, waits: Any) -> None:
             used.value -= needed
 
 
-@pytest.mark.slow(all_but=["1"])
+@pytest.mark.slow
 @pytest.mark.parametrize("needed", [1, 2, 3])
 def test_jobs_never_use_more_cores_than_there_are(needed: int, tmp_path: Path) -> None:
     context = multiprocessing.get_context("fork")

@@ -140,6 +140,7 @@ def scalar_tags(run: Path) -> set[str]:
     return set(events.Tags()["scalars"])
 
 
+@pytest.mark.slow
 def test_tags_begin_with_the_group_where_there_are_several(tmp_path: Path, two_groups) -> None:
     several = scalar_tags(two_groups[0])
     assert {"walker/warmup/SR", "rover/eval/SR", "walker/reward/goal", "speed/frames"} <= several

@@ -129,7 +129,7 @@ def test_films_move(tmp_path: Path) -> None:
     EventFile(tmp_path / "none").film("film", [], 5.0, 0)
 
 
-@pytest.mark.slow(all_but=["1"])
+@pytest.mark.slow
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_tracks_are_drawn_on_the_maps_of_their_worlds(worlds: int, tmp_path: Path) -> None:
     words = ["+world=island", "task.terminations.time_limit.max_steps=8"]

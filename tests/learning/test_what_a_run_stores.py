@@ -58,6 +58,7 @@ def test_a_choice_of_the_user_stays(has_fast_bfloat16: bool) -> None:
         assert SacConf(precision=chosen).resolved("cpu").precision == chosen
 
 
+@pytest.mark.slow
 def test_going_on_with_another_precision_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     learning = small(precision="auto", hidden=(8,))
     monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: True)

@@ -35,6 +35,7 @@ def test_it_stands_still_at_its_height(backend):
     assert np.linalg.norm(walk.stage.velocity) < 2e-3
 
 
+@pytest.mark.slow(all_but=["0.3-*", "-0.3-*"])
 @every_backend
 @pytest.mark.parametrize("speed", [0.3, 0.4, 0.15, -0.3])
 def test_it_walks_straight_at_the_speed_told(backend, speed):
@@ -59,6 +60,7 @@ def test_two_legs_carry_its_body_as_high_as_four(backend):
     assert np.mean(heights) == pytest.approx(walk.robot.standing_height_m, abs=3e-3)
 
 
+@pytest.mark.slow(all_but=["0.9-*"])
 @every_backend
 @pytest.mark.parametrize("rate", [0.3, 0.9, -0.6])
 def test_it_turns_on_the_spot_as_fast_as_told(backend, rate):
@@ -70,6 +72,7 @@ def test_it_turns_on_the_spot_as_fast_as_told(backend, rate):
     assert np.linalg.norm(way[:2]) < 0.15
 
 
+@pytest.mark.slow(all_but=["up-*"])
 @every_backend
 @pytest.mark.parametrize("toward", [0.0, np.pi, np.pi / 2], ids=["up", "down", "across"])
 def test_it_walks_on_a_slope_of_ten_degrees(backend, toward):
@@ -230,7 +233,7 @@ def test_its_action_of_rest_stands(engine):
     simulation.close()
 
 
-@pytest.mark.slow(all_but=["bullet"])
+@pytest.mark.slow
 @every_engine
 def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     run = RecordedSimulation("flat", engine, "hyperdog", 4, 0)

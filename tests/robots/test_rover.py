@@ -34,6 +34,7 @@ ALL = np.array([True])
 # -- in physics ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["1.0-*", "2.0-45deg-*"])
 @every_backend
 @pytest.mark.parametrize("yaw", EIGHT_HEADINGS)
 @pytest.mark.parametrize("rate", [0.3, 1.0, 2.0])
@@ -48,6 +49,7 @@ def test_turning_on_the_spot_is_as_fast_as_commanded(backend, yaw, rate):
     assert np.linalg.norm(drive.stage.position[:2]) < 0.1
 
 
+@pytest.mark.slow(all_but=["0deg-*", "135deg-*"])
 @every_backend
 @pytest.mark.parametrize("yaw", EIGHT_HEADINGS)
 def test_ten_metres_straight(backend, yaw):

@@ -122,6 +122,7 @@ def test_a_wall_over_a_tyre_alone_is_a_contact(backend, case):
     assert run.stage.position[1] < 0.0
 
 
+@pytest.mark.slow(all_but=["left-*"])
 @every_backend
 @every_rover
 @pytest.mark.parametrize("side", [1, -1], ids=["left", "right"])

@@ -100,6 +100,7 @@ def test_what_turns_on_the_spot_takes_more_than_a_climb(backend, tmp_path):
 # -- casters -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["cylinder-*", "sphere-0.008-True-*"])
 @every_backend
 @pytest.mark.parametrize("fixed", [True, False])
 @pytest.mark.parametrize(("shape", "radius_m"), [("sphere", 0.03), ("sphere", 0.008), ("cylinder", 0.03)])

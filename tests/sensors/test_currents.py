@@ -48,6 +48,7 @@ def on_slope(backend, slope: float, heading: float = 0.0) -> Drive:
 # -- in physics ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["*-0.2-*"])
 @every_backend
 @pytest.mark.parametrize("slope", [0.1, 0.2, 0.3])
 @pytest.mark.parametrize("uphill", [True, False], ids=["uphill", "downhill"])

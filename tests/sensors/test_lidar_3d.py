@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from people import meshes_of
 from poses import seen_at
 from pydantic import ValidationError
-from scanning import flat_with, lidar_in, turned
+from scanning import SIZE_M, flat_with, lidar_in, turned
 from scenes import about
 from sensors_of_rover_zero import lidar_3d_conf, lidar_conf
 from states import begin, measure, state_at
@@ -85,7 +85,7 @@ def test_its_level_ring_is_the_planar_lidar():
 def test_the_first_ring_is_the_highest_and_beams_run_counter_clockwise():
     high = Prop("beam", "box", *upright_box((3.0, 0.0), 0.0, 0.8, 1.5, 0.2, 0.2))
     left = Prop("low", "box", *upright_box((0.174, 3.0), 0.0, -0.1, 0.25, 0.2, 0.2))
-    world = World("test", build_flat(FlatConf()).terrain, [high, left], region=(-4, 4, -4, 4))
+    world = World("test", build_flat(FlatConf(size_m=SIZE_M)).terrain, [high, left], region=(-4, 4, -4, 4))
     ranges = scan(lidar_3d_in(world, n_rings=17, range_m=10.0))["segmentation"]
     ring, beam = np.nonzero(ranges == Segment.OBSTACLE)
     ahead = np.abs(beam - 256) < 20
@@ -101,7 +101,7 @@ def test_the_first_ring_is_the_highest_and_beams_run_counter_clockwise():
 @pytest.mark.parametrize("pitch", [0.0, 0.15])
 def test_rings_below_the_horizon_meet_the_ground_where_geometry_says(pitch):
     rotation = rotation_matrices(about([0, 1, 0], pitch))
-    found = scan(lidar_3d_in(build_flat(FlatConf())), np.array([0.4, 0.7, 0.125]), rotation)
+    found = scan(lidar_3d_in(build_flat(FlatConf(size_m=SIZE_M))), np.array([0.4, 0.7, 0.125]), rotation)
     elevation = np.deg2rad(np.linspace(15.0, -15.0, 16))[:, None]
     bearing = (-np.pi + 2 * np.pi / 512 * np.arange(512))[None]
     x, z = np.cos(elevation) * np.cos(bearing), np.sin(elevation)
@@ -126,7 +126,7 @@ def test_intensity_is_albedo_by_incidence_by_range():
         box = Prop(
             "wall", "box", *upright_box((distance + 0.274, 0.0), 0.0, -0.1, 3.0, 0.2, 8.0), colour=colour
         )
-        world = World("test", build_flat(FlatConf()).terrain, [box], region=(-4, 4, -4, 4))
+        world = World("test", build_flat(FlatConf(size_m=SIZE_M)).terrain, [box], region=(-4, 4, -4, 4))
         found = scan(lidar_3d_in(world, n_rings=3, half_intensity_m=6.0))
         r, g, b = srgb_to_linear(np.array(colour))
         albedo = 0.2126 * r + 0.7152 * g + 0.0722 * b
@@ -150,7 +150,9 @@ def test_decks_obstacles_and_water_have_their_segments():
     wall = Prop("wall", "wall", *upright_box((-3.0, 0.0), 0.0, -0.1, 1.0, 0.2, 2.0))
     lake = Prop("lake", "water", *upright_box((0.0, 3.0), 0.0, -0.1, 0.1, 2.0, 2.0), solid=False)
     # Water is between the others, so that faces would be mistaken if it counted.
-    world = World("test", build_flat(FlatConf()).terrain, [deck, lake, wall], region=(-4, 4, -4, 4))
+    world = World(
+        "test", build_flat(FlatConf(size_m=SIZE_M)).terrain, [deck, lake, wall], region=(-4, 4, -4, 4)
+    )
     segments = scan(lidar_3d_in(world))["segmentation"]
     assert Segment.DECK in segments[:, 256]
     assert Segment.OBSTACLE in segments[:, 0]
@@ -179,7 +181,7 @@ def test_a_world_s_look_follows_its_solid_faces():
 
 @pytest.mark.slow
 def test_people_are_seen_at_their_pose_of_that_instant():
-    lidar = lidar_3d_in(build_flat(FlatConf()), (PERSON, PERSON), range_m=10.0)
+    lidar = lidar_3d_in(build_flat(FlatConf(size_m=SIZE_M)), (PERSON, PERSON), range_m=10.0)
     for x, y in ((3.0, 0.0), (3.0, 0.5), (0.174, -2.0)):
         poses = np.array([[[x, y, 0.0, 0.4], [x + 40.0, y, 0.0, 0.0]]])
         found = scan(lidar, actors=poses)
@@ -196,7 +198,7 @@ def test_people_are_seen_at_their_pose_of_that_instant():
 
 
 def test_the_nearer_of_two_people_hides_the_other_whatever_their_order():
-    lidar = lidar_3d_in(build_flat(FlatConf()), (PERSON, PERSON, PersonConf(radius_m=0.2)))
+    lidar = lidar_3d_in(build_flat(FlatConf(size_m=SIZE_M)), (PERSON, PERSON, PersonConf(radius_m=0.2)))
     people = np.array([[4.0, 0.0, 0.0, 0.0], [2.0, 0.05, 0.0, 0.0], [6.0, 0.0, 0.0, 0.0]])
     seen = [scan(lidar, actors=people[None, [a, b, 2]])["range"] for a, b in ((0, 1), (1, 0))]
     np.testing.assert_array_equal(*seen)
@@ -245,7 +247,7 @@ def test_scenes_are_independent_and_only_those_that_begin_scan_anew():
 
 @pytest.mark.slow
 def test_readings_have_the_shapes_and_types_of_their_bounds():
-    lidar = lidar_3d_in(build_flat(FlatConf()), scenes=2, n_rings=4, n_beams=30, fov_deg=115.0)
+    lidar = lidar_3d_in(build_flat(FlatConf(size_m=SIZE_M)), scenes=2, n_rings=4, n_beams=30, fov_deg=115.0)
     bounds = lidar.bounds()
     assert list(bounds) == ["lidar_3d_range", "lidar_3d_intensity", "lidar_3d_segmentation"]
     measure(lidar, state_at(np.stack([STANDING] * 2), np.zeros(2)))

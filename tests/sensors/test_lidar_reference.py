@@ -176,6 +176,7 @@ def beside(picture: np.ndarray, depths: np.ndarray) -> np.ndarray:
     return (depths > np.min(around, axis=0) - BEHIND_M) & (depths < np.max(around, axis=0) + BEHIND_M)
 
 
+@pytest.mark.slow(all_but=["3"])
 def test_the_planar_lidar_is_pybullet_s(site):
     conf = lidar_conf()
     lidar = lidar_in(site.world, PEOPLE, conf)
@@ -222,6 +223,7 @@ def test_the_rings_are_pybullet_s(site):
     assert kinds >= {Segment.SKY, Segment.GROUND, Segment.OBSTACLE, Segment.ACTOR}
 
 
+@pytest.mark.slow(all_but=["3"])
 def test_the_camera_s_depths_are_pybullet_s(site):
     conf = camera_conf(width=96, height=96, outputs=("depth", "segmentation"), range_m=40.0, pitch_deg=6.0)
     look = bake_world(site.world, LightConf())

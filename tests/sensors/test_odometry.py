@@ -46,6 +46,7 @@ def roll(sensor: Odometry, *steps: tuple[float, float]) -> np.ndarray:
 # -- in physics ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["2.0-*"])
 @every_backend
 @pytest.mark.parametrize("encoders", [IDEAL, EncodersConf()], ids=["ideal", "counting"])
 @pytest.mark.parametrize(("yaw", "speed"), [(0.0, 0.8), (2.0, 0.4), (-1.0, -0.5)])

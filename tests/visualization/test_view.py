@@ -70,6 +70,7 @@ def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(call: Call, folde
     assert call(*TINY, "robot=hyperdog", "view=sheet", "sensors=[odometry]") != 0
 
 
+@pytest.mark.slow
 def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
     words = [
         "view=video",
@@ -94,6 +95,7 @@ def test_a_film_has_the_size_asked_for(size: tuple[int, int], call: Call, folder
     assert frames_of(folder / "views" / "flat_seed0.mp4")[0].shape[1:] == (size[1], size[0], 3)
 
 
+@pytest.mark.slow
 def test_the_place_is_pictured_from_above(call: Call, folder: Path) -> None:
     assert call(*TINY, "view=orbit", BLIND) == 0
     assert [path.name for path in (folder / "views").iterdir()] == ["flat_orbit.png"]

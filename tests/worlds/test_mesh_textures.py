@@ -61,6 +61,7 @@ def test_textures_of_obj_and_glb_and_colours_of_vertices(tmp_path):
     np.testing.assert_allclose(own.reshape(-1, 3), np.tile([0.2, 0.4, 0.6], (own.size // 3, 1)), atol=0.01)
 
 
+@pytest.mark.slow(all_but=["obj-*"])
 @pytest.mark.parametrize(
     ("name", "said"),
     [

@@ -33,7 +33,7 @@ def is_within(inner: Rectangle, outer: Rectangle) -> bool:
     return inner[0] >= outer[0] and inner[1] <= outer[1] and inner[2] >= outer[2] and inner[3] <= outer[3]
 
 
-@pytest.mark.slow(all_but=["house-inside1-25.0", "crates-inside3-50.0"])
+@pytest.mark.slow(all_but=["crates-inside3-50.0"])
 @pytest.mark.parametrize(
     ("name", "inside", "least_m2"),
     [

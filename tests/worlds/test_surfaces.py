@@ -125,7 +125,7 @@ def test_maps_of_other_than_surface_numbers_are_refused(numbers):
         SurfaceMap(numbers, EXTENT)
 
 
-@pytest.mark.slow(all_but=["construction-expected2", "inspection-expected1", "island-expected4"])
+@pytest.mark.slow(all_but=["inspection-expected1", "island-expected4"])
 @pytest.mark.parametrize(("name", "expected"), GENERATED.items())
 def test_natural_worlds_have_their_surfaces_and_keep_all_else(name, expected):
     plain, natural = world_of(name), world_of(name, surfaces="natural")

@@ -154,6 +154,7 @@ def test_textures_beyond_the_room_for_them_are_coarse_and_warned_of(monkeypatch)
     assert len(report.texts) == 1
 
 
+@pytest.mark.slow(all_but=["*1"])
 @pytest.mark.parametrize(
     ("spoilt", "said"),
     [

@@ -154,6 +154,7 @@ def test_steps_that_are_not_finite_are_left_out(make_rows: Callable) -> None:
     np.testing.assert_allclose(site.tracks["planner"][0].points[:, 0], [0, 1, 3])
 
 
+@pytest.mark.slow
 def test_twelve_methods_go_on_in_further_rows_and_none_is_told(make_rows: Callable) -> None:
     twelve = make_evaluation(make_rows, [f"runs/{i}" for i in range(12)], episodes=1)
     figure = draw_tracks(collect_tracks(methods_of(twelve)))
