@@ -17,7 +17,7 @@ from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
 # Farther than any of these instruments sees; a large ground takes long to colour.
-SIZE_M = 40.0
+SIZE_M = 65.0
 
 
 def flat_with(*boxes: tuple[float, float, float, float, float]) -> World:
