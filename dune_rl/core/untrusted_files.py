@@ -106,22 +106,29 @@ class WorldFiles:
         relative = name.strip().removeprefix("file://").replace("\\", "/")
         if "\0" in relative or not relative:
             raise FileNotFoundError(name)
+        path = self.locate(relative)
+        if not path.is_file():
+            record_absent(path)
+            raise FileNotFoundError(name)
+        return path
+
+    def locate(self, name: str) -> Path:
+        """As `find`, of a file or a folder; `base` itself if `name` is empty."""
+        path = Path(os.path.abspath(self.base / name)) if name else self.base
         try:
-            path = Path(os.path.abspath(self.base / relative))
             real = path.resolve()
             if not real.is_relative_to(self.root):
                 raise OutsideFolderError(
                     f"{printable(name)} leads out of the folder {self.root}: it is not read. "
                     "Copy what the world needs into that folder."
                 )
-            if not real.is_file():
-                record_absent(path)
-                raise FileNotFoundError(name)
-        except (OSError, ValueError) as error:
-            if isinstance(error, FileNotFoundError):
-                raise
-            raise FileNotFoundError(name) from None
-        return path
+            if real.is_dir() or real.is_file():
+                return path
+        # A name that no file can have.
+        except (OSError, ValueError):
+            pass
+        record_absent(path)
+        raise FileNotFoundError(name)
 
     def read(self, name: str) -> bytes:
         """The bytes of a file in the folder."""

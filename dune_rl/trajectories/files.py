@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
+import numpy as np
+
 from dune_rl.core.files import write_atomically
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.actor_files import COLUMNS
 
@@ -38,7 +41,7 @@ def sdf_text(actor: ActorTrajectory, appearance: Appearance = Appearance()) -> s
     lift = appearance.origin_height_m
     way_points = "\n".join(
         f"        <waypoint><time>{time}</time><pose>{x} {y} {z} 0 0 {yaw}</pose></waypoint>"
-        for time, x, y, z, yaw in _printed_rows(actor, lift)
+        for time, x, y, z, yaw in _format_rows(actor, lift)
     )
     skin, animation = escape(appearance.skin), escape(appearance.animation)
     return f"""<?xml version="1.0"?>
@@ -53,9 +56,9 @@ def sdf_text(actor: ActorTrajectory, appearance: Appearance = Appearance()) -> s
     </animation>
     <script>
       <loop>{str(actor.loop).lower()}</loop>
-      <delay_start>{_printed(actor.delay_s)}</delay_start>
+      <delay_start>{_format_number(actor.delay_s)}</delay_start>
       <auto_start>true</auto_start>
-      <!-- The poses' z is {_printed(lift)} m above the ground: the height of the skin's origin. -->
+      <!-- The poses' z is {_format_number(lift)} m above the ground: the height of the skin's origin. -->
       <trajectory id="0" type="walking">
 {way_points}
       </trajectory>
@@ -70,18 +73,18 @@ def csv_text(actor: ActorTrajectory) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
-    leading = actor.name, str(actor.loop).lower(), _printed(actor.delay_s)
-    rows.writerows((*leading, *numbers) for numbers in _printed_rows(actor))
+    leading = actor.name, str(actor.loop).lower(), _format_number(actor.delay_s)
+    rows.writerows((*leading, *numbers) for numbers in _format_rows(actor))
     return text.getvalue()
 
 
 def json_text(actor: ActorTrajectory) -> str:
     """A JSON file: an object with a list of `actors`, here one."""
-    rows = [[float(number) for number in row] for row in _printed_rows(actor)]
+    rows = [[float(number) for number in row] for row in _format_rows(actor)]
     record = {
         "name": actor.name,
         "loop": actor.loop,
-        "delay_s": float(_printed(actor.delay_s)),
+        "delay_s": float(_format_number(actor.delay_s)),
         "times_s": [row[0] for row in rows],
         "poses": [row[1:] for row in rows],
     }
@@ -99,17 +102,14 @@ def write_trajectory(path: Path, actor: ActorTrajectory, appearance: Appearance)
         temporary.write_text(texts[path.suffix.lower()](), encoding="utf-8")
 
 
-def _printed_rows(actor: ActorTrajectory, lift_m: float = 0.0) -> list[tuple[str, ...]]:
+def _format_rows(actor: ActorTrajectory, lift_m: float = 0.0) -> list[tuple[str, ...]]:
     """The rows time, x, y, z, yaw; yaw is within half a turn."""
-    rows = zip(actor.times.tolist(), actor.poses.tolist(), strict=True)
-    return [tuple(map(_printed, (time, x, y, z + lift_m, _wrapped(yaw)))) for time, (x, y, z, yaw) in rows]
+    rows = np.column_stack([actor.times, actor.poses])
+    rows[:, 3] += lift_m
+    rows[:, 4] = wrap_angle(rows[:, 4])
+    return [tuple(map(_format_number, row)) for row in rows.tolist()]
 
 
-def _wrapped(yaw: float) -> float:
-    half = 3.141592653589793
-    return (yaw + half) % (2 * half) - half
-
-
-def _printed(value: float) -> str:
+def _format_number(value: float) -> str:
     # Rounded first, so that there is no negative zero.
     return f"{round(value, _DIGITS) + 0.0:.{_DIGITS}f}"

@@ -1,4 +1,4 @@
-"""Worlds, and what one builds them of: a function that returns a `World` is all that another one takes."""
+"""Worlds and the parts they are built of; a new world is a function that returns a `World`."""
 
 from dune_rl.core.seeding import stream
 from dune_rl.core.settings import Settings

@@ -19,7 +19,7 @@ from dune_rl.worlds.ground_texture import ground_texture, ground_texture_from_pi
 from dune_rl.worlds.world import Prop, World
 
 _LIGHTS_CACHED = 4
-# The lights that nobody has chosen: the default, and that of saved runs from when it was 2.2 and 0.75 rad.
+# Default lights: today's, and the former one of 2.2 and 0.75 rad, which saved runs have.
 _UNSET_LIGHTS = (LightConf(), LightConf(sun_bearing_deg=126.050714929, sun_elevation_deg=42.971834635))
 
 

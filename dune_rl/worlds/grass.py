@@ -128,7 +128,7 @@ def _occupied_cells(terrain: HeightField, obstacles: Sequence[Mesh], rows: int, 
     vertices, faces = merge_meshes(obstacles)
     hit = RayScene(vertices, faces).hits(origins, upward, np.full(len(below), _HIGHEST_M, np.float32))
     cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
-    # Only now: it takes half a second to load, and those who read settings need none of it.
+    # Imported here: it takes half a second to load, and reading settings does not need it.
     import trimesh
 
     surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)

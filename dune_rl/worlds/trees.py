@@ -66,7 +66,7 @@ def broadleaf(
     bark = _BARK[int(rng.integers(len(_BARK)))]
     return [
         Prop(f"{name} trunk", "tree", *merge_meshes(wood), colour=bark),
-        *_foliage(f"{name} leaves", leaves, _LEAVES),
+        *_foliage(f"{name} leaves", "leaves", leaves, _LEAVES),
     ]
 
 
@@ -92,21 +92,22 @@ def conifer(
     bark = _BARK[int(rng.integers(len(_BARK)))]
     return [
         Prop(f"{name} trunk", "tree", *wood, colour=bark),
-        *_foliage(f"{name} needles", tiers, _NEEDLES),
+        *_foliage(f"{name} needles", "leaves", tiers, _NEEDLES),
     ]
 
 
-def _foliage(name: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colour]) -> list[Prop]:
+def _foliage(name: str, kind: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colour]) -> list[Prop]:
     return [
         Prop(
             f"{name} {number + 1}",
-            "leaves",
+            kind,
             *merge_meshes(shade),
             solid=False,
             colour=colour,
             segment=Segment.VEGETATION,
         )
         for number, (shade, colour) in enumerate(zip(shades, colours, strict=True))
+        if shade
     ]
 
 
@@ -133,18 +134,7 @@ def undergrowth(terrain: HeightField, places: Array, rng: np.random.Generator) -
         radii = np.array([width / 2, width / 2, height / 2])
         for shade, mesh in zip(shades, _clump(rng, centre, radii, 18, 0.30 * width), strict=True):
             shade.append(mesh)
-    return [
-        Prop(
-            f"undergrowth {number + 1}",
-            "undergrowth",
-            *merge_meshes(shade),
-            solid=False,
-            colour=colour,
-            segment=Segment.VEGETATION,
-        )
-        for number, (shade, colour) in enumerate(zip(shades, _BUSH, strict=True))
-        if shade
-    ]
+    return _foliage("undergrowth", "undergrowth", shades, _BUSH)
 
 
 def _foot(terrain: HeightField, xy: ArrayLike, radius: float) -> Array:

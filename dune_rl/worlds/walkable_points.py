@@ -1,4 +1,4 @@
-"""Where points, and the way through them, cannot be walked: edge, obstacles, slopes and water."""
+"""Checks of points and ways: world's edge, obstacles, slopes and water."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _IN_OBSTACLE, _TOO_NEAR = "in an obstacle", "too near an obstacle"
 
 
 class TerrainLimits(Settings):
-    """What an actor keeps to: its distance from obstacles, and the steepest ground and deepest water."""
+    """Limits of an actor: distance from obstacles, slope of the ground and depth of water."""
 
     radius_m: float = Field(0.25, ge=0.0, le=20.0)
     max_slope_deg: float = Field(35.0, gt=0.0, le=90.0)
@@ -55,11 +55,11 @@ _PLAIN = PointWords()
 def check_points(
     world: World, points: Array, limits: TerrainLimits | None, words: PointWords = _PLAIN
 ) -> None:
-    """Raise `WorldError` with a line for each of `points` (n, 2) [m] where nobody of `limits` can be.
+    """Raise `WorldError` with a line for each of `points` (n, 2) [m] at which a body of `limits` cannot be.
 
     Without `limits` they need only be in the world.
     """
-    _raise([*_outside(world, points, words), *_beyond(world, points, limits, words)])
+    _raise([*_points_outside(world, points, words), *_points_beyond_limits(world, points, limits, words)])
 
 
 def check_way_points(
@@ -76,9 +76,9 @@ def check_way_points(
         raise WorldError(f"{words.setting or 'waypoints'} must be finite numbers")
     _raise(
         [
-            *_outside(world, waypoints, words),
-            *_too_near(waypoints, words, closed=closed),
-            *_beyond(world, waypoints, limits, words),
+            *_points_outside(world, waypoints, words),
+            *_pairs_too_close(waypoints, words, closed=closed),
+            *_points_beyond_limits(world, waypoints, limits, words),
         ]
     )
 
@@ -100,15 +100,15 @@ def check_stretches(
     if limits is not None:
         found += [each for each in _faults(world, xyz[:, :2], limits, words) if inside[each[0]]]
     count = len(stops) - 1
-    told = set()
-    # Who is in an obstacle was too near it before.
+    reported = set()
+    # A way into an obstacle was too near it before.
     for point, kind, reason, remedy in sorted(found, key=lambda each: each[1] == _TOO_NEAR):
         stretch = int(np.clip(np.searchsorted(stops, point, side="right") - 1, 0, count - 1))
         # The last stretch of a loop leads to the first way-point.
         to = 1 if np.allclose(xyz[stops[-1]], xyz[stops[0]]) and stretch == count - 1 else stretch + 2
-        if (stretch, subject := _IN_OBSTACLE if kind == _TOO_NEAR else kind) in told:
+        if (stretch, subject := _IN_OBSTACLE if kind == _TOO_NEAR else kind) in reported:
             continue
-        told.add((stretch, subject))
+        reported.add((stretch, subject))
         faults.append(
             f"{words.lead}between {words.point}s {stretch + 1} and {to} the way is {kind} at "
             f"{_place(xyz[point])}{_in_brackets(reason)}: add {words.point}s that lead round it{_or(remedy)}"
@@ -116,7 +116,9 @@ def check_stretches(
     _raise(faults)
 
 
-def _beyond(world: World, points: Array, limits: TerrainLimits | None, words: PointWords) -> Iterator[str]:
+def _points_beyond_limits(
+    world: World, points: Array, limits: TerrainLimits | None, words: PointWords
+) -> Iterator[str]:
     if limits is None:
         return
     inside = _is_inside(world, points)
@@ -156,7 +158,7 @@ def _is_inside(world: World, xy: Array) -> Flags:
     return np.asarray(((xy >= [xmin, ymin]) & (xy <= [xmax, ymax])).all(axis=1))
 
 
-def _outside(world: World, points: Array, words: PointWords) -> Iterator[str]:
+def _points_outside(world: World, points: Array, words: PointWords) -> Iterator[str]:
     xmin, xmax, ymin, ymax = world.extent
     for k in np.flatnonzero(~_is_inside(world, points)).tolist():
         yield (
@@ -165,7 +167,7 @@ def _outside(world: World, points: Array, words: PointWords) -> Iterator[str]:
         )
 
 
-def _too_near(waypoints: Array, words: PointWords, *, closed: bool) -> Iterator[str]:
+def _pairs_too_close(waypoints: Array, words: PointWords, *, closed: bool) -> Iterator[str]:
     ends = np.concatenate([waypoints, waypoints[:1]]) if closed else waypoints
     apart = np.linalg.norm(np.diff(ends, axis=0), axis=1)
     for k in np.flatnonzero(apart < _LEAST_APART_M).tolist():

@@ -217,18 +217,13 @@ class World:
         """
         return self._obstacle_search(xy)
 
-    @cached_property
-    def _roughness_fields(self) -> dict[float, RoughnessField]:
-        return {}
-
     def roughness(self, xy: ArrayLike, radius_m: float = ROUGHNESS_RADIUS_M) -> Array:
         """RMS height [m], (...), of the ground about its best-fit plane within `radius_m` of points (..., 2).
 
         See `RoughnessField`; the first query of each radius computes its grid.
         """
-        if radius_m not in self._roughness_fields:
-            self._roughness_fields[radius_m] = RoughnessField(self.terrain, radius_m)
-        return self._roughness_fields[radius_m](xy)
+        field = self.memoize(("roughness", radius_m), lambda: RoughnessField(self.terrain, radius_m))
+        return field(xy)
 
 
 def _join(parts: Sequence[tuple[int, Array, NDArray[np.int32]]]) -> SolidMesh:

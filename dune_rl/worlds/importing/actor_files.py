@@ -19,6 +19,7 @@ from dune_rl.core.untrusted_files import (
     read_bytes,
 )
 from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.worlds.actor_trajectory import (
     FARTHEST_M,
     LONGEST_S,
@@ -57,7 +58,7 @@ class ActorRecords(Settings):
 def read_actor_file(path: str | Path) -> tuple[ActorTrajectory, ...]:
     """The actors of a file, by its ending; raises `WorldError` if it is no such file, or has none.
 
-    What is different here than in the file is a `WorldWarning`.
+    Differences from the file cause a `WorldWarning`.
     """
     file = Path(path).expanduser()
     if not file.is_file():
@@ -72,7 +73,7 @@ def read_actor_file(path: str | Path) -> tuple[ActorTrajectory, ...]:
         actors = _read_sdf(file, report)
     else:
         read = _read_csv if kind == ".csv" else _read_json
-        actors = [_closed(actor, report) for actor in read(read_bytes(file, _FILE_BYTES), file.name)]
+        actors = [_close_if_loop(actor, report) for actor in read(read_bytes(file, _FILE_BYTES), file.name)]
     if not actors:
         raise report.explain(f"{file} has no actors with trajectories: name another file.")
     if len(actors) > MOST_ACTORS:
@@ -84,7 +85,7 @@ def read_actor_file(path: str | Path) -> tuple[ActorTrajectory, ...]:
 def _read_sdf(file: Path, report: ImportReport) -> list[ActorTrajectory]:
     own = WorldFiles(file.resolve().parent)
     found = SdfReader(SdfFileFinder(own.root, report), report, actors_only=True).read(file.resolve(), own)
-    # Of whom nothing but the trajectory is wanted.
+    # Only the trajectories are needed.
     report.texts = [text for text in report.texts if text != SKIN_NOTE]
     return found.actors
 
@@ -101,16 +102,14 @@ def _read_json(data: bytes, name: str) -> list[ActorTrajectory]:
         ) from None
     return [
         _make_actor(
-            *(
-                one.name,
-                np.array(one.times_s),
-                np.array(one.poses).reshape(-1, 4),
-                one.loop,
-                one.delay_s,
-                name,
-            )
+            actor.name,
+            np.array(actor.times_s),
+            np.array(actor.poses).reshape(-1, 4),
+            actor.loop,
+            actor.delay_s,
+            name,
         )
-        for one in records.actors
+        for actor in records.actors
     ]
 
 
@@ -175,11 +174,11 @@ def _make_actor(
         if faulty:
             raise WorldError(f"{source}: the actor {actor!r} {message}.")
     turned = poses.copy()
-    turned[:, 3] = unwrap_yaw((poses[:, 3] + np.pi) % (2 * np.pi) - np.pi)
+    turned[:, 3] = unwrap_yaw(wrap_angle(poses[:, 3]))
     return ActorTrajectory(actor, times - times[0], turned, loop, delay_s + float(times[0]))
 
 
-def _closed(actor: ActorTrajectory, report: ImportReport) -> ActorTrajectory:
+def _close_if_loop(actor: ActorTrajectory, report: ImportReport) -> ActorTrajectory:
     if not actor.loop:
         return actor
     times, poses = close_loop(actor.name, actor.times, actor.poses, report)

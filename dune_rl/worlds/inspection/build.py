@@ -27,7 +27,7 @@ class InspectionConf(SeededConf, GrassyConf):
 
     name: Literal["inspection"] = "inspection"
     yard_obstacles: int = Field(
-        default=4, ge=0, le=20, description="things in and round the 8 by 8 m training square"
+        default=4, ge=0, le=20, description="obstacles in and around the 8 by 8 m training square"
     )
 
 

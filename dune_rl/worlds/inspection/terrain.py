@@ -164,7 +164,7 @@ def fit(misfit: Callable[[Array], Array], start: Array, bounds: tuple[list[float
     `misfit` maps amplitudes (A,) to residuals (R,) without unit; `start` and both `bounds` are (A,).
 
     The solver's way from step to step is chaotic, as slopes' percentiles have kinks: a misfit that differs in
-    its last bit would lead it elsewhere. So it is told rounded misfits of rounded amplitudes.
+    its last bit would lead it elsewhere. So the solver gets rounded misfits of rounded amplitudes.
     """
 
     def rounded(amplitudes: Array) -> Array:

@@ -121,23 +121,12 @@ class SdfFileFinder:
 
 
 def _find_inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | None:
-    """A file or folder inside `folder`, or `folder` itself; None if it is missing."""
-    base = Path(os.path.abspath(folder.base / inner)) if inner else folder.base
+    """A file or folder inside `folder`, or `folder` itself, with its files; None if it is missing."""
     try:
-        real = base.resolve()
-        if not real.is_relative_to(folder.root):
-            raise OutsideFolderError(
-                f"{printable(inner)} leads out of the folder {folder.root}: it is not read. "
-                "Copy what the world needs into that folder."
-            )
-        if real.is_dir():
-            return base, WorldFiles(real)
-        if real.is_file():
-            return base, folder
-    except (OSError, ValueError):
-        pass
-    record_absent(base)
-    return None
+        path = folder.locate(inner)
+    except FileNotFoundError:
+        return None
+    return path, WorldFiles(path.resolve()) if path.is_dir() else folder
 
 
 def _is_folder(path: Path) -> bool:
