@@ -6,16 +6,21 @@ from matplotlib.figure import Figure
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.visualization.site_map import colours
-from dune_rl.visualization.site_map.figure import fit_rectangle, frame_panel, obstacle_tints
-from dune_rl.visualization.site_map.layers import GroundGrid, PropFootprints, prop_footprints
+from dune_rl.visualization.site_map.layers import (
+    GroundGrid,
+    PropFootprints,
+    obstacle_tints,
+    prop_footprints,
+)
 from dune_rl.visualization.site_map.legend import draw_sections, prop_legend, slope_legend
 from dune_rl.visualization.site_map.page import (
     HEIGHT_IN,
     WIDTH_IN,
     PageRectangle,
-    draw_axis_arrows,
-    draw_scale_bar,
     draw_text,
+    fit_rectangle,
+    frame_map,
+    frame_panel,
     panel_axes,
 )
 from dune_rl.visualization.site_map.panel import (
@@ -65,11 +70,7 @@ def draw_trajectory(
             draw_region(axes, closer, 0.8)
         axes.set_xlim(rectangle[:2])
         axes.set_ylim(rectangle[2:])
-        frame_panel(axes)
-        draw_text(figure, place.left, place.top + 0.1, caption, 9, weight="bold")
-        draw_scale_bar(figure, place, place.width / (rectangle[1] - rectangle[0]))
-        if rectangle is not closer:
-            draw_axis_arrows(figure, place)
+        frame_map(figure, axes, place, rectangle, caption, arrows=rectangle is not closer)
     _draw_profile(figure, world, actor, waypoints)
     draw_sections(figure, [[slope_legend(max_slope_deg), prop_legend(world, footprints, tints)]], _LEGEND)
     return figure
@@ -95,12 +96,8 @@ def _surroundings(world: World, xy: Array) -> Rectangle:
     extent = np.array(world.extent).reshape(2, 2)
     half = min(half, float((extent[:, 1] - extent[:, 0]).min()) / 2)
     centre = np.clip((low + high) / 2, extent[:, 0] + half, extent[:, 1] - half)
-    return (
-        float(centre[0] - half),
-        float(centre[0] + half),
-        float(centre[1] - half),
-        float(centre[1] + half),
-    )
+    (xmin, ymin), (xmax, ymax) = (centre - half).tolist(), (centre + half).tolist()
+    return xmin, xmax, ymin, ymax
 
 
 def _draw_ground(

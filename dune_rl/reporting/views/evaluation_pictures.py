@@ -17,8 +17,7 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.tasks.spawn import Placement
 from dune_rl.visualization.site_map import colours
-from dune_rl.visualization.site_map.figure import obstacle_tints
-from dune_rl.visualization.site_map.layers import prop_footprints
+from dune_rl.visualization.site_map.layers import obstacle_tints, prop_footprints
 from dune_rl.visualization.site_map.panel import (
     MapContent,
     Track,

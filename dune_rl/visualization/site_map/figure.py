@@ -1,13 +1,10 @@
 """The page of a map: the world, an enlarged region, the legend and a table of statistics."""
 
-from collections.abc import Sequence
-
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dune_rl.visualization.site_map import colours
-from dune_rl.visualization.site_map.layers import PropFootprints
+from dune_rl.visualization.site_map.layers import obstacle_tints
 from dune_rl.visualization.site_map.legend import (
     LINE_IN,
     STATISTICS_ROWS,
@@ -21,9 +18,9 @@ from dune_rl.visualization.site_map.page import (
     HEIGHT_IN,
     WIDTH_IN,
     PageRectangle,
-    draw_axis_arrows,
-    draw_scale_bar,
     draw_text,
+    fit_rectangle,
+    frame_map,
     panel_axes,
 )
 from dune_rl.visualization.site_map.panel import (
@@ -99,13 +96,6 @@ def _area(rectangle: Rectangle) -> float:
     return (rectangle[1] - rectangle[0]) * (rectangle[3] - rectangle[2])
 
 
-def fit_rectangle(rectangle: Rectangle, room: PageRectangle) -> PageRectangle:
-    """The largest page rectangle with the proportions of `rectangle` at the top left of `room`."""
-    width, height = rectangle[1] - rectangle[0], rectangle[3] - rectangle[2]
-    scale = min(room.width / width, room.height / height)
-    return PageRectangle(room.left, room.top - scale * height, scale * width, scale * height)
-
-
 def _enlarged_area(content: MapContent) -> Rectangle:
     """The region with a margin, and all tracks."""
     xmin, xmax, ymin, ymax = content.spawner.region
@@ -121,12 +111,6 @@ def _enlarged_area(content: MapContent) -> Rectangle:
     extent = np.array(content.world.extent).reshape(2, 2)
     low, high = np.maximum(centre - half, extent[:, 0]), np.minimum(centre + half, extent[:, 1])
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-
-def obstacle_tints(footprints: Sequence[PropFootprints]) -> dict[str, str]:
-    """The colour of each kind of obstacle."""
-    kinds = [each.kind for each in footprints if not each.drivable]
-    return dict(zip(kinds, colours.OBSTACLES, strict=False))
 
 
 def _panel(
@@ -151,22 +135,7 @@ def _panel(
     draw_tracks(axes, content.tracks, 2.0 if detail else 1.0, marks=detail)
     if detail:
         draw_episodes(axes, content, per_m, joined=not content.tracks)
-    frame_panel(axes)
-    draw_text(figure, place.left, place.top + 0.1, caption, 9, weight="bold")
-    draw_scale_bar(figure, place, per_m)
-    if rectangle == content.world.extent:
-        draw_axis_arrows(figure, place)
-
-
-def frame_panel(axes: Axes) -> None:
-    """Label and frame the axes of a panel."""
-    axes.set_xlabel("x [m], east", fontsize=7.5, color=colours.INK, labelpad=2)
-    axes.set_ylabel("y [m], north", fontsize=7.5, color=colours.INK, labelpad=2)
-    axes.tick_params(labelsize=7, colors=colours.INK, length=3, width=0.6)
-    for spine in axes.spines.values():
-        spine.set_color(colours.INK)
-        spine.set_linewidth(0.8)
-        spine.set_zorder(9)
+    frame_map(figure, axes, place, rectangle, caption, arrows=rectangle == content.world.extent)
 
 
 def _shorten(text: str) -> str:

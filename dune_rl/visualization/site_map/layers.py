@@ -11,6 +11,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.scenery import Segment
 from dune_rl.tasks.spawn import Placement, Spawner
+from dune_rl.visualization.site_map import colours
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.props import bisect_triangles, merge_meshes
 from dune_rl.worlds.world import Prop, Rectangle, World
@@ -112,6 +113,12 @@ def prop_footprints(world: World, most_kinds: int) -> list[PropFootprints]:
         triangles = np.concatenate([each.triangles for each in rest])
         obstacles = [*largest, PropFootprints("other", triangles, drivable=False)]
     return [*(each for each in footprints if each.drivable), *obstacles]
+
+
+def obstacle_tints(footprints: Sequence[PropFootprints]) -> dict[str, str]:
+    """The colour of each kind of obstacle."""
+    kinds = [each.kind for each in footprints if not each.drivable]
+    return dict(zip(kinds, colours.OBSTACLES, strict=False))
 
 
 def _project(kind: str, drivable: bool, props: Sequence[Prop], terrain: HeightField) -> PropFootprints:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,7 +61,7 @@ def episode_legend(content: MapContent) -> Section:
     """Section of starts, goals, paths and tracks, with the number of tracks by ending."""
     several = any(len(placements) > 1 for placements in content.episodes.values())
     entries: list[tuple[Swatch, str]] = [
-        (_outlined_box(colours.SPAWN_EDGE), "region of starts and goals"),
+        (_box(fill=False, edgecolor=colours.SPAWN_EDGE, linewidth=1.5), "region of starts and goals"),
         *_candidate_entries(content),
         (_striped_box("#d9eff4", "#8fcfe0"), "positions they are drawn from"),
         *_passage_entries(content),
@@ -101,14 +102,19 @@ def _candidate_entries(content: MapContent) -> list[tuple[Swatch, str]]:
     ]
     if not others:
         return []
-    return [(_dashed_box(colours.SPAWN_EDGE), f"others to choose: world.region={', '.join(others)}")]
+    dashed = _box(fill=False, edgecolor=colours.SPAWN_EDGE, linewidth=1.2, linestyle=(0, (3, 1.5)))
+    return [(dashed, f"others to choose: world.region={', '.join(others)}")]
+
+
+def _box(**style: Any) -> Swatch:
+    def draw(page: Axes, x: float, y: float) -> None:
+        page.add_patch(Box((x, y), _WIDE, _HIGH, **style))
+
+    return draw
 
 
 def _filled_box(colour: str) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        page.add_patch(Box((x, y), _WIDE, _HIGH, facecolor=colour, edgecolor=colours.INK, linewidth=0.5))
-
-    return draw
+    return _box(facecolor=colour, edgecolor=colours.INK, linewidth=0.5)
 
 
 def _striped_box(colour: str, stripe: str) -> Swatch:
@@ -120,22 +126,6 @@ def _striped_box(colour: str, stripe: str) -> Swatch:
                 linewidth=1.6, solid_capstyle="butt",
             )  # fmt: skip
         page.add_patch(Box((x, y), _WIDE, _HIGH, fill=False, edgecolor=colours.INK, linewidth=0.5, zorder=4))
-
-    return draw
-
-
-def _outlined_box(colour: str) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        page.add_patch(Box((x, y), _WIDE, _HIGH, fill=False, edgecolor=colour, linewidth=1.5))
-
-    return draw
-
-
-def _dashed_box(colour: str) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        page.add_patch(
-            Box((x, y), _WIDE, _HIGH, fill=False, edgecolor=colour, linewidth=1.2, linestyle=(0, (3, 1.5)))
-        )
 
     return draw
 

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle as Box
 
 from dune_rl.visualization.site_map import colours
+from dune_rl.worlds.world import Rectangle
 
 WIDTH_IN, HEIGHT_IN = 13.0, 8.0
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
@@ -27,6 +28,13 @@ class PageRectangle:
     def top(self) -> float:
         """The position of its upper side [in]."""
         return self.bottom + self.height
+
+
+def fit_rectangle(rectangle: Rectangle, room: PageRectangle) -> PageRectangle:
+    """The largest page rectangle with the proportions of `rectangle` at the top left of `room`."""
+    width, height = rectangle[1] - rectangle[0], rectangle[3] - rectangle[2]
+    scale = min(room.width / width, room.height / height)
+    return PageRectangle(room.left, room.top - scale * height, scale * width, scale * height)
 
 
 def panel_axes(figure: Figure, place: PageRectangle) -> Axes:
@@ -66,19 +74,10 @@ def draw_scale_bar(figure: Figure, place: PageRectangle, per_m: float) -> None:
     left = right - length * per_m
     page = page_axes(figure)
     half = (right - left) / 2
-    page.add_patch(
-        Box((left, y - 0.025), half, 0.05, facecolor=colours.INK, edgecolor=colours.INK, linewidth=0.6)
-    )
-    page.add_patch(
-        Box(
-            (left + half, y - 0.025),
-            half,
-            0.05,
-            facecolor=colours.PAPER,
-            edgecolor=colours.INK,
-            linewidth=0.6,
+    for start, colour in ((left, colours.INK), (left + half, colours.PAPER)):
+        page.add_patch(
+            Box((start, y - 0.025), half, 0.05, facecolor=colour, edgecolor=colours.INK, linewidth=0.6)
         )
-    )
     draw_text(figure, right + 0.06, y - 0.045, f"{length:g} m", 7.5)
 
 
@@ -95,3 +94,25 @@ def draw_axis_arrows(figure: Figure, place: PageRectangle) -> None:
                         "mutation_scale": 1, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
         draw_text(figure, x + at[0], y + at[1], name, 7)
+
+
+def frame_panel(axes: Axes) -> None:
+    """Label and frame the axes of a panel."""
+    axes.set_xlabel("x [m], east", fontsize=7.5, color=colours.INK, labelpad=2)
+    axes.set_ylabel("y [m], north", fontsize=7.5, color=colours.INK, labelpad=2)
+    axes.tick_params(labelsize=7, colors=colours.INK, length=3, width=0.6)
+    for spine in axes.spines.values():
+        spine.set_color(colours.INK)
+        spine.set_linewidth(0.8)
+        spine.set_zorder(9)
+
+
+def frame_map(
+    figure: Figure, axes: Axes, place: PageRectangle, rectangle: Rectangle, caption: str, *, arrows: bool
+) -> None:
+    """Frame the map of `rectangle` [m] in `axes`, with caption, scale bar and, with `arrows`, the axes."""
+    frame_panel(axes)
+    draw_text(figure, place.left, place.top + 0.1, caption, 9, weight="bold")
+    draw_scale_bar(figure, place, place.width / (rectangle[1] - rectangle[0]))
+    if arrows:
+        draw_axis_arrows(figure, place)
