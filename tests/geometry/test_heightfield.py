@@ -110,3 +110,9 @@ def test_height_and_normal_together_are_those_of_each_alone():
         height, normal = field.height_and_normal(xy)
         np.testing.assert_array_equal(height, field.height(xy))
         np.testing.assert_array_equal(normal, field.normal(xy))
+
+
+def test_heights_cannot_be_written():
+    field = HeightField(np.zeros((3, 3)), 1.0, (0.0, 0.0))
+    with pytest.raises(ValueError, match="read-only"):
+        field.heights[1, 1] = 2.0
