@@ -1,5 +1,7 @@
 """States of groups for sensors to read, made without a simulation."""
 
+from typing import Any
+
 import numpy as np
 from poses import seen_at
 from scenes import about
@@ -106,6 +108,13 @@ def group_state(
             np.full(rows, np.inf),
         ),
     )
+
+
+def write(array: np.ndarray, index: Any, values: Any) -> None:
+    """Set entries of an array of a state, which nothing but a test may write."""
+    array.setflags(write=True)
+    array[index] = values
+    array.setflags(write=False)
 
 
 def state_of(*groups: GroupState) -> State:

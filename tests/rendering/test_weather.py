@@ -6,7 +6,7 @@ from scanning import flat_with, lidar_in
 from scipy import integrate
 from sensors_of_rover_zero import camera_conf
 from simulations import act, observation, started_simulation
-from states import episode_state, state_of
+from states import episode_state, state_of, write
 
 from dune_rl.config.compose import compose, compose_evaluation
 from dune_rl.core.errors import ConfigError
@@ -244,7 +244,7 @@ def test_a_scan_in_fog_passes_the_same_gate_as_faults():
     lidar = lidar_in(walls)
     sensor = Scanner(lidar, ("lidar",), 1, 1, in_haze(10.0))
     now = episode_state([3], [7])
-    now.motion.position_w[:] = STANDING
+    write(now.motion.position_w, ..., STANDING)
     sensor.measure(now, state_of(now))
     true = lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
     np.testing.assert_array_equal(sensor.read()["lidar"], lidar.segments(in_haze(10.0).applied(true, now)))

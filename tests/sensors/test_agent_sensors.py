@@ -5,7 +5,7 @@ import pytest
 from people import meshes_of
 from scanning import flat_with
 from sensors_of_rover_zero import lidar_conf
-from states import begin, group_state, measure, resting, state_of
+from states import begin, group_state, measure, resting, state_of, write
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import wrap_angle
@@ -98,8 +98,9 @@ def test_walkers_read_what_their_task_has_always_told(robots):
 
 def test_the_nearest_of_all_other_groups_is_read_where_none_is_named():
     here, near, far = (group_state(resting(SCENES), name=name) for name in ("a", "b", "c"))
-    far.motion.position_w[:, 0], near.motion.position_w[:, 1] = 3.0, 2.0
-    near.motion.velocity_w[:, 0] = 0.7
+    write(far.motion.position_w, (slice(None), 0), 3.0)
+    write(near.motion.position_w, (slice(None), 1), 2.0)
+    write(near.motion.velocity_w, (slice(None), 0), 0.7)
     sensor = NearestAgent(NearestAgentConf(), SCENES, 100.0, 10.0)
     sensor.measure(here, state_of(here, far, near))
     np.testing.assert_allclose(
@@ -109,7 +110,7 @@ def test_the_nearest_of_all_other_groups_is_read_where_none_is_named():
 
 def test_in_its_own_group_an_agent_does_not_see_itself():
     team = group_state(resting(6), count=3, name="team")
-    team.motion.position_w[:, 0] = [0.0, 1.0, 5.0, 0.0, 10.0, 13.0]
+    write(team.motion.position_w, (slice(None), 0), [0.0, 1.0, 5.0, 0.0, 10.0, 13.0])
     sensor = NearestAgent(NearestAgentConf(groups=("team",)), 6, 100.0, 10.0)
     measure(sensor, team)
     found = sensor.read()["nearest_agent"]

@@ -6,7 +6,7 @@ from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from people import meshes_of
 from poses import seen_at
 from sensors_of_rover_zero import camera_conf, depth_strip_conf, lidar_3d_conf
-from states import begin, episode_state
+from states import begin, episode_state, write
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.rays import RayScene
@@ -31,7 +31,7 @@ LEVEL = np.eye(3)[None]
 
 def standing(episodes, steps, seed: int = 5):
     now = episode_state(episodes, steps, seed)
-    now.motion.position_w[:] = STANDING
+    write(now.motion.position_w, ..., STANDING)
     return now
 
 

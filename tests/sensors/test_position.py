@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scenes import STEP_S, Drive, about, every_backend
-from states import begin, group_state, measure, motion_of
+from states import begin, group_state, measure, motion_of, write
 from wheels import Measured, reading, within_bounds
 
 from dune_rl.sensors.position import Position, PositionConf
@@ -156,7 +156,7 @@ def test_an_episode_s_error_does_not_depend_on_its_neighbours():
         # Others that begin anew leave it as it is.
         now = standing(nowhere, step)
         begun = np.array([True, False, False])
-        now.episode.steps[begun] = 0
+        write(now.episode.steps, begun, 0)
         begin(beside, begun, now)
         np.testing.assert_array_equal(reading(alone), reading(beside, 2))
 
@@ -169,7 +169,7 @@ def test_begin_draws_anew_only_where_told_and_an_episode_repeats_itself():
         measure(sensor, standing(nowhere, step))
     later = sensor.read()["position"]
     now = standing(nowhere, 3)
-    now.episode.steps[0] = 0
+    write(now.episode.steps, 0, 0)
     begin(sensor, np.array([True, False]), now)
     np.testing.assert_array_equal(sensor.read()["position"], [first[0], later[1]])
 

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from sensors_of_rover_zero import lidar_conf
 from simulations import started_simulation
-from states import begin, episode_state, measure
+from states import begin, episode_state, measure, write
 from test_past_scan import STANDING, WALLS
 
 from dune_rl.sensors.lidar import LidarConf, beam_angles
@@ -150,8 +150,8 @@ def scanner(faults: BeamFaults | None, delay: int = 2) -> Scanner:
 
 def standing(episodes, steps):
     now = episode_state(episodes, steps)
-    now.motion.position_w[:] = STANDING
-    now.motion.rotation[:] = turned(0.3)
+    write(now.motion.position_w, ..., STANDING)
+    write(now.motion.rotation, ..., turned(0.3))
     return now
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import pytest
 from pydantic import Field
-from states import episode_state, group_state, measure, resting
+from states import episode_state, group_state, measure, resting, write
 
 import dune_rl
 from dune_rl.core.errors import ConfigError, RegistryError
@@ -127,7 +127,7 @@ def test_names_of_ours_are_taken_and_each_is_there():
 def test_a_function_s_values_are_clipped_to_its_bounds():
     sensor = FunctionSensor("slope", slope, 2, slope.sensor_bounds, {"scale": 2.0}, "the sensor")
     now = episode_state([0, 1], 0)
-    now.motion.position_w[:, 0] = 1.0, 9.0
+    write(now.motion.position_w, (slice(None), 0), (1.0, 9.0))
     measure(sensor, now)
     np.testing.assert_array_equal(sensor.read()["slope"], np.float32([[0, 2], [0, 5]]))
     low, high = sensor.bounds()["slope"]
