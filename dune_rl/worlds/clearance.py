@@ -103,25 +103,34 @@ class ClearanceField:
 
 
 def _is_band_occupied(scene: RayScene, xy: Array, ground: Array, band_m: float) -> Flags:
-    # A vertical ray from the band's bottom: a hit within the band is an obstacle. So is a solid that the
-    # ray starts in: the ray leaves it once more often than it enters it.
-    occupied = np.zeros(len(xy), dtype=bool)
+    # A surface within the band is an obstacle, and so is a solid that the band's bottom is in.
     start = ground + BAND_BOTTOM_M
-    height = start.copy()
-    balance = np.zeros(len(xy), dtype=int)
-    live = np.arange(len(xy))
-    for _ in range(_MAX_CROSSINGS):
+    first, balance = cross_upwards(scene, xy, start, _RAY_RANGE_M, _MAX_CROSSINGS)
+    occupied: Flags = (first - start < band_m) | (balance > 0)
+    return occupied
+
+
+def cross_upwards(
+    scene: RayScene, xy: Array, z: Array, range_m: float, most: int
+) -> tuple[Array, NDArray[np.int64]]:
+    """Height [m], (N,), just above the first surface over points (N, 2) at heights `z` (N,), inf for none.
+
+    Also returns how much more often upward rays leave solids than enter them, (N,): above 0 inside a solid.
+    Surfaces farther than `range_m` from the one before, and those after the first `most`, do not count.
+    """
+    height, first = z.copy(), np.full(len(xy), np.inf)
+    balance, live = np.zeros(len(xy), np.int64), np.arange(len(xy))
+    for _ in range(most):
         origins = np.column_stack([xy[live], height[live]])
-        up = np.broadcast_to([0.0, 0.0, 1.0], origins.shape)
-        hit, normal = scene.first_hit(origins, up, _RAY_RANGE_M)
-        found = hit < _RAY_RANGE_M
+        hit, normal = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, 1.0], origins.shape), range_m)
+        found = hit < range_m
         live, hit, normal = live[found], hit[found], normal[found]
         if not len(live):
             break
         height[live] += hit + 1e-4
-        occupied[live] |= height[live] - start[live] < band_m
+        first[live] = np.minimum(first[live], height[live])
         balance[live] += np.sign(normal[:, 2]).astype(int)
-    return occupied | (balance > 0)
+    return first, balance
 
 
 class NearestObstacle(NamedTuple):

@@ -1,11 +1,15 @@
 """Grid of the positions that a robot can occupy, with its connected components."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import label
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.worlds.world import World
+
+Value = TypeVar("Value", bound=np.generic)
 
 _MAX_CELLS = 4_000_000
 _CELLS_AT_ONCE = 16_384
@@ -64,8 +68,13 @@ class FreeSpace:
 
     def component_at(self, xy: ArrayLike) -> NDArray[np.int32]:
         """Component numbers (...) at points (..., 2); 0 where not traversable."""
+        return self.values_at(self.components, xy)
+
+    def values_at(self, cells: NDArray[Value], xy: ArrayLike) -> NDArray[Value]:
+        """Values (...) of a grid `cells` (rows, columns) at points (..., 2); 0 or False outside."""
         points = np.asarray(xy, dtype=np.float64)
-        column = np.floor((points[..., 0] - self.x[0]) / self.cell_m + 0.5).astype(int)
-        row = np.floor((points[..., 1] - self.y[0]) / self.cell_m + 0.5).astype(int)
+        index = np.floor((points - [self.x[0], self.y[0]]) / self.cell_m + 0.5).astype(int)
+        column, row = index[..., 0], index[..., 1]
         inside = (column >= 0) & (column < len(self.x)) & (row >= 0) & (row < len(self.y))
-        return np.where(inside, self.components[np.where(inside, row, 0), np.where(inside, column, 0)], 0)
+        found: NDArray[Value] = cells[np.where(inside, row, 0), np.where(inside, column, 0)] * inside
+        return found

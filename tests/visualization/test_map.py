@@ -12,7 +12,6 @@ from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,
     GroundGrid,
-    cell_values_at,
     contour_levels,
     covered_by,
     prop_footprints,
@@ -171,14 +170,14 @@ def test_the_marked_cells_are_the_spawner_s(name: str) -> None:
     np.testing.assert_allclose(free.centres(mask)[np.lexsort(free.centres(mask).T)],
                                spawner.cells[np.lexsort(spawner.cells.T)])  # fmt: skip
     assert free.traversable[mask].all()
-    assert cell_values_at(free, mask, spawner.cells).all()
+    assert free.values_at(mask, spawner.cells).all()
     for episode in range(20):
         each = spawner.sample(stream(3, "spawn", episode))
-        assert cell_values_at(free, mask, np.array([[each.x, each.y], [each.goal_x, each.goal_y]])).all()
+        assert free.values_at(mask, np.array([[each.x, each.y], [each.goal_x, each.goal_y]])).all()
 
 
 def test_points_beyond_the_world_are_in_no_cell() -> None:
     free = site("flat").spawner.free_space
     everywhere = np.ones(free.components.shape, bool)
     far = np.array([[1e3, 0.0], [0.0, -1e3], [0.0, 0.0]])
-    assert cell_values_at(free, everywhere, far).tolist() == [False, False, True]
+    assert free.values_at(everywhere, far).tolist() == [False, False, True]

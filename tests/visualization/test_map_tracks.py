@@ -20,7 +20,6 @@ from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,
     GroundGrid,
-    cell_values_at,
     choose_spread_episodes,
     covered_by,
     site_statistics,
@@ -88,7 +87,7 @@ def test_the_ground_s_colours_tell_slope_starts_and_passages() -> None:
     covered = covered_by(water_props(here.world), ground)
     # Blue over red: purple for what is too steep, ochre for what is not.
     blueness = picture[..., 2] - picture[..., 0]
-    chosen = cell_values_at(free, spawn_mask(here.spawner), ground.points)
+    chosen = free.values_at(spawn_mask(here.spawner), ground.points)
     assert (blueness[steep & ~covered & ~chosen] > 0).all()
     assert (blueness[~steep & ~covered & ~chosen] <= 0).all()
     assert (blueness[covered] > 0.1).all()

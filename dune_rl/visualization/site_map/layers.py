@@ -170,17 +170,9 @@ def spawn_mask(spawner: Spawner) -> Flags:
     return mask
 
 
-def cell_values_at(free: FreeSpace, cells: Flags, points: Array) -> Flags:
-    """Values (...) of `cells` (rows, columns) of `free` at `points` (..., 2); False outside."""
-    index = np.floor((points - [free.x[0], free.y[0]]) / free.cell_m + 0.5).astype(int)
-    column, row = index[..., 0], index[..., 1]
-    inside = (column >= 0) & (column < len(free.x)) & (row >= 0) & (row < len(free.y))
-    return inside & cells[np.where(inside, row, 0), np.where(inside, column, 0)]
-
-
 def spawn_mask_below_props(spawner: Spawner, world: World, ground: GroundGrid) -> Flags:
     """Mask (rows, columns) of ground below solid props, such as solar arrays, on which agents can start."""
-    chosen = cell_values_at(spawner.free_space, spawn_mask(spawner), ground.points)
+    chosen = spawner.free_space.values_at(spawn_mask(spawner), ground.points)
     return chosen & covered_by([prop for prop in world.props if prop.solid], ground)
 
 

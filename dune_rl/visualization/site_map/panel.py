@@ -21,7 +21,6 @@ from dune_rl.visualization.site_map.layers import (
     SLOPE_CLASSES,
     GroundGrid,
     PropFootprints,
-    cell_values_at,
     contour_levels,
     covered_by,
     slope_class,
@@ -76,8 +75,7 @@ def render_ground(content: MapContent, ground: GroundGrid, stripe_px: float) -> 
     """Colours (rows, columns, 3) of the ground in sRGB: slope, shading, spawn cells, plants and water."""
     picture = slope_colours(ground, content.max_slope_deg, stripe_px)
     across, up = np.arange(len(ground.x)), np.arange(len(ground.y))[:, None]
-    free = content.spawner.free_space
-    chosen = cell_values_at(free, spawn_mask(content.spawner), ground.points)
+    chosen = content.spawner.free_space.values_at(spawn_mask(content.spawner), ground.points)
     _blend(picture, chosen, colours.SPAWN, 0.16)
     _blend(picture, chosen & _stripes(across - up, 1.6 * stripe_px), colours.SPAWN, 0.30)
     return shade_ground(picture, content.world, ground)

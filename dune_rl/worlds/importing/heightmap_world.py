@@ -12,7 +12,7 @@ from dune_rl.core.untrusted_files import ImportReport, resolve_world_path
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.importing.height_files import HeightSamples, read_heights
-from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps
+from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps, grid_axes
 from dune_rl.worlds.importing.imported_world import (
     REGION_TEXT,
     ImportedWorld,
@@ -101,9 +101,7 @@ def terrain_from_samples(
     origin = (-width / 2, -depth / 2)
     if abs(step_x / step_y - 1.0) < 1e-6 and abs(step_x / spacing - 1.0) < 1e-6:
         return HeightField(south_first, step_x, origin), known
-    cells = np.maximum(np.floor(np.array([width, depth]) / spacing + 1e-6).astype(int), 1)
-    start = -cells * spacing / 2
-    x, y = (start[k] + spacing * np.arange(cells[k] + 1) for k in (0, 1))
+    x, y, start = grid_axes(np.array(origin), -np.array(origin), spacing)
     at = np.meshgrid((y + depth / 2) / step_y, (x + width / 2) / step_x, indexing="ij")
     if spacing > 1.5 * max(step_x, step_y):
         # Low-pass filter against aliasing; of odd width, since an even one would shift the map.
@@ -111,7 +109,7 @@ def terrain_from_samples(
         south_first = ndimage.uniform_filter(south_first, filter_size, mode="nearest")
     heights = ndimage.map_coordinates(south_first, at, order=1, mode="nearest")
     has_height = ndimage.map_coordinates(known.astype(np.float64), at, order=0, mode="nearest") > 0.5
-    return HeightField(heights, spacing, (float(start[0]), float(start[1]))), has_height
+    return HeightField(heights, spacing, start), has_height
 
 
 def _size(conf: HeightmapConf, heights: HeightSamples, path: Path) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.rays import RayScene
-from dune_rl.worlds.clearance import BAND_BOTTOM_M, BAND_TOP_M, ClearanceField
+from dune_rl.worlds.clearance import BAND_BOTTOM_M, BAND_TOP_M, ClearanceField, cross_upwards
 from dune_rl.worlds.props import Mesh, bisect_triangles, merge_meshes
 
 _COARSE_M = 0.5
@@ -109,14 +109,5 @@ def _is_inside(meshes: Sequence[Mesh], xy: Array, z: Array) -> Flags:
     vertices, faces = merge_meshes(meshes)
     scene = RayScene(vertices, faces)
     far = max(1.0, float(vertices[:, 2].max() - z.min()) + 1.0)
-    height, balance, live = z.copy(), np.zeros(len(xy), int), np.arange(len(xy))
-    for _ in range(_MOST_CROSSINGS):
-        origins = np.column_stack([xy[live], height[live]])
-        hit, normal = scene.first_hit(origins, np.broadcast_to([0.0, 0.0, 1.0], origins.shape), far)
-        found = hit < far
-        live, hit, normal = live[found], hit[found], normal[found]
-        if not len(live):
-            break
-        height[live] += hit + 1e-4
-        balance[live] += np.sign(normal[:, 2]).astype(int)
+    _, balance = cross_upwards(scene, xy, z, far, _MOST_CROSSINGS)
     return balance > 0
