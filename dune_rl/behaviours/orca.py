@@ -13,7 +13,7 @@ _PUSHED_S = 0.5
 
 
 class Orca(DestinedBehaviour):
-    """People who go to `places`, or random ones, past everybody; see `avoidance.orca_loops`.
+    """People who go to `places`, or random ones, past everybody; see `orca_loops`.
 
     `reaction` is how they react to robots that they notice within `notice_m`; see `reactions`. Regular people
     count on the robot to make half of the way for them; impassive ones, for whom it is an obstacle, do not.

@@ -4,9 +4,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from dune_rl.behaviours.avoidance.orca_loops import avoid_collisions
-from dune_rl.behaviours.drivers.context import DriverContext
-from dune_rl.core.errors import ConfigError
+from dune_rl.behaviours.drivers.context import BoundBehaviour
+from dune_rl.behaviours.orca_loops import avoid_collisions
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
@@ -28,7 +27,7 @@ _TO_THE_RIGHT_RAD = 0.03
 _SHARE_OF_BOTH = 0.5
 
 
-class SteeredBehaviour(ABC):
+class SteeredBehaviour(BoundBehaviour, ABC):
     """A behaviour that wants a velocity, and gets the nearest one at which it collides with nobody (ORCA).
 
     Actions are (N, 2): speed [m/s] and relative heading [rad]. `motion_models` are those of the bodies
@@ -44,18 +43,6 @@ class SteeredBehaviour(ABC):
         self._num_rows, self._speed_mps = num_rows, speed_mps
         self._fresh = np.ones(num_rows, bool)
         self._facing = np.full(num_rows, np.nan)
-        self._context: DriverContext | None = None
-
-    def bind(self, context: DriverContext) -> None:
-        """Take the vehicle's model."""
-        self._context = context
-
-    @property
-    def context(self) -> DriverContext:
-        """The group that is driven; raises ConfigError before `bind`."""
-        if self._context is None:
-            raise ConfigError("a behaviour must be bound to the group that it drives (`bind`) before it acts")
-        return self._context
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Forget the past of the agents in `mask` (N,)."""

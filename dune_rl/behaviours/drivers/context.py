@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
 
@@ -47,3 +48,20 @@ class ContextBehaviour(Protocol):
     def bind(self, context: DriverContext) -> None:
         """Take the context; raises ConfigError if it cannot drive there."""
         ...
+
+
+class BoundBehaviour:
+    """Base of behaviours that need the context of the group that they drive."""
+
+    _context: DriverContext | None = None
+
+    def bind(self, context: DriverContext) -> None:
+        """Set the context."""
+        self._context = context
+
+    @property
+    def context(self) -> DriverContext:
+        """The context of the driven group; raises ConfigError before `bind`."""
+        if self._context is None:
+            raise ConfigError("a behaviour must be bound to the group that it drives (`bind`) before it acts")
+        return self._context

@@ -5,11 +5,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.behaviours.drivers.context import DriverContext
+from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext
 from dune_rl.behaviours.drivers.local_map import LocalMap
 from dune_rl.behaviours.drivers.path_integral_loops import update_controls
-from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
 from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
+from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Counts, Flags
@@ -35,7 +35,7 @@ _MOVER_MARGIN_M = 0.9
 _READINGS = ("goal", "lidar", "velocity")
 
 
-class Mppi:
+class Mppi(BoundBehaviour):
     """Drives N bodies by sampled controls, weighted by the cost of where a unicycle model takes them.
 
     It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
@@ -72,8 +72,7 @@ class Mppi:
         self._temperature, self._margin_m = temperature, margin_m
         self._nominal = np.zeros((num_rows, self._horizon, 2))
         self._steps = np.zeros(num_rows, np.int64)
-        self._watch = ProgressWatch(num_rows)
-        self._context: DriverContext | None = None
+        self._recovery = StuckRecovery(num_rows)
 
     def bind(self, context: DriverContext) -> None:
         """Take the vehicle's model and its LiDAR; raises ConfigError without a reading that it needs."""
@@ -84,7 +83,7 @@ class Mppi:
                 f"mppi cannot act for the group {context.group}: it needs the sensors goal, lidar and "
                 f"velocity, and has no {' and no '.join(missing) or 'lidar'}; add to sensors.enabled"
             )
-        self._context = context
+        super().bind(context)
         lidar = context.lidar
         of_beams = beam_angles(lidar).reshape(lidar.n_segments, -1)
         middle, width = of_beams.mean(axis=1), np.deg2rad(lidar.fov_deg) / lidar.n_segments
@@ -122,17 +121,15 @@ class Mppi:
         """Forget the plans of the bodies in `mask` (N,)."""
         self._nominal[mask] = 0.0
         self._steps[mask] = 0
-        self._watch.forget(mask)
+        self._recovery.reset(mask)
         if self._context is not None:
             self._tracker.forget(mask)
             self._map.forget(mask)
 
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad], by the readings alone."""
-        if self._context is None or self._context.lidar is None:
-            raise ConfigError("mppi must be bound to the group that it drives (`bind`) before it acts")
-        vehicle = self._context.vehicle
-        readings = self._context.observe()
+        vehicle = self.context.vehicle
+        readings = self.context.observe()
         distance, bearing = np.asarray(readings["goal"], np.float64).T
         goals = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
         twists = np.ascontiguousarray(readings["velocity"][:, :2], np.float64)
@@ -155,7 +152,7 @@ class Mppi:
             (self._margin_m, _MOVER_MARGIN_M), model, self._temperature,
         )  # fmt: skip
         chosen = self._nominal[:, 0].copy()
-        self._watch.note(chosen[:, 0])
+        self._recovery.record_command(chosen[:, 0])
         self._shift(group.episode.step_s)
         self._steps = self._steps + 1
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
@@ -167,8 +164,8 @@ class Mppi:
         """Points (N, P, 2) [m] at rest that count within the horizon, first, and how many; and what moves,
         (N, K, 5): x, y, velocity and radius. All in the vehicles' frames.
         """
-        assert self._context is not None and self._context.lidar is not None
-        vehicle, lidar = self._context.vehicle, self._context.lidar
+        vehicle, lidar = self.context.vehicle, self.context.lidar
+        assert lidar is not None
         reach = vehicle.max_speed_mps * self._horizon * _STEP_S + vehicle.footprint_radius_m + self._margin_m
         sees = ranges < lidar.range_m - 1e-3
         middles = ranges[:, :, None] * self._ahead + self._mount
@@ -186,11 +183,10 @@ class Mppi:
 
     def _note_blockages(self, step_s: float) -> None:
         """Enter what keeps bodies from moving into their maps, and forget the plans that led there."""
-        assert self._context is not None
         poses, nobody = self._tracker.poses, np.zeros(self._num_rows, bool)
-        blocked = self._watch.update(poses, nobody, self._context.vehicle.length_m, step_s)
+        blocked = self._recovery.update(poses, nobody, self.context.vehicle.length_m, step_s)
         for row in np.flatnonzero(blocked).tolist():
-            self._map.block(row, self._watch.blocked[row][-1])
+            self._map.block(row, self._recovery.blocked[row][-1])
         self._nominal[blocked] = 0.0
 
     def _shift(self, step_s: float) -> None:

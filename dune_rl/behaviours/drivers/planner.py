@@ -5,13 +5,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.behaviours.drivers.actor_motion import ActorMotion
-from dune_rl.behaviours.drivers.context import DriverContext
-from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
+from dune_rl.behaviours.drivers.context import BoundBehaviour
 from dune_rl.behaviours.drivers.route_map import shared_route_map
+from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
 from dune_rl.behaviours.drivers.window_loops import choose_commands
-from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
@@ -21,9 +20,13 @@ _YAW_ACCELERATION_RADPS2 = 4.0
 _SIDE_ROOM_M = 0.08
 # Three discs, about the middles of the thirds of the footprint's length, cover its rectangle.
 _DISCS = 3
+# Time constant of the filter of yaw rates [s].
+_FILTER_S = 0.2
+# A body that turns by more within a step has turned round, and goes straight on.
+_TURNED_ROUND_RAD = 1.0
 
 
-class Planner:
+class Planner(BoundBehaviour):
     """Drives N bodies along the cheapest routes to their goals, round obstacles and moving actors.
 
     It is privileged: it knows the true map of the world (slopes, static obstacles), the true poses of all
@@ -34,7 +37,7 @@ class Planner:
     step, the follower simulates some 380 commands for 2.5 s and takes the best by the cost to go, by
     clearance and by the actors' predicted places: a dynamic window (Fox, Burgard and Thrun, 1997) with a
     navigation function (Brock and Khatib, 1999). A body that does not move as commanded takes what is before
-    it for an obstacle that the map lacks, backs off and plans anew (`ProgressWatch`).
+    it for an obstacle that the map lacks, backs off and plans anew (`StuckRecovery`).
 
     `max_slope_deg` is the steepest ground on a route; `actor_radius_m` the radius of the circle that stands
     for a moving body; `margin_m` is the room that the follower should keep beside obstacles; `speed_mps`
@@ -61,38 +64,31 @@ class Planner:
     ) -> None:
         self._num_rows, self._speed_mps = num_rows, speed_mps
         self._max_slope_deg, self._actor_radius_m, self._margin_m = max_slope_deg, actor_radius_m, margin_m
-        self._context: DriverContext | None = None
         self._goals_w = np.full((num_rows, 2), np.nan)
         self._actors = ActorMotion(num_rows)
-        self._watch = ProgressWatch(num_rows)
+        self._recovery = StuckRecovery(num_rows)
         self._grids = np.zeros((num_rows, 5))
         # Cost to go, waypoints and clearance of each row's world, row after row of its grid.
         self._fields, self._clearances = np.zeros((2, num_rows, 0), np.float32)
         self._waypoints = np.zeros((num_rows, 0), np.int32)
 
-    def bind(self, context: DriverContext) -> None:
-        """Take the vehicle's model."""
-        self._context = context
-
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Forget the routes, the actors' motion and the own progress of the bodies in `mask` (N,)."""
         self._goals_w[mask] = np.nan
         self._actors.forget(mask)
-        self._watch.forget(mask)
+        self._recovery.reset(mask)
 
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad]."""
-        if self._context is None:
-            raise ConfigError("planner must be bound to the group that it drives (`bind`) before it acts")
-        vehicle = self._context.vehicle
+        vehicle = self.context.vehicle
         motion, step_s = group.motion, group.episode.step_s
         begins = group.episode.steps == 0
-        self._watch.forget(begins)
+        self._recovery.reset(begins)
         poses = np.column_stack([motion.position_w[:, :2], motion.yaw])
         twists = np.column_stack([motion.velocity_b[:, 0], motion.angular_b[:, 2]])
         actors = self._actors.estimate(group.neighbours, begins, step_s, self._actor_radius_m)
         waits = self._is_beside_actor(poses, actors)
-        self._plan(state, group, begins | self._watch.update(poses, waits, vehicle.length_m, step_s))
+        self._plan(state, group, begins | self._recovery.update(poses, waits, vehicle.length_m, step_s))
         reach = vehicle.length_m / _DISCS
         limits = (
             max(vehicle.min_speed_mps, -self._speed_mps),
@@ -108,18 +104,17 @@ class Planner:
         choose_commands(
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, actors,
             group.goal.position_w, limits, (_ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2),
-            self._watch.recovering, chosen,
+            self._recovery.recovering, chosen,
         )  # fmt: skip
-        self._watch.note(chosen[:, 0])
+        self._recovery.record_command(chosen[:, 0])
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
 
     def _is_beside_actor(self, poses: Array, actors: Array) -> Flags:
         """Flags (N,) of bodies with an actor so near that they may be waiting for it."""
-        assert self._context is not None
         apart = np.hypot(*np.moveaxis(actors[..., :2] - poses[:, None, :2], -1, 0))
         near = apart.min(axis=1, initial=np.inf)
-        return near < self._context.vehicle.footprint_radius_m + self._actor_radius_m + 1.0
+        return near < self.context.vehicle.footprint_radius_m + self._actor_radius_m + 1.0
 
     def _plan(self, state: State, group: GroupState, anew: Flags) -> None:
         """Plan the routes of the rows in `anew` (N,) and of those whose goals are new, one after another."""
@@ -128,14 +123,16 @@ class Planner:
         if not len(new):
             return
         worlds = state.ground
-        assert self._context is not None and isinstance(worlds, BatchedWorlds)
-        vehicle = self._context.vehicle
+        assert isinstance(worlds, BatchedWorlds)
+        vehicle = self.context.vehicle
         radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
             known = shared_route_map(
                 worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest
             )
-            routes = known.routes_to(goals[row], group.motion.position_w[row, :2], self._watch.blocked[row])
+            routes = known.routes_to(
+                goals[row], group.motion.position_w[row, :2], self._recovery.blocked[row]
+            )
             size = routes.cost.size
             self._make_room(size)
             self._grids[row] = known.x[0], known.y[0], 1.0 / known.cell_m, *routes.cost.shape
@@ -150,3 +147,35 @@ class Planner:
             wider = ((0, 0), (0, missing))
             self._fields, self._clearances = np.pad(self._fields, wider), np.pad(self._clearances, wider)
             self._waypoints = np.pad(self._waypoints, wider)
+
+
+class ActorMotion:
+    """Estimates how the K bodies beside each of N rows move, by the change of their poses."""
+
+    def __init__(self, num_rows: int) -> None:
+        self._poses = np.zeros((num_rows, 0, POSE_COLUMNS))
+        self._yaw_rates = np.zeros((num_rows, 0))
+        self._begun = np.ones(num_rows, bool)
+
+    def forget(self, mask: Flags) -> None:
+        """Forget the past of the rows in `mask` (N,)."""
+        self._begun = self._begun | mask
+
+    def estimate(self, poses: Array, begins: Flags, step_s: float, radius_m: float) -> Array:
+        """The bodies at `poses` (N, K, 7: see `GroupState.neighbours`), as (N, K, 6): x, y [m], velocities
+        [m/s], yaw rate [rad/s] and `radius_m`; at rest in rows that begin.
+        """
+        if self._poses.shape != poses.shape:
+            self._poses, self._yaw_rates = poses.copy(), np.zeros(poses.shape[:2])
+            self._begun[:] = True
+        known = ~(self._begun | begins)[:, None]
+        moved = np.where(known[..., None], poses[..., :2] - self._poses[..., :2], 0.0)
+        turned = wrap_angle(poses[..., 3] - self._poses[..., 3])
+        share = min(1.0, step_s / _FILTER_S)
+        rates = self._yaw_rates + share * (turned / step_s - self._yaw_rates)
+        self._yaw_rates = np.where(known & (np.abs(turned) < _TURNED_ROUND_RAD), rates, 0.0)
+        self._poses = poses.copy()
+        self._begun = np.zeros(len(poses), bool)
+        radius = np.full(poses.shape[:2], radius_m)
+        parts = poses[..., :2], moved / step_s, np.stack([self._yaw_rates, radius], axis=-1)
+        return np.concatenate(parts, axis=-1)

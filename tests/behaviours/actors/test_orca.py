@@ -5,8 +5,7 @@ import pytest
 from stages import RADIUS_M, STEP_S, Stage, circle, gaps, turns
 from yards import yard
 
-from dune_rl.behaviours.avoidance.half_planes import fit_velocity
-from dune_rl.behaviours.avoidance.orca_loops import avoid_collisions
+from dune_rl.behaviours.orca_loops import avoid_collisions, fit_velocity
 
 
 def fitted(planes: list[list[float]], wanted: list[float], hard: int = 0, limit: float = 1.0) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dune_rl.behaviours.drivers.actor_motion import ActorMotion
-from dune_rl.behaviours.drivers.progress_watch import ProgressWatch
+from dune_rl.behaviours.drivers.planner import ActorMotion
+from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
 
 STEP_S = 0.05
 NOBODY = np.zeros(1, bool)
@@ -37,19 +37,19 @@ def test_who_turns_round_goes_straight_on() -> None:
     assert found[0, 0, 4] == pytest.approx(0.0, abs=1e-9)
 
 
-def steps_until(watch: ProgressWatch, speed: float, waits: np.ndarray) -> tuple[int, bool]:
+def steps_until(watch: StuckRecovery, speed: float, waits: np.ndarray) -> tuple[int, bool]:
     """After how many steps at one place a body recovers, and whether it found a blockage."""
-    watch.forget(np.ones(1, bool))
+    watch.reset(np.ones(1, bool))
     for step in range(1, 200):
         blocked = watch.update(np.array([[1.0, 2.0, np.pi / 2]]), waits, 0.6, STEP_S)
         if watch.recovering[0]:
             return step, bool(blocked[0])
-        watch.note(np.array([speed]))
+        watch.record_command(np.array([speed]))
     return 200, False
 
 
 def test_a_body_that_does_not_move_as_commanded_is_blocked_ahead_or_behind() -> None:
-    watch = ProgressWatch(1)
+    watch = StuckRecovery(1)
     steps, blocked = steps_until(watch, 0.8, NOBODY)
     assert blocked and 1.9 < steps * STEP_S < 2.2
     x, y, radius = watch.blocked[0][0]
@@ -59,7 +59,7 @@ def test_a_body_that_does_not_move_as_commanded_is_blocked_ahead_or_behind() -> 
 
 
 def test_a_body_that_commands_nothing_recovers_later_and_one_that_waits_does_not() -> None:
-    watch = ProgressWatch(1)
+    watch = StuckRecovery(1)
     steps, blocked = steps_until(watch, 0.0, NOBODY)
     assert not blocked and 3.9 < steps * STEP_S < 4.2
     assert steps_until(watch, 0.8, ~NOBODY) == (200, False)

@@ -1,4 +1,4 @@
-"""Recovery of bodies that do not move: what blocks them, and when they should get away from there."""
+"""Recovery of bodies that are stuck: records what blocks them, and when they should back off."""
 
 import numpy as np
 
@@ -16,11 +16,11 @@ _DISC_M = 0.2
 _MOST_DISCS = 6
 
 
-class ProgressWatch:
-    """Watches whether N bodies move as commanded, and makes those recover that do not.
+class StuckRecovery:
+    """Detects which of N bodies do not move as commanded, and starts their recovery.
 
-    `recovering` (N,) are the bodies that should get away from where they are, for 1.5 s; `blocked` has the
-    discs (B, 3: x, y, radius) [m] that each body found its way blocked by.
+    `recovering` (N,) marks bodies that back off, for 1.5 s; `blocked` has, for each body, the discs
+    (B, 3: x, y, radius) [m] that blocked its way.
     """
 
     def __init__(self, num_rows: int) -> None:
@@ -35,16 +35,16 @@ class ProgressWatch:
         """Flags (N,) of the bodies that should get away from where they are."""
         return self._recovery_s < _RECOVERY_S
 
-    def forget(self, mask: Flags) -> None:
-        """Begin anew for the bodies in `mask` (N,)."""
+    def reset(self, mask: Flags) -> None:
+        """Clear the history of the bodies in `mask` (N,)."""
         self._anchors[mask] = np.inf
         self._recovery_s[mask] = np.inf
         self._command_mps[mask] = 0.0
         for row in np.flatnonzero(mask).tolist():
             self.blocked[row] = np.zeros((0, 3))
 
-    def note(self, speed_mps: Array) -> None:
-        """Take the speeds (N,) [m/s] that are commanded for the next step."""
+    def record_command(self, speed_mps: Array) -> None:
+        """Record the speeds (N,) [m/s] that are commanded for the next step."""
         self._command_mps = speed_mps.copy()
 
     def update(self, poses: Array, waits: Flags, length_m: float, step_s: float) -> Flags:
