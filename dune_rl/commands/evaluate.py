@@ -19,7 +19,7 @@ CLOSING = (
 )
 SETTINGS = (
     ("checkpoint=PATH", "a run's folder, or a file of weights; [A,B] are several"),
-    ("policy=NAME", "go_to_goal, planner, mppi, random, FILE.onnx, FILE.zip or MODULE:FUNCTION"),
+    ("policy=NAME", "go_to_goal, planner, mppi, random, FILE.onnx or MODULE:FUNCTION"),
     ("against=NAME", "likewise, to compare with in pairs"),
     ("set=NAME", "an episode set: python -m dune_rl.episode_sets list"),
     ("episodes=N", "how many to run"),

@@ -261,9 +261,9 @@ def _check_machine(conf: Conf) -> None:
 
 
 def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    from dune_rl.evaluation.tables import metric_notes, results_table
     from dune_rl.learning.policies import go_to_goal_fault
     from dune_rl.statistics.measures import estimate_metrics
-    from dune_rl.statistics.table import metric_notes, results_table
 
     for group, rows in result.evaluation.items():
         name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name

@@ -130,13 +130,18 @@ class EvaluateConf(EnvConf):
     def _known_policies(self) -> Self:
         for key, names in (("policy", self.policy), ("against", self.against)):
             for name in names:
-                if name in _BUILT_IN_POLICIES or ":" in name or name.endswith((".onnx", ".zip")):
+                if name in _BUILT_IN_POLICIES or ":" in name or name.endswith(".onnx"):
                     continue
+                if name.endswith(".zip"):
+                    raise ValueError(
+                        f"{key}: {name} must be loaded by a function of yours: write {key}=MODULE:FUNCTION "
+                        "(docs/how_to/evaluate.md has one for Stable-Baselines3)"
+                    )
                 if "/" in name or name.endswith(".pt"):
                     raise ValueError(f"{key}: {name} is no policy; did you mean checkpoint={name}?")
                 near = closest(name, _BUILT_IN_POLICIES)
                 meant = f"did you mean {near}? There are" if near else "there are"
-                known = ", ".join((*_BUILT_IN_POLICIES, "FILE.onnx", "FILE.zip", "MODULE:FUNCTION"))
+                known = ", ".join((*_BUILT_IN_POLICIES, "FILE.onnx", "MODULE:FUNCTION"))
                 raise ValueError(f"{key}: {name} is no policy; {meant} {known}")
         return self
 
@@ -183,6 +188,6 @@ class EvaluateConf(EnvConf):
         if not (self.checkpoint or self.policy):
             raise ValueError(
                 f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(_BUILT_IN_POLICIES)}, "
-                "FILE.onnx, FILE.zip or MODULE:FUNCTION"
+                "FILE.onnx or MODULE:FUNCTION"
             )
         return self

@@ -1,13 +1,16 @@
 """Files that are written whole or not at all, and their checksums."""
 
 import contextlib
+import csv
 import hashlib
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+from dune_rl.core.errors import CheckpointError
 
 try:
     import fcntl
@@ -84,3 +87,16 @@ def sha256_of(path: Path) -> str:
     """The SHA-256 of a file as hexadecimal digits; raises OSError if it cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write `rows` atomically, one line each, with the columns of the first; raises CheckpointError."""
+    try:
+        with write_atomically(path) as temporary, temporary.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise CheckpointError(
+            f"{path} cannot be written: {error.strerror or error}.\nGive a folder that allows writing."
+        ) from error

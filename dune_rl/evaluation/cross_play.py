@@ -16,7 +16,7 @@ from rich.table import Table
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError, DuneError
-from dune_rl.core.files import sha256_of, write_atomically
+from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.evaluation.actor_populations import CHECKPOINT, ActorPopulation
 from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices, row_title
 from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
@@ -25,7 +25,6 @@ from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.statistics.measures import write_csv
 
 RECORD, MATRIX, PICTURE = "cross_play.json", "cross_play.csv", "cross_play.png"
 MEASURES = ("SR", "TC", "OC")

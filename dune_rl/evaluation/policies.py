@@ -1,4 +1,4 @@
-"""The policies of an evaluation: checkpoints, built-in ones, files of other libraries, and own functions."""
+"""The policies of an evaluation: checkpoints, built-in policies, ONNX files and user functions."""
 
 import importlib
 import traceback
@@ -18,7 +18,6 @@ from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of
 from dune_rl.core.suggestions import closest
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.evaluation.stable_baselines import read_stable_baselines
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
@@ -27,8 +26,7 @@ from dune_rl.learning.saved_policies import describe_selection, load_policy
 from dune_rl.sensors.draws import uniform
 
 Act = Callable[[dict[str, NDArray[Any]]], NDArray[np.floating]]
-Kind = Literal["checkpoint", "built-in", "onnx", "stable-baselines3", "callable"]
-_SUFFIXES: Mapping[str, Kind] = {".onnx": "onnx", ".zip": "stable-baselines3"}
+Kind = Literal["checkpoint", "built-in", "onnx", "callable"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class PolicySource:
         """The file of its weights; None where there is none."""
         if self.kind == "checkpoint":
             return find_checkpoint_file(Path(self.location), *POLICY_SOURCES)
-        return Path(self.location) if self.kind in _SUFFIXES.values() else None
+        return Path(self.location) if self.kind == "onnx" else None
 
     def plain(self) -> dict[str, str | None]:
         """Plain data, with the SHA-256 of the file, and which policy of its run that holds.
@@ -71,11 +69,6 @@ class PolicySource:
                 return built_in_policy(self.location, env)
             case "onnx":
                 return UserPolicy(self.name, _onnx_function(Path(self.location)), env)
-            case "stable-baselines3":
-                policy = read_stable_baselines(Path(self.location))
-                for group in env.group_map:
-                    policy.require(PolicySpec.of(env, group))
-                return UserPolicy(self.name, policy, env)
             case "callable":
                 return UserPolicy(self.name, _import_function(self.location), env)
 
@@ -86,9 +79,8 @@ def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
         PolicySource(checkpoint_name(Path(location)), "checkpoint", location) for location in conf.checkpoint
     ]
     for location in (*conf.policy, *conf.against):
-        suffix = Path(location).suffix
-        if suffix in _SUFFIXES:
-            found.append(PolicySource(Path(location).stem, _SUFFIXES[suffix], location))
+        if Path(location).suffix == ".onnx":
+            found.append(PolicySource(Path(location).stem, "onnx", location))
         elif ":" in location:
             found.append(PolicySource(location.partition(":")[2], "callable", location))
         else:

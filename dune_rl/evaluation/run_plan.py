@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from rich.console import Console
 
+from dune_rl.core.files import write_csv
 from dune_rl.evaluation.blocks import missing_blocks
 from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder, rows_of_group
@@ -12,17 +13,17 @@ from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, sho
 from dune_rl.evaluation.protocols.runs_done import finished_runs
 from dune_rl.evaluation.recorder import START_COLUMNS
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.learning.run.progress import show_episodes
-from dune_rl.statistics.intervals import Estimate
-from dune_rl.statistics.measures import MetricsRow, cluster_rows, estimate_metrics, write_csv
-from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
-from dune_rl.statistics.table import (
+from dune_rl.evaluation.tables import (
     comparison_table,
     metric_notes,
     notes_by_measure,
     paired_line,
     results_table,
 )
+from dune_rl.learning.run.progress import show_episodes
+from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.measures import MetricsRow, cluster_rows, estimate_metrics
+from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
 
 _TWO = 2
 

@@ -26,7 +26,8 @@ from dune_rl.reporting.runs import Note, ReportInputs
 from dune_rl.reporting.tables.methods import PAPER, PAPER_FIGURES
 from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, estimate_cell, to_markdown
 from dune_rl.statistics.intervals import Estimate
-from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, compare_success
+from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows
+from dune_rl.statistics.paired_comparison import compare_success
 from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array
 from dune_rl.statistics.intervals import CONFIDENCE, Estimate
+from dune_rl.statistics.resampling import times_drawn
 
 # The row of an episode.
 Row = Mapping[str, Any]
@@ -118,7 +119,7 @@ def performance_profile(scores: Scores, thresholds: Array) -> Profile:
     for values, drawn in zip(kept.values(), _draws(kept), strict=True):
         above = (values[:, None] > thresholds).astype(float)
         # How often each unit is drawn, (R, U).
-        times = _times_drawn(drawn, len(values))
+        times = times_drawn(drawn, len(values))
         shares.append(above.mean(axis=0))
         resampled.append(times @ above / len(values))
     low, high = np.quantile(np.mean(resampled, axis=0), [_TAIL, 1 - _TAIL], axis=0)
@@ -138,8 +139,8 @@ def probability_of_improvement(first: Scores, second: Scores) -> Estimate:
     for number, cases in enumerate(shared):
         a, b = first[cases], second[cases]
         wins = (a[:, None] > b) + 0.5 * (a[:, None] == b)
-        times_a = _times_drawn(_drawn_units(len(a), number, 0), len(a))
-        times_b = _times_drawn(_drawn_units(len(b), number, 1), len(b))
+        times_a = times_drawn(_drawn_units(len(a), number, 0), len(a))
+        times_b = times_drawn(_drawn_units(len(b), number, 1), len(b))
         values.append(wins.mean())
         resampled.append(np.einsum("ra,ab,rb->r", times_a, wins, times_b, optimize=True) / wins.size)
     return Estimate(float(np.mean(values)), *_ends(np.mean(resampled, axis=0)), len(shared))
@@ -165,11 +166,6 @@ def _draws(scores: Scores) -> list[NDArray[np.int64]]:
 def _drawn_units(count: int, cases: int, method: int) -> NDArray[np.int64]:
     """The numbers of the units of each resample, (R, count): the same at every call."""
     return stream(0, "bootstrap of units", count, cases, method).integers(0, count, (RESAMPLES, count))
-
-
-def _times_drawn(drawn: NDArray[np.int64], count: int) -> Array:
-    rows = np.arange(len(drawn))[:, None] * count
-    return np.bincount((drawn + rows).ravel(), minlength=len(drawn) * count).reshape(-1, count).astype(float)
 
 
 def _ends(resampled: Array) -> tuple[float, float]:

@@ -7,13 +7,14 @@ new sites, not for further episodes on the same.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.statistics.bootstrap import ROUNDING, studentised_interval
+from dune_rl.statistics.resampling import ROUNDING, resampled_sums
 
 CONFIDENCE = 0.95
 # With fewer entries above 0 than this, and more that are 0, events are rare: a bootstrap covers too seldom.
@@ -41,11 +42,10 @@ class Estimate:
 def estimate_proportion(successes: ArrayLike, clusters: ArrayLike | None = None) -> Estimate:
     """The share of true entries among those that are not NaN, with Wilson's interval.
 
-    It stays within [0, 1] and suits small n.
-
-    With `clusters` it is that of n / d entries, by the quantile of Student's t for the number of clusters.
-    The design effect d, at least 1, is the variance between clusters by that of independent entries (Korn &
-    Graubard 1998; Dean & Pagano 2015 on Wilson's form of it).
+    It stays within [0, 1] and suits small n. With `clusters` it is the interval of n / d entries, by the
+    quantile of Student's t for the number of clusters. The design effect d, at least 1, is the variance
+    between clusters by that of independent entries (Korn & Graubard 1998; Dean & Pagano 2015 on Wilson's form
+    of it).
     """
     seen = np.asarray(successes, float)
     present = ~np.isnan(seen)
@@ -69,10 +69,7 @@ def estimate_mean(
     values: ArrayLike, clusters: ArrayLike | None = None, *, are_counts: bool = False
 ) -> Estimate:
     """The mean of the entries that are not NaN, with a bootstrap interval; see `estimate_ratio`."""
-    seen = np.asarray(values, float)
-    present = ~np.isnan(seen)
-    estimate = _estimate(np.where(present, seen, 0.0), present, clusters, are_counts, signed=False)
-    return replace(estimate, count=int(present.sum()))
+    return _estimate_mean(values, clusters, are_counts, signed=False)
 
 
 def estimate_difference(
@@ -80,12 +77,18 @@ def estimate_difference(
 ) -> Estimate:
     """The mean of paired differences that are not NaN, of either sign; else as `estimate_mean`.
 
-    Where few are not 0, the intervals of the positive and of the negative ones are combined by MOVER (Zou &
+    Where few are not 0, the intervals of positive and negative differences are combined by MOVER (Zou &
     Donner 2008).
     """
-    seen = np.asarray(differences, float)
+    return _estimate_mean(differences, clusters, are_counts, signed=True)
+
+
+def _estimate_mean(
+    values: ArrayLike, clusters: ArrayLike | None, are_counts: bool, *, signed: bool
+) -> Estimate:
+    seen = np.asarray(values, float)
     present = ~np.isnan(seen)
-    estimate = _estimate(np.where(present, seen, 0.0), present, clusters, are_counts, signed=True)
+    estimate = _estimate(np.where(present, seen, 0.0), present, clusters, are_counts, signed=signed)
     return replace(estimate, count=int(present.sum()))
 
 
@@ -137,10 +140,42 @@ def _estimate(
     elif n < _LEAST_DRAWN:
         low, high = np.nan, np.nan
     else:
-        low, high = studentised_interval(above, below, CONFIDENCE)
+        low, high = _studentised_interval(above, below)
         # A ratio of what is nowhere below 0 is not below 0 either.
         low = low if signed else max(low, 0.0)
     return Estimate(value, low, high, count, n)
+
+
+def _studentised_interval(above: Array, below: Array) -> tuple[float, float]:
+    """The interval of sum(above) / sum(below), entries (n,), from resamples of both together.
+
+    It is studentised (Efron & Tibshirani 1993, section 12.5); where too few entries differ for that, it is
+    that of percentiles. Equal ratios give equal ends.
+    """
+    parts = (above, below, above**2, above * below, below**2)
+    ratios, errors = _ratio_and_error(*resampled_sums(*parts))
+    ratio, error = _ratio_and_error(*(part.sum() for part in parts))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        studentised = (ratios - ratio) / errors
+    if error <= ROUNDING * abs(ratio):
+        return float(ratio), float(ratio)
+    tail = (1 - CONFIDENCE) / 2
+    usable = np.isfinite(studentised)
+    if usable.mean() < 1 - tail:
+        # Too few entries differ for that: a resample often has none of them, and no spread.
+        low, high = np.quantile(ratios[np.isfinite(ratios)], [tail, 1 - tail])
+    else:
+        low, high = ratio - error * np.quantile(studentised[usable], [1 - tail, tail])
+    return float(low), float(high)
+
+
+def _ratio_and_error(a: Any, b: Any, aa: Any, ab: Any, bb: Any) -> tuple[Any, Any]:
+    """The ratio a / b of sums and its standard error to first order, up to a factor; arguments are sums."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = a / b
+        # The sum of the squares of what is left of each numerator.
+        residual = np.maximum(aa - 2 * ratio * ab + ratio**2 * bb, 0.0)
+        return ratio, np.sqrt(residual) / np.abs(b)
 
 
 def _design_effect(residuals: Array, variance: float, clusters: ArrayLike) -> float:

@@ -1,16 +1,12 @@
-"""Statistics of evaluated episodes: means, confidence intervals, paired tests, and their CSV file."""
+"""Measures of evaluated episodes, with confidence intervals over independent sites or episodes."""
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.core.errors import CheckpointError
-from dune_rl.core.files import write_atomically
 from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import measures_of
 from dune_rl.metrics.measure import Measure
@@ -20,7 +16,6 @@ from dune_rl.statistics.intervals import (
     estimate_proportion,
     estimate_ratio,
 )
-from dune_rl.statistics.paired_tests import PairedTest, mcnemar_test
 
 # The metrics of one agent in one episode, by name.
 MetricsRow = dict[str, float]
@@ -36,7 +31,7 @@ def average_metrics(rows: Sequence[Mapping[str, float]]) -> MetricsRow:
     if not rows:
         return {}
     found = {measure.name: _value(measure, rows) for measure in measures_of(list(rows[0]))}
-    return found | {name: _mean(_column(rows, name)) for name in ("return", "steps")}
+    return found | {name: _mean(column(rows, name)) for name in ("return", "steps")}
 
 
 def selection_score(statistics: Mapping[str, float]) -> float:
@@ -57,10 +52,10 @@ def estimate_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, Estimate]:
     clusters, _ = cluster_rows(rows)
     found = {}
     for measure in measures_of(list(rows[0])):
-        values, counts = _column(rows, measure.metric), measure.are_counts
+        values, counts = column(rows, measure.metric), measure.are_counts
         if measure.per is not None:
             found[measure.name] = estimate_ratio(
-                values, _column(rows, measure.per), clusters, are_counts=counts
+                values, column(rows, measure.per), clusters, are_counts=counts
             )
         elif measure.is_share:
             found[measure.name] = estimate_proportion(values, clusters)
@@ -102,43 +97,19 @@ def _numbers(keys: Sequence[object]) -> NDArray[np.int64]:
     return np.array([known.setdefault(key, len(known)) for key in keys], np.int64)
 
 
-def _column(rows: Sequence[Mapping[str, Any]], name: str) -> Array:
+def column(rows: Sequence[Mapping[str, Any]], name: str) -> Array:
+    """The values (n,) of the metric `name`."""
     return np.array([row[name] for row in rows], float)
 
 
 def _value(measure: Measure, rows: Sequence[Mapping[str, float]]) -> float:
-    values = _column(rows, measure.metric)
+    values = column(rows, measure.metric)
     if measure.per is None:
         return _mean(values)
-    total = float(np.nansum(_column(rows, measure.per)))
+    total = float(np.nansum(column(rows, measure.per)))
     return float(np.nansum(values)) / total if total else math.nan
 
 
 def _mean(values: Array) -> float:
     seen = values[~np.isnan(values)]
     return float(seen.mean()) if len(seen) else math.nan
-
-
-def compare_success(rows_a: Sequence[Mapping[str, Any]], rows_b: Sequence[Mapping[str, Any]]) -> PairedTest:
-    """Paired test of success between two evaluations; raises ValueError unless their episodes agree.
-
-    It is McNemar's exact one, or the sign-flip test where rows are not independent: see `cluster_rows`.
-    """
-    ids_a, ids_b = ([(row["episode"], row["agent"]) for row in rows] for rows in (rows_a, rows_b))
-    if ids_a != ids_b:
-        raise ValueError("the two evaluations ran different episodes, so they do not pair")
-    a, b = ([row["success"] > 0 for row in rows] for rows in (rows_a, rows_b))
-    return mcnemar_test(a, b, cluster_rows(rows_a)[0])
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write `rows` atomically, one line each, with the columns of the first; raises CheckpointError."""
-    try:
-        with write_atomically(path) as temporary, temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise CheckpointError(
-            f"{path} cannot be written: {error.strerror or error}.\nGive a folder that allows writing."
-        ) from error

@@ -1,4 +1,8 @@
-"""Paired comparisons of any number of policies on the same episodes."""
+"""Paired tests and comparisons of policies on the same episodes.
+
+`clusters`, whole numbers from 0 on, tell which pairs belong together, such as pairs on one site: tests then
+exchange whole clusters, and hold for new clusters.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,6 +10,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import measures_of
@@ -15,14 +21,96 @@ from dune_rl.statistics.intervals import (
     estimate_difference,
     estimate_ratio_difference,
     estimate_share_difference,
+    sum_by_cluster,
 )
-from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows
-from dune_rl.statistics.paired_tests import mcnemar_test, ratio_exchange_test, sign_flip_test
+from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, column
+from dune_rl.statistics.resampling import ROUNDING, exchanged_sums
 
 Rows = Sequence[Mapping[str, Any]]
 
+_LEAST_UNITS = 2
 # What tells the cases of two evaluations apart, where rows have it.
 _CASE = (*CASE_COLUMNS, "episode", "agent")
+
+
+@dataclass(frozen=True)
+class PairedTest:
+    """Two policies on the same episodes: how many only one of them solved, and the p-value of a test."""
+
+    only_a: int
+    only_b: int
+    p_value: float
+
+
+def mcnemar_test(a: ArrayLike, b: ArrayLike, clusters: ArrayLike | None = None) -> PairedTest:
+    """Exact two-sided McNemar test of two boolean arrays with paired entries.
+
+    With `clusters` it is the sign-flip test of the differences instead, as McNemar's takes pairs for
+    independent.
+    """
+    first, second = np.asarray(a, bool), np.asarray(b, bool)
+    only_a, only_b = int((first & ~second).sum()), int((~first & second).sum())
+    if clusters is not None:
+        difference = first.astype(float) - second
+        return PairedTest(only_a, only_b, sign_flip_test(difference, clusters))
+    p_value = stats.binomtest(only_a, only_a + only_b).pvalue if only_a + only_b else 1.0
+    return PairedTest(only_a, only_b, float(p_value))
+
+
+def sign_flip_test(differences: ArrayLike, clusters: ArrayLike | None = None) -> float:
+    """p-value of the two-sided permutation test that the mean of paired `differences` is 0; NaN without any.
+
+    Which of both is first is exchanged for each entry, or for each cluster as a whole; the statistic is the
+    sum. It is exact for up to 13 entries or clusters that are not 0, and of 9,999 random exchanges beyond.
+    """
+    values = np.asarray(differences, float)
+    if not len(values):
+        return float("nan")
+    sums = sum_by_cluster(values, clusters)
+    # A sum whose sign makes no difference has no part in it; rounding must not make one.
+    sums = sums[np.abs(sums) > ROUNDING * np.abs(values).sum()]
+    if len(sums) < _LEAST_UNITS:
+        return 1.0
+    return _p_value(sums.sum(), *exchanged_sums(sums))
+
+
+def ratio_exchange_test(
+    first: tuple[ArrayLike, ArrayLike], second: tuple[ArrayLike, ArrayLike], clusters: ArrayLike | None = None
+) -> float:
+    """p-value of the two-sided permutation test that two ratios of sums are equal; NaN if one is unknown.
+
+    Arguments are as for `estimate_ratio_difference`; exchanges as in `sign_flip_test`.
+    """
+    a, b, c, d = (sum_by_cluster(np.asarray(values, float), clusters) for values in (*first, *second))
+    differ = (a != c) | (b != d)
+    if not b.sum() or not d.sum():
+        return float("nan")
+    if differ.sum() < _LEAST_UNITS:
+        return 1.0
+    above, below = (a + c).sum(), (b + d).sum()
+    # What of the sums goes to the first, less what goes to the second.
+    more, longer = exchanged_sums((a - c)[differ], (b - d)[differ])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = (above + more) / (below + longer) - (above - more) / (below - longer)
+    # Without a denominator on one side, the ratios are as far apart as can be.
+    return _p_value(float(a.sum() / b.sum() - c.sum() / d.sum()), np.nan_to_num(found, nan=np.inf))
+
+
+def _p_value(observed: float, permuted: Array) -> float:
+    """The share of `permuted` values at least as far from 0 as the one `observed`, which is among them."""
+    return float(np.mean(np.abs(permuted) >= abs(observed) * (1 - ROUNDING)))
+
+
+def compare_success(rows_a: Sequence[Mapping[str, Any]], rows_b: Sequence[Mapping[str, Any]]) -> PairedTest:
+    """Paired test of success between two evaluations; raises ValueError unless their episodes agree.
+
+    It is McNemar's exact one, or the sign-flip test where rows are not independent: see `cluster_rows`.
+    """
+    ids_a, ids_b = ([(row["episode"], row["agent"]) for row in rows] for rows in (rows_a, rows_b))
+    if ids_a != ids_b:
+        raise ValueError("the two evaluations ran different episodes, so they do not pair")
+    a, b = ([row["success"] > 0 for row in rows] for rows in (rows_a, rows_b))
+    return mcnemar_test(a, b, cluster_rows(rows_a)[0])
 
 
 @dataclass(frozen=True)
@@ -81,10 +169,10 @@ def _compare(measure: Measure, first: tuple[str, Rows], second: tuple[str, Rows]
     if [_case(row) for row in first[1]] != [_case(row) for row in second[1]]:
         raise ValueError("the two evaluations ran different episodes, so they do not pair")
     clusters, _ = cluster_rows(first[1])
-    a, b = (_column(rows, measure.metric) for rows in (first[1], second[1]))
+    a, b = (column(rows, measure.metric) for rows in (first[1], second[1]))
     if measure.per is not None:
         one, other = (
-            (_column(rows, measure.metric), _column(rows, measure.per)) for rows in (first[1], second[1])
+            (column(rows, measure.metric), column(rows, measure.per)) for rows in (first[1], second[1])
         )
         difference = estimate_ratio_difference(one, other, clusters)
         p_value, effect = ratio_exchange_test(one, other, clusters), _quotient(one, other)
@@ -110,10 +198,6 @@ def _case(row: Mapping[str, Any]) -> tuple[object, ...]:
     # NaN, of an empty cell, is unequal to itself.
     found = (row.get(name) for name in _CASE)
     return tuple(None if value != value else value for value in found)
-
-
-def _column(rows: Rows, name: str) -> Array:
-    return np.array([row[name] for row in rows], float)
 
 
 def _quotient(first: tuple[Array, Array], second: tuple[Array, Array]) -> float:

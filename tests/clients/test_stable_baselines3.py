@@ -1,10 +1,14 @@
 """Stable-Baselines3 on environments of ours."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
+from user_packages import shown_files
+
+from dune_rl.commands import evaluate
 
 ID = "dune_rl:dune_rl/Flat-v0"
 SHORT = {"task": {"name": "paper", "terminations": {"time_limit": {"max_steps": 5}}}}
@@ -87,6 +91,24 @@ def test_a_saved_policy_is_evaluated(tmp_path: Path) -> None:
     returns, lengths = evaluate_policy(loaded, env, n_eval_episodes=2, return_episode_rewards=True)
     assert lengths == [5, 5] and np.isfinite(returns).all()
     env.close()
+
+
+@pytest.mark.client("Stable-Baselines3", "saving, loading, `evaluate_policy`", "gymnasium.make")
+def test_a_saved_policy_is_measured_by_the_class_of_the_page(
+    folder: Path, call: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from stable_baselines3 import SAC
+
+    monkeypatch.syspath_prepend(folder)
+    page = (Path(__file__).parents[2] / "docs" / "how_to" / "evaluate.md").read_text()
+    (folder / "my_model.py").write_text(shown_files(page)["my_model.py"])
+    env = gymnasium.make(ID, **SHORT)
+    model = SAC("MultiInputPolicy", env, policy_kwargs={"net_arch": [8]}, **SETTINGS["SAC"])
+    model.save(folder / "model.zip")
+    env.close()
+    words = ["+world=flat", "task.terminations.time_limit.max_steps=5", "episodes=2", "out=rows"]
+    assert call(evaluate.main, "policy=my_model:Driver", *words) == 0
+    assert len((folder / "rows" / "episodes.csv").read_text().splitlines()) == 3
 
 
 @pytest.mark.client("Stable-Baselines3", "`VecMonitor` records the episodes of several", "gymnasium.make")

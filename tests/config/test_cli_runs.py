@@ -219,13 +219,14 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "out=rows.csv: results are a folder of several files; write out=rows\n"),
         (evaluate, ["policy=randm", "+world=flat"],
          "policy: randm is no policy; did you mean random? There are go_to_goal, mppi, planner, random, "
-         "FILE.onnx, FILE.zip, MODULE:FUNCTION\n"),
+         "FILE.onnx, MODULE:FUNCTION\n"),
         (evaluate, ["policy=random", "set=flat-v1", "world.size_m=30"],
          "set=flat-v1 determines world; leave world.size_m=30 out\n"),
         (evaluate, ["policy=random", "set=flat-v1", "episodes=201"],
          "set=flat-v1 has 200 episodes, fewer than episodes=201\n"),
         (evaluate, ["policy=model.zip", "+world=flat"],
-         "policy=model.zip cannot be read: No such file or directory\n"),
+         "policy: model.zip must be loaded by a function of yours: write policy=MODULE:FUNCTION "
+         "(docs/how_to/evaluate.md has one for Stable-Baselines3)\n"),
         (evaluate, ["policy=runs/mine", "+world=flat"],
          "policy: runs/mine is no policy; did you mean checkpoint=runs/mine?\n"),
         (evaluate, ["verify=file"],
@@ -236,7 +237,7 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
          "choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal, mppi, planner, random, "
-         "FILE.onnx, FILE.zip or MODULE:FUNCTION\n"),
+         "FILE.onnx or MODULE:FUNCTION\n"),
     ],
 )  # fmt: skip
 def test_bad_input(

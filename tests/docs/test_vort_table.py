@@ -7,7 +7,7 @@ import generated_pages
 import pytest
 from vort_table import EPISODES, vort_table
 
-from dune_rl.statistics.measures import write_csv
+from dune_rl.core.files import write_csv
 
 README = EPISODES.parent / "README.md"
 TIMES = {"uneven_2": 4.0, "uneven_time": 3.0, "uneven_10": 2.0, "uneven_15": 1.0}

@@ -12,6 +12,8 @@ import torch
 from point_mass import make_point_mass
 from rich.console import Console
 
+from dune_rl.core.files import write_csv
+from dune_rl.evaluation.tables import results_table
 from dune_rl.learning.curve import draw_curve
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
@@ -22,13 +24,10 @@ from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.statistics.intervals import estimate_mean, estimate_proportion
 from dune_rl.statistics.measures import (
     average_metrics,
-    compare_success,
     estimate_metrics,
     selection_score,
-    write_csv,
 )
-from dune_rl.statistics.paired_tests import mcnemar_test
-from dune_rl.statistics.table import results_table
+from dune_rl.statistics.paired_comparison import compare_success, mcnemar_test
 
 SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
 GO_TO_GOAL = GoToGoal("rover", SPEC)

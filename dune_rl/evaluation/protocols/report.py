@@ -11,11 +11,11 @@ from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.protocols.attempts import Attempt, attempts_of_rows, best_window_rate, join_attempts
 from dune_rl.evaluation.protocols.run_rows import describe_runs, run_rows
 from dune_rl.evaluation.running import EvaluationPlan
+from dune_rl.evaluation.tables import comparison_table, metric_notes, results_table
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.statistics.intervals import Estimate
 from dune_rl.statistics.measures import estimate_metrics
 from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
-from dune_rl.statistics.table import comparison_table, metric_notes, results_table
 
 _TWO = 2
 _NOTHING = Estimate(float("nan"), float("nan"), float("nan"), 0)

@@ -8,13 +8,14 @@ from typing import Any
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from dune_rl.core.files import write_csv
 from dune_rl.learning.curve import draw_curve
 from dune_rl.learning.group_batch import acted_by_past
 from dune_rl.learning.objective import measure_objective
 from dune_rl.learning.run.events import EventFile, HParam, Picture
 from dune_rl.learning.run.recent_episodes import RecentEpisodes
 from dune_rl.metrics.catalogue import measures_of
-from dune_rl.statistics.measures import MetricsRow, average_metrics, write_csv
+from dune_rl.statistics.measures import MetricsRow, average_metrics
 
 METRICS_FILE = "metrics.csv"
 CURVE_FILE = "curve.png"

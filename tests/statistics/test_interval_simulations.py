@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dune_rl.statistics.intervals import Estimate, estimate_mean, estimate_proportion
-from dune_rl.statistics.paired_tests import mcnemar_test
+from dune_rl.statistics.paired_comparison import mcnemar_test
 
 pytestmark = pytest.mark.slow
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dune_rl.core.seeding import stream
-from dune_rl.statistics import bootstrap, paired_tests
+from dune_rl.statistics import resampling
 from dune_rl.statistics.intervals import estimate_mean
-from dune_rl.statistics.paired_tests import ratio_exchange_test, sign_flip_test
+from dune_rl.statistics.paired_comparison import ratio_exchange_test, sign_flip_test
 
 MANY = 10_000
 
@@ -36,9 +36,9 @@ def test_the_interval_of_many_entries_is_that_of_the_normal_distribution() -> No
 def test_resamples_in_parts_are_of_all_entries(monkeypatch: pytest.MonkeyPatch) -> None:
     values = stream(0, "entries").exponential(2.0, 60)
     whole = estimate_mean(values)
-    monkeypatch.setattr(bootstrap, "_MOST_KEPT", 0)
-    monkeypatch.setattr(bootstrap, "_MOST_AT_A_TIME", 60 * 700)
-    parts = list(bootstrap._weight_parts(60))
+    monkeypatch.setattr(resampling, "_MOST_KEPT", 0)
+    monkeypatch.setattr(resampling, "_MOST_AT_A_TIME", 60 * 700)
+    parts = list(resampling._weight_parts(60))
     assert [len(part) for part in parts] == [700] * 7 + [100]
     assert all((part.sum(axis=1) == 60).all() for part in parts)
     # Other draws of the same kind.
@@ -51,10 +51,10 @@ def test_exchanges_in_parts_are_the_same(count: int, monkeypatch: pytest.MonkeyP
     a, b = stream(0, "entries").normal(1.1, 1.0, (2, count)) ** 2
     ones = np.ones(count)
     found = sign_flip_test(a - b), ratio_exchange_test((a, ones), (b, ones))
-    signs = np.concatenate(list(paired_tests._sign_parts(count)))
-    monkeypatch.setattr(paired_tests, "_MOST_KEPT", 0)
-    monkeypatch.setattr(paired_tests, "_MOST_AT_A_TIME", count * 601)
-    parts = list(paired_tests._sign_parts(count))
+    signs = np.concatenate(list(resampling._sign_parts(count)))
+    monkeypatch.setattr(resampling, "_MOST_KEPT", 0)
+    monkeypatch.setattr(resampling, "_MOST_AT_A_TIME", count * 601)
+    parts = list(resampling._sign_parts(count))
     assert len(parts) == 18 and max(map(len, parts)) == 600
     np.testing.assert_array_equal(np.concatenate(parts), signs)
     assert found == (sign_flip_test(a - b), ratio_exchange_test((a, ones), (b, ones)))

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dune_rl.evaluation.tables import comparison_table, paired_line
 from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.statistics.intervals import estimate_proportion, estimate_share_difference
-from dune_rl.statistics.measures import cluster_rows, compare_success, estimate_metrics
-from dune_rl.statistics.paired_comparison import compare_policies
-from dune_rl.statistics.paired_tests import mcnemar_test
-from dune_rl.statistics.table import comparison_table, paired_line
+from dune_rl.statistics.measures import cluster_rows, estimate_metrics
+from dune_rl.statistics.paired_comparison import compare_policies, compare_success, mcnemar_test
 
 SITES, EACH = 50, 4
 OF_SITE = np.repeat(np.arange(SITES), EACH)

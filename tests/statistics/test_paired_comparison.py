@@ -5,8 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from dune_rl.statistics.paired_comparison import compare_policies, holm_adjusted
-from dune_rl.statistics.paired_tests import ratio_exchange_test, sign_flip_test
+from dune_rl.statistics.paired_comparison import (
+    compare_policies,
+    holm_adjusted,
+    ratio_exchange_test,
+    sign_flip_test,
+)
 
 
 def _rows(success: list[int], clearance: list[float]) -> list[dict[str, float]]:
