@@ -44,6 +44,7 @@ __all__ = [
     "register_algorithm",
     "register_behaviour",
     "register_body",
+    "register_encoder",
     "register_metric",
     "register_randomisation",
     "register_reward",
@@ -222,4 +223,5 @@ register_reward = RegisterDecorator("dune_rl.tasks.registry:REWARDS")
 register_termination = RegisterDecorator("dune_rl.tasks.registry:TERMINATIONS")
 register_metric = RegisterDecorator("dune_rl.metrics.registry:METRICS")
 register_randomisation = RegisterDecorator("dune_rl.env.randomisation:RANDOMISATIONS")
+register_encoder = RegisterDecorator("dune_rl.learning.networks.registry:ENCODERS")
 register_algorithm = RegisterDecorator("dune_rl.learning.registry:ALGORITHMS")

@@ -167,8 +167,8 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
     from dune_rl.learning.policy_spec import GroupMismatchError
-    from dune_rl.learning.run.hyperparameters import choose_hyperparameters
     from dune_rl.learning.run.progress import BarReporter, LineReporter
+    from dune_rl.learning.run.tensorboard import choose_hyperparameters
     from dune_rl.learning.trainer import Trainer
     from dune_rl.reporting.views.evaluation_pictures import EvaluationTracks
 
@@ -218,7 +218,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
 
 def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
     """Write the film of the best policy in the first episode of the run's evaluations."""
-    from dune_rl.learning.run.film import log_film
+    from dune_rl.learning.run.tensorboard import log_film
     from dune_rl.reporting.views.episode import EpisodeView
     from dune_rl.reporting.views.outputs import write_video
 

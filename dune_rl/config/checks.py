@@ -14,6 +14,7 @@ from dune_rl.bodies.settings import BodySettings
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.core.suggestions import closest
+from dune_rl.learning.networks.registry import ENCODERS, EncoderConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.registry import METRICS, MetricTermConf
@@ -34,6 +35,7 @@ _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     SensorSettings: SENSORS,
     BehaviourSettings: BEHAVIOURS,
     LearningConf: ALGORITHMS,
+    EncoderConf: ENCODERS,
     RewardTermConf: REWARDS,
     TerminationTermConf: TERMINATIONS,
     MetricTermConf: METRICS,

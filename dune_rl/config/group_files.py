@@ -148,7 +148,7 @@ def _why_not_started(conf: Conf, group: str) -> tuple[str, str]:
     setting, location = conf.learning.start_of(group)
     if location is None:
         return setting, ""
-    from dune_rl.learning.fine_tuning import describe_missing_start
+    from dune_rl.learning.learners import describe_missing_start
     from dune_rl.learning.saved_policies import read_policy_groups
 
     try:

@@ -12,7 +12,6 @@ from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
-from dune_rl.learning.sac.settings import SacConf
 from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.episode import MetricsConf, metric_names
 from dune_rl.physics.interface import PhysicsConf
@@ -245,7 +244,7 @@ class SingleAgentConf(OneGroupConf):
 class Conf(EnvConf):
     """A training run: every external group learns, or acts by a frozen policy."""
 
-    learning: AlgorithmConf = SacConf()
+    learning: AlgorithmConf = Field(default_factory=lambda: ALGORITHMS.parse_settings({"name": "sac"}))
     seed: int = Field(1, ge=0)
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"

@@ -23,7 +23,6 @@ from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_p
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
-from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file
 from dune_rl.robots.settings import RobotSettings
 
 RECORD, MATRIX, PICTURE = "cross_play.json", "cross_play.csv", "cross_play.png"
@@ -161,8 +160,7 @@ def _run_population(
 def _check_unchanged(population: Mapping[str, Any]) -> None:
     if population["kind"] != CHECKPOINT:
         return
-    # Records of earlier versions name the run alone.
-    file = find_checkpoint_file(Path(population.get("weights") or population["location"]), *POLICY_SOURCES)
+    file = Path(population["weights"])
     if sha256_of(file) != population["sha256"]:
         raise ConfigError(f"{file} has other weights than when the cross-play began; run it again")
 

@@ -22,7 +22,7 @@ from dune_rl.evaluation.recorder import EpisodeRecorder
 from dune_rl.evaluation.tables import plain_number
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.random_state import preserve_random_state
+from dune_rl.learning.process import preserve_random_state
 from dune_rl.statistics.measures import WORLD_SEED, MetricsRow
 
 

@@ -49,6 +49,8 @@ class Algorithm(ABC):
     """
 
     architecture = Architecture((256, 256))
+    # False: the group acts by its policy, and nothing is learned.
+    learns = True
 
     def __init__(self, context: LearnerContext) -> None:
         self.context = context

@@ -8,14 +8,15 @@ from typing import Any
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
-from dune_rl.learning.checkpoint_migration import MIGRATED_VERSION, migrate_checkpoint
 
 FORMAT = "dune_rl"
 VERSION = 3
+# The published policies of experiments/flat: one policy, with flat keys.
+_OLD_POLICY_VERSION = 2
 CHECKPOINT_FILE = "checkpoint.pt"
 BEST_POLICY_FILE = "policy_best.pt"
 LAST_POLICY_FILE = "policy_last.pt"
-# A published policy; runs of earlier versions called their best one so, too.
+# A published policy.
 POLICY_FILE = "policy.pt"
 # What a folder is searched for, in this order, where it stands for a policy.
 POLICY_SOURCES = (BEST_POLICY_FILE, POLICY_FILE, CHECKPOINT_FILE)
@@ -39,10 +40,7 @@ def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> 
 
 
 def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
-    """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy.
-
-    Files of format 2 are migrated to the present one.
-    """
+    """The content of a file of one of these `kinds`, on the CPU; raises CheckpointError with a remedy."""
     import torch
 
     if path.is_file() and not zipfile.is_zipfile(path):
@@ -63,15 +61,23 @@ def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
         raise CheckpointError(
             f"{path} was not written by dune_rl.\nGive a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of a run."
         )
-    version = content["version"]
-    if version not in (MIGRATED_VERSION, VERSION):
+    if (content["version"], content["kind"]) == (_OLD_POLICY_VERSION, "policy"):
+        content = _read_old_policy(content)
+    elif content["version"] != VERSION:
         raise CheckpointError(
-            f"{path} has format {version}; this dune_rl reads {MIGRATED_VERSION} and {VERSION}.\n"
+            f"{path} has format {content['version']}; this dune_rl reads {VERSION}.\n"
             "Use the version of dune_rl that wrote it, or train again."
         )
     if content["kind"] not in kinds:
         raise CheckpointError(f"{path} is a {content['kind']}, but a {' or '.join(kinds)} is needed here.")
-    return migrate_checkpoint(content) if version == MIGRATED_VERSION else content
+    return content
+
+
+def _read_old_policy(content: dict[str, Any]) -> dict[str, Any]:
+    moved = {"spec": "layout", "network": "architecture", "policy": "policy"}
+    entry = {"algorithm": "sac", **{key: content[old] for key, old in moved.items()}}
+    rest = {key: value for key, value in content.items() if key not in moved.values()}
+    return {**rest, "groups": {"rover": entry}}
 
 
 def _unreadable(path: Path, error: Exception) -> str:

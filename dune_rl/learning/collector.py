@@ -19,7 +19,7 @@ from dune_rl.core.seeding import stream
 from dune_rl.learning.group_policy import JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
 from dune_rl.learning.settings import CollectorConf
-from dune_rl.learning.worker_watch import WorkerWatch
+from dune_rl.learning.worker_monitor import WorkerMonitor
 
 MakeEnv = Callable[[int, int], EnvBase]
 
@@ -122,7 +122,7 @@ class TransitionCollector:
                 for policy in self._with_past:
                     if policy.group in state["opponents"]:
                         policy.resume_episodes(state["opponents"][policy.group])
-            self._watch = WorkerWatch(())
+            self._monitor = WorkerMonitor(())
             return
         factories = [
             partial(_worker_env, make_env, conf.scenes, environment_seed(seed, worker, frames))
@@ -134,13 +134,13 @@ class TransitionCollector:
             common["cat_results"] = 0
         with _blocked_signals():
             self._collector = kind(factories, num_threads=threads, num_sub_threads=1, **common)
-        self._watch = WorkerWatch(self._collector.procs)
+        self._monitor = WorkerMonitor(self._collector.procs)
 
     def __iter__(self) -> Iterator[TensorDictBase]:
         """The batches; raises `TrainingError` when a worker process has ended."""
         batches = iter(self._collector)
         while True:
-            batch = self._watch.wait(partial(next, batches, None))
+            batch = self._monitor.wait(partial(next, batches, None))
             if batch is None:
                 return
             yield batch
@@ -155,7 +155,7 @@ class TransitionCollector:
                     ours[key].data.copy_(value)
         if self._env is None and policies:
             # The workers confirm what they got.
-            self._watch.wait(partial(self._collector.update_policy_weights_, self._policy))
+            self._monitor.wait(partial(self._collector.update_policy_weights_, self._policy))
 
     def fill_places(self) -> None:
         """Act by the snapshots that the population has now, from the next `send` on."""
@@ -179,6 +179,6 @@ class TransitionCollector:
     def close(self) -> None:
         """End the workers and close the environments."""
         threads = torch.get_num_threads()
-        self._watch.close()
+        self._monitor.close()
         self._collector.shutdown()
         torch.set_num_threads(threads)

@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.random_state import preserve_random_state
+from dune_rl.learning.process import preserve_random_state
 from dune_rl.statistics.measures import MetricsRow
 
 

@@ -36,13 +36,16 @@ class GroupMismatchError(PolicyMismatchError):
 
 
 @dataclass(frozen=True)
-class ImageSpec:
-    """An image of `shape` (height, width, channels), uint8 or float32, with values from `low` to `high`."""
+class PartSpec:
+    """A part of an observation: a vector (n,), or an image (height, width, channels), uint8 or float32.
 
-    shape: tuple[int, int, int]
-    uint8: bool
-    low: float
-    high: float
+    Values are from `low` to `high`. Encoders get vectors normalised, and images as they are.
+    """
+
+    shape: tuple[int, ...]
+    uint8: bool = False
+    low: float = -math.inf
+    high: float = math.inf
 
     @property
     def size(self) -> int:
@@ -72,7 +75,7 @@ class PolicySpec:
     low: tuple[float, ...]
     high: tuple[float, ...]
     ranges: tuple[str, ...] = ()
-    images: Mapping[str, ImageSpec] = field(default_factory=dict)
+    images: Mapping[str, PartSpec] = field(default_factory=dict)
     turning: TurningCircle | None = field(default=None, compare=False)
 
     @classmethod
@@ -98,7 +101,7 @@ class PolicySpec:
             key: low.shape[-1] for key, (low, _) in parts.items() if low.ndim == 1 and low.dtype.kind == "f"
         }
         images = {
-            key: ImageSpec(tuple(low.shape), low.dtype == np.uint8, float(low.min()), float(high.max()))
+            key: PartSpec(tuple(low.shape), low.dtype == np.uint8, float(low.min()), float(high.max()))
             for key, (low, high) in parts.items()
             if low.ndim == 3
         }
@@ -110,6 +113,10 @@ class PolicySpec:
     def keys(self) -> list[str]:
         """Names of the observation's parts, in order: vectors, then images."""
         return [*self.sizes, *self.images]
+
+    def part(self, key: str) -> PartSpec:
+        """The part `key`."""
+        return self.images[key] if key in self.images else PartSpec((self.sizes[key],))
 
     @property
     def observation_size(self) -> int:
@@ -186,7 +193,7 @@ class PolicySpec:
         """The inverse of `plain`."""
         # Files from before there were images have none.
         images = {
-            key: ImageSpec(tuple(each["shape"]), each["bytes"], each["low"], each["high"])
+            key: PartSpec(tuple(each["shape"]), each["bytes"], each["low"], each["high"])
             for key, each in data.get("images", {}).items()
         }
         low, high = tuple(data["low"]), tuple(data["high"])

@@ -11,9 +11,7 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from dune_rl.learning.algorithm import Algorithm
-from dune_rl.learning.frozen import FrozenPolicy
-from dune_rl.learning.group_batch import PAST
-from dune_rl.learning.group_policy import Deterministic, GroupPolicy
+from dune_rl.learning.group_policy import PAST, Deterministic, GroupPolicy
 from dune_rl.learning.settings import PopulationConf
 from dune_rl.sensors.draws import uniform
 
@@ -195,5 +193,5 @@ class Population:
 
 def make_population(conf: PopulationConf, learners: Mapping[str, Algorithm]) -> Population | None:
     """The population of the groups that learn; None without one, and where a group has no others to meet."""
-    learning = {group: each for group, each in learners.items() if not isinstance(each, FrozenPolicy)}
+    learning = {group: each for group, each in learners.items() if each.learns}
     return Population(conf, learning) if conf.probability and len(learning) > 1 else None

@@ -14,23 +14,26 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import DuneWarning, TrainingError
-from dune_rl.learning.allocation import keep_freed_memory
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures
-from dune_rl.learning.fine_tuning import start_learners
-from dune_rl.learning.group_batch import select_group
-from dune_rl.learning.interrupts import StopRequest, stop_on_signals
+from dune_rl.learning.group_policy import select_group
+from dune_rl.learning.learners import build_learners, restore_learners, start_learners
 from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.population import make_population
-from dune_rl.learning.random_state import random_state, set_random_state
-from dune_rl.learning.registry import build_learners
-from dune_rl.learning.run.events import HParam
-from dune_rl.learning.run.folder import RunFolder, restore_learners
+from dune_rl.learning.process import (
+    StopRequest,
+    keep_freed_memory,
+    random_state,
+    set_random_state,
+    stop_on_signals,
+)
+from dune_rl.learning.run.folder import RunFolder
 from dune_rl.learning.run.log import RunLog
 from dune_rl.learning.run.progress import Reporter, SilentReporter
 from dune_rl.learning.run.status import RunStatus
+from dune_rl.learning.run.tensorboard import HParam
 from dune_rl.learning.settings import LearningConf
 from dune_rl.learning.warmup import WarmUp
 from dune_rl.statistics.measures import MetricsRow
@@ -121,7 +124,7 @@ class Trainer:
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]
             self._evaluation.restore(counters)
-            if self._population is not None and self._saved.get("population") is not None:
+            if self._population is not None and self._saved["population"] is not None:
                 self._population.restore(self._saved["population"])
         self._pictures = None
         if make_pictures is not None and evaluation.tracks:
@@ -307,9 +310,4 @@ class Trainer:
             return None
         then, now = self._saved["collector"], self._conf.collector
         here = (now.mode, now.scenes, self._warmup.stage)
-        # Runs of earlier versions say whether they were in the warm-up.
-        state = then["state"] if here == (then["mode"], then["scenes"], int(then["warming"])) else None
-        # Runs of earlier versions have the scenes alone; and opponents that were others are drawn anew.
-        if state is not None and "scenes" not in state:
-            state = {"scenes": state, "opponents": {}}
-        return state
+        return then["state"] if here == (then["mode"], then["scenes"], then["warming"]) else None

@@ -33,8 +33,8 @@ from dune_rl.evaluation.folder import read_provenance
 from dune_rl.evaluation.running import BlockRunner
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.checkpoint import write_checkpoint_file
+from dune_rl.learning.learners import build_learner
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.registry import build_learner
 from dune_rl.learning.run.folder import RunFolder
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.reading import read_inputs

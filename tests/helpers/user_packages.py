@@ -11,6 +11,7 @@ from typing import Any
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.core.registry import Registry
 from dune_rl.env.randomisation import RANDOMISATIONS
+from dune_rl.learning.networks.registry import ENCODERS
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.metrics.registry import METRICS
 from dune_rl.robots.registry import ROBOTS
@@ -19,7 +20,8 @@ from dune_rl.tasks.registry import REWARDS, TERMINATIONS
 from dune_rl.worlds.registry import WORLDS
 
 REGISTRIES: tuple[Registry[Any], ...] = (
-    *(WORLDS, ROBOTS, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, RANDOMISATIONS, ALGORITHMS),
+    *(WORLDS, ROBOTS, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, RANDOMISATIONS),
+    *(ENCODERS, ALGORITHMS),
 )
 _SHOWN_FILE = re.compile(r"^```\w+\n# ([\w/.]+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 # Hydra wants the package in the first line.

@@ -12,8 +12,9 @@ import dune_rl
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
+from dune_rl.learning.learners import build_learner
 from dune_rl.learning.policies import WarmupPolicy
-from dune_rl.learning.registry import ALGORITHMS, build_learner
+from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.learning.settings import CollectorConf, EvaluationConf, LearningConf
 from dune_rl.learning.trainer import Trainer

@@ -12,10 +12,11 @@ from training import make_sac
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
 from dune_rl.learning.checkpoint import find_checkpoint_file, read_checkpoint_file, write_checkpoint_file
-from dune_rl.learning.group_policy import Deterministic
+from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.saved_policies import load_policy, policy_entry
+from dune_rl.learning.saved_policies import load_group_policy, load_policy, policy_entry
 
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")
 
 
@@ -160,3 +161,16 @@ def test_missing_parts_and_other_bounds_are_named() -> None:
     assert "camera is missing there, 9 values here" in message
     assert "imu has 9 values there, is missing here" in message
     assert "actions lie in [-0.8, 0.8], [-3.14159, 3.14159] there, in [-1, 1], [-1, 1] here" in message
+
+
+@pytest.mark.parametrize("study", ["flat/seed1", "flat/seed2"])
+def test_policies_of_the_studies_load(study: str) -> None:
+    file = EXPERIMENTS / study / "policy.pt"
+    saved = torch.load(file, weights_only=True)
+    assert saved["version"] == 2
+    spec = PolicySpec.from_plain(saved["layout"])
+    policy, config = load_group_policy(file, "rover", spec)
+    assert isinstance(policy, GroupPolicy) and config == saved["config"]
+    state = policy.network.state_dict()
+    assert all(torch.equal(state[key], value) for key, value in saved["policy"].items())
+    assert read_checkpoint_file(file, "policy")["groups"].keys() == {"rover"}

@@ -16,7 +16,7 @@ from dune_rl.learning.checkpoint import (
     LAST_POLICY_FILE,
     write_checkpoint_file,
 )
-from dune_rl.learning.fine_tuning import start_learners
+from dune_rl.learning.learners import start_learners
 from dune_rl.learning.settings import EvaluationConf
 from dune_rl.learning.trainer import Trainer
 

@@ -16,7 +16,7 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, read_checkpoint_file
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.group_batch import agent_sequences, select_group
+from dune_rl.learning.group_policy import agent_sequences, select_group
 from dune_rl.learning.policies import GoToGoal, WarmupPolicy, built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import load_group_policy, load_policy

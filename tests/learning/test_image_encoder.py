@@ -14,17 +14,17 @@ from dune_rl.config.compose import compose
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.architecture import Architecture
-from dune_rl.learning.networks.image_encoder import ImageEncoder
+from dune_rl.learning.networks.encoders import ImageEncoder
 from dune_rl.learning.networks.policy import make_policy_network
-from dune_rl.learning.policy_spec import ImageSpec, PolicySpec
+from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 from dune_rl.learning.sac.replay import check_memory
 from dune_rl.learning.sac.settings import ReplayConf
 from dune_rl.learning.sac.transitions import TransitionCodec
 from dune_rl.learning.saved_policies import load_policy
 
-RGB = ImageSpec((16, 20, 3), True, 0.0, 255.0)
-CLASSES = ImageSpec((16, 20, 1), True, 0.0, 7.0)
-DEPTH = ImageSpec((6, 40, 1), False, 0.0, 100.0)
+RGB = PartSpec((16, 20, 3), True, 0.0, 255.0)
+CLASSES = PartSpec((16, 20, 1), True, 0.0, 7.0)
+DEPTH = PartSpec((6, 40, 1), False, 0.0, 100.0)
 SPEC = PolicySpec(
     {"goal": 2, "lidar": 16},
     (-1.0, -1.0),
@@ -59,7 +59,7 @@ def test_what_is_packed_is_unpacked_unchanged():
 
 def test_spec_of_an_environment_with_a_camera_survives_a_file():
     spec = PolicySpec.of(MAKE_ENV(2, 0), "rover")
-    assert spec.images == {"camera_rgb": ImageSpec((12, 16, 3), True, 0.0, 255.0)}
+    assert spec.images == {"camera_rgb": PartSpec((12, 16, 3), True, 0.0, 255.0)}
     assert spec.keys == ["goal", "imu", "lidar", "velocity", "camera_rgb"]
     assert PolicySpec.from_plain(spec.plain()) == spec
 
@@ -97,7 +97,7 @@ def test_rows_keep_both_observations_of_a_step_byte_for_byte():
     assert torch.equal(codec.vectors(rows), SPEC.unpack(SPEC.pack(now))[0].flatten(0, 1))
 
 
-@pytest.mark.parametrize("image", [RGB, CLASSES, DEPTH, ImageSpec((64, 64, 3), True, 0.0, 255.0)])
+@pytest.mark.parametrize("image", [RGB, CLASSES, DEPTH, PartSpec((64, 64, 3), True, 0.0, 255.0)])
 def test_every_kind_of_image_becomes_finite_features(image):
     encoder = ImageEncoder(image, (8, 8, 8), 12)
     draws = torch.rand(2, 3, *image.shape) * image.high

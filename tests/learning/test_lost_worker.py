@@ -14,7 +14,7 @@ from training import small, trainer
 from dune_rl.core.errors import TrainingError
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.trainer import Trainer
-from dune_rl.learning.worker_watch import WorkerWatch
+from dune_rl.learning.worker_monitor import WorkerMonitor
 
 
 def kill_a_worker_after(trained: Trainer, frames: int) -> None:
@@ -59,7 +59,7 @@ def test_a_worker_that_ends_at_any_moment_is_told() -> None:
     for lifetime in (0.0, 0.02, 0.05):
         child = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(lifetime,))
         child.start()
-        watch = WorkerWatch([child])
+        watch = WorkerMonitor([child])
         with pytest.raises(TrainingError, match="ended, with exit code 0"):
             for _ in range(100_000):
                 watch.wait(partial(time.sleep, 0.001))
@@ -74,7 +74,7 @@ def test_a_worker_that_ends_at_any_moment_is_told() -> None:
 
 def test_nobody_is_watched_without_processes() -> None:
     threads = threading.active_count()
-    watch = WorkerWatch(())
+    watch = WorkerMonitor(())
     assert threading.active_count() == threads
     assert watch.wait(lambda: 3) == 3
     watch.close()

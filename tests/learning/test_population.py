@@ -9,7 +9,7 @@ from training import assert_halves_make_a_whole, make_sac, small, trainer
 
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, read_checkpoint_file
 from dune_rl.learning.collector import TransitionCollector
-from dune_rl.learning.group_batch import PAST, acted_by_past, agent_sequences, select_group
+from dune_rl.learning.group_policy import PAST, acted_by_past, agent_sequences, select_group
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.population import DRAWS, Population, PopulationPolicy
 from dune_rl.learning.settings import CollectorConf, EvaluationConf, PopulationConf

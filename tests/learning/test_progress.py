@@ -15,7 +15,7 @@ from dune_rl.learning.run.progress import (
     format_duration,
     show_episodes,
 )
-from dune_rl.learning.run.speed import DurationEstimate, SpeedMeter
+from dune_rl.learning.run.status import DurationEstimate, SpeedMeter
 
 STATUS = TrainingStatus(500_000, 1_000_000, 2500.0, 120.0, 0.734, 0.15, 3723.0)
 

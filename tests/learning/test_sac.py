@@ -11,16 +11,14 @@ from tensordict import TensorDict
 from training import make_sac
 
 from dune_rl.learning.collector import TransitionCollector
-from dune_rl.learning.group_batch import agent_sequences, select_group
-from dune_rl.learning.group_policy import GroupPolicy
+from dune_rl.learning.group_policy import GroupPolicy, agent_sequences, select_group
 from dune_rl.learning.networks.architecture import Architecture
-from dune_rl.learning.networks.normaliser import Normaliser
+from dune_rl.learning.networks.features import Normaliser
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.sac.replay import Replay
-from dune_rl.learning.sac.returns import multi_step
 from dune_rl.learning.sac.settings import ReplayConf
-from dune_rl.learning.sac.transitions import TransitionCodec
+from dune_rl.learning.sac.transitions import TransitionCodec, multi_step
 from dune_rl.learning.settings import CollectorConf
 
 SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")

@@ -6,10 +6,12 @@ import pytest
 import torch
 from training import make_sac
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.encoders import ScanEncoder
+from dune_rl.learning.networks.features import Features
 from dune_rl.learning.networks.policy import make_policy_network
-from dune_rl.learning.networks.scan_encoder import ScanEncoder
-from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 
 SPEC = PolicySpec(
     {"goal": 2, "lidar": 32, "lidar_past": 32, "velocity": 2},
@@ -21,25 +23,21 @@ SPEC = PolicySpec(
 
 def test_turned_scans_give_turned_features() -> None:
     torch.manual_seed(0)
-    encoder = ScanEncoder(SPEC, 4)
-    vectors = torch.rand(3, 5, SPEC.observation_size)
-    turned = vectors.clone()
-    for start in (2, 34):
-        turned[..., start : start + 32] = vectors[..., start : start + 32].roll(6, -1)
-    one, other = encoder(vectors), encoder(turned)
-    assert one.shape == (3, 5, encoder.size) == (3, 5, 4 + 4 * 16)
-    assert torch.equal(one[..., :4], vectors[..., [0, 1, 66, 67]])
-    rings = (each[..., 4:].unflatten(-1, (4, 16)) for each in (one, other))
+    encoder = ScanEncoder(PartSpec((2, 32)), 4)
+    scans = torch.rand(3, 5, 2, 32)
+    one, other = encoder(scans), encoder(scans.roll(6, -1))
+    assert one.shape == (3, 5, encoder.size) == (3, 5, 4 * 16)
+    rings = (each.unflatten(-1, (4, 16)) for each in (one, other))
     torch.testing.assert_close(next(rings).roll(3, -1), next(rings))
 
 
 def test_scans_of_one_direction_are_compared() -> None:
-    torch.manual_seed(0)
-    encoder = ScanEncoder(SPEC, 4)
-    vectors = torch.rand(1, SPEC.observation_size)
-    other = vectors.clone()
-    other[0, 34 + 8] += 1.0
-    change = (encoder(vectors) - encoder(other))[0, 4:].unflatten(-1, (4, 16)).abs().sum(0)
+    torch.manual_seed(1)
+    encoder = ScanEncoder(PartSpec((2, 32)), 4)
+    scans = torch.rand(1, 2, 32)
+    other = scans.clone()
+    other[0, 1, 8] += 1.0
+    change = (encoder(scans) - encoder(other))[0].unflatten(-1, (4, 16)).abs().sum(0)
     # Segment 8 reaches no more than four segments on either side.
     assert change[2:7].sum() > 0
     assert change[:2].sum() + change[7:].sum() < 1e-5
@@ -48,17 +46,26 @@ def test_scans_of_one_direction_are_compared() -> None:
 @pytest.mark.parametrize("channels", [0, 4])
 def test_without_scans_or_channels_vectors_pass_unchanged(channels: int) -> None:
     spec = SPEC if channels == 0 else PolicySpec({"goal": 2, "range": 1}, (-1.0,), (1.0,), ("range",))
-    encoder = ScanEncoder(spec, channels)
+    features = Features(spec, Architecture((8,), scan_channels=channels))
     vectors = torch.rand(2, spec.observation_size)
-    assert encoder.size == spec.observation_size
-    assert torch.equal(encoder(vectors), vectors)
+    assert features.size == spec.observation_size
+    assert torch.equal(features(*vectors.split(list(spec.sizes.values()), -1)), features.normaliser(vectors))
 
 
 def test_scans_of_unequal_length_have_convolutions_of_their_own() -> None:
     spec = PolicySpec({"far": 16, "near": 9, "other": 16}, (-1.0,), (1.0,), ("far", "near", "other"))
-    encoder = ScanEncoder(spec, 3)
-    assert len(encoder.convolutions) == 2
-    assert encoder(torch.rand(2, 41)).shape == (2, encoder.size) == (2, 3 * 8 + 3 * 5)
+    features = Features(spec, Architecture((8,), scan_channels=3))
+    assert len(features.scans["convolutions"]) == 2
+    parts = torch.rand(2, 41).split([16, 9, 16], -1)
+    assert features(*parts).shape == (2, features.size) == (2, 3 * 8 + 3 * 5)
+
+
+def test_an_encoder_is_chosen_for_one_part() -> None:
+    networks = {"lidar_past": {"encoder": "vector"}, "lidar": {"encoder": "scan", "channels": 2}}
+    features = Features(SPEC, Architecture((8,), scan_channels=4, networks=networks))
+    assert features.size == 4 + 2 * 16 + 32
+    with pytest.raises(ConfigError, match=r"learning\.networks\.lidr encodes no part .*mean lidar\?"):
+        Features(SPEC, Architecture((8,), networks={"lidr": {"encoder": "vector"}}))
 
 
 def test_the_encoder_learns_from_the_critics_alone(tmp_path: Path) -> None:

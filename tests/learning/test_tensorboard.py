@@ -23,9 +23,7 @@ from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
-from dune_rl.learning.run.events import EventFile
-from dune_rl.learning.run.film import log_film
-from dune_rl.learning.run.hyperparameters import choose_hyperparameters
+from dune_rl.learning.run.tensorboard import EventFile, choose_hyperparameters, log_film
 from dune_rl.learning.trainer import Trainer
 from dune_rl.reporting.views.evaluation_pictures import EvaluationTracks
 

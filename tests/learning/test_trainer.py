@@ -18,7 +18,7 @@ from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.progress import SilentReporter, TrainingStatus
-from dune_rl.learning.run.speed import SpeedMeter
+from dune_rl.learning.run.status import SpeedMeter
 from dune_rl.learning.settings import CollectorConf
 
 

@@ -17,7 +17,7 @@ from dune_rl.learning.checkpoint import (
     find_checkpoint_file,
     read_checkpoint_file,
 )
-from dune_rl.learning.sac import precision
+from dune_rl.learning.sac import settings
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.learning.saved_policies import describe_selection
 
@@ -28,7 +28,7 @@ PUBLISHED = sorted(EXPERIMENTS.rglob("policy.pt"))
 @pytest.fixture(params=[True, False], ids=["with bfloat16", "without"])
 def has_fast_bfloat16(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
     """Whether this processor says that it is fast at bfloat16."""
-    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: request.param)
+    monkeypatch.setattr(settings, "has_fast_bfloat16", lambda device: request.param)
     return bool(request.param)
 
 
@@ -50,7 +50,7 @@ def test_processors_without_matrix_tiles_are_not_fast_at_bfloat16(
     instructions: list[str], fast: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: dict.fromkeys(instructions, True))
-    assert precision.has_fast_bfloat16("cpu") == fast
+    assert settings.has_fast_bfloat16("cpu") == fast
 
 
 def test_a_choice_of_the_user_stays(has_fast_bfloat16: bool) -> None:
@@ -61,16 +61,16 @@ def test_a_choice_of_the_user_stays(has_fast_bfloat16: bool) -> None:
 @pytest.mark.slow
 def test_going_on_with_another_precision_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     learning = small(precision="auto", hidden=(8,))
-    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: True)
+    monkeypatch.setattr(settings, "has_fast_bfloat16", lambda device: True)
     trainer(tmp_path / "run", learning, total_frames=256).train()
     resume = {"resume": tmp_path / "run", "total_frames": 384}
 
-    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: False)
+    monkeypatch.setattr(settings, "has_fast_bfloat16", lambda device: False)
     with pytest.warns(DuneWarning, match="goes on with learning.precision=float32; before, it was bfloat16"):
         trainer(tmp_path / "run", learning, **resume)._folder.release()
     with pytest.warns(DuneWarning, match="bfloat16, at which this processor is slower"):
         trainer(tmp_path / "run", small(precision="bfloat16", hidden=(8,)), **resume)._folder.release()
-    monkeypatch.setattr(precision, "has_fast_bfloat16", lambda device: True)
+    monkeypatch.setattr(settings, "has_fast_bfloat16", lambda device: True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         trainer(tmp_path / "run", learning, **resume)._folder.release()

@@ -9,11 +9,19 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.features import Features
-from dune_rl.learning.networks.perceptron import perceptron
 from dune_rl.learning.policy_spec import PolicySpec
 
 FEATURES = "features"
 _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
+
+
+def perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:
+    """Linear layers with a ReLU after each but the last."""
+    layers: list[nn.Module] = []
+    for width in hidden:
+        layers += [nn.Linear(n_in, width), nn.ReLU()]
+        n_in = width
+    return nn.Sequential(*layers, nn.Linear(n_in, n_out))
 
 
 class Actor(nn.Module):

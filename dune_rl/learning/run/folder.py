@@ -1,4 +1,4 @@
-"""The folder of a training run: its checkpoint, the data beside it, and the policies' files."""
+"""The folder of a training run: its checkpoint, and the files of policies and experience."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,10 +13,8 @@ from dune_rl.learning.checkpoint import (
     LAST_POLICY_FILE,
     write_checkpoint_file,
 )
-from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.lock import RunLock
 from dune_rl.learning.saved_policies import BEST_EVALUATION, LATEST, policy_entry
-from dune_rl.learning.settings import LearningConf
 
 _EXPERIENCE = "replay"
 
@@ -92,51 +90,7 @@ class RunFolder:
                 file.unlink()
 
 
-def restore_learners(
-    learners: Mapping[str, Algorithm],
-    saved: Mapping[str, Mapping[str, Any]],
-    source: Path,
-    conf: LearningConf,
-) -> None:
-    """Continue from the groups `saved` in the checkpoint `source`; raises CheckpointError if they differ."""
-    if saved.keys() != learners.keys():
-        raise CheckpointError(
-            f"{source} trains {', '.join(sorted(saved))}, and the groups here are "
-            f"{', '.join(sorted(learners))}.\n"
-            "Resume with the agents that it was started with, or train again."
-        )
-    for group, learner in learners.items():
-        entry = saved[group]
-        require_same_networks(learner, entry, source, "Resume with {}, or train again.", conf, group)
-        learner.load_state_dict(entry["learner"])
-        if entry["experience"] is not None:
-            learner.load_experience(source.parent, entry["experience"])
-
-
-def require_same_networks(
-    learner: Algorithm,
-    entry: Mapping[str, Any],
-    source: Path,
-    remedy: str,
-    conf: LearningConf,
-    group: str,
-) -> None:
-    """Raise CheckpointError unless `entry`, of the file `source`, has the networks of the learner of `group`.
-
-    `remedy` says what to do, with {} for what to set, which depends on where `conf` has the group's settings.
-    """
-    context = learner.context
-    if entry["algorithm"] != context.algorithm:
-        other = entry["algorithm"]
-        raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
-    PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
-    theirs, ours = entry["network"], learner.network_settings()
-    settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
-    # Without spaces, so that they can be pasted.
-    different = [
-        f"{settings}.{key}={value}".replace(" ", "")
-        for key, value in theirs.items()
-        if value != ours.get(key)
-    ]
-    if different:
-        raise CheckpointError(f"{source} has networks of another shape. {remedy.format(' '.join(different))}")
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]

@@ -1,18 +1,17 @@
-"""One gradient step of soft actor-critic: losses, optimiser and target networks."""
+"""One gradient step of soft actor-critic: action values, losses, optimiser and target networks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictSequential
-from torch import Tensor
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
 from torchrl.objectives import SACLoss, SoftUpdate
 
 from dune_rl.learning.networks.features import Features
-from dune_rl.learning.networks.policy import FEATURES
+from dune_rl.learning.networks.policy import FEATURES, perceptron
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
-from dune_rl.learning.sac.action_value import make_action_value
 from dune_rl.learning.sac.settings import SacConf
 
 MakeBatch = Callable[[Callable[[PackedObservation], Tensor]], TensorDict]
@@ -121,3 +120,30 @@ class GradientStep:
         """The inverse of `state_dict`."""
         self.load_weights(state["loss"])
         self.optimiser.load_state_dict(state["optimiser"])
+
+
+class ActionValue(nn.Module):
+    """Q(features, action), (..., 1), for actions in physical units, which it scales to [-1, 1]."""
+
+    middle: Tensor
+    half_range: Tensor
+
+    def __init__(self, spec: PolicySpec, features: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.body = perceptron(features + spec.action_size, hidden, 1)
+        self.register_buffer("middle", spec.middle)
+        self.register_buffer("half_range", spec.half_range)
+
+    def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        """In float32 also under autocast: targets are differences of large values."""
+        scaled = (action - self.middle) / self.half_range
+        return self.body(torch.cat([features, scaled], -1)).float()
+
+
+def make_action_value(
+    spec: PolicySpec, features: int, hidden: Sequence[int], device: torch.device | str = "cpu"
+) -> TensorDictModule:
+    """From `features` features and the action to "state_action_value"."""
+    return TensorDictModule(
+        ActionValue(spec, features, hidden), in_keys=[FEATURES, "action"], out_keys=["state_action_value"]
+    ).to(device)

@@ -12,10 +12,10 @@ from torch import Tensor
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
-from dune_rl.learning.group_batch import agent_sequences
+from dune_rl.learning.group_policy import agent_sequences
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.policies import WarmupPolicy
-from dune_rl.learning.random_state import preserve_random_state
+from dune_rl.learning.process import preserve_random_state
 from dune_rl.learning.sac.gradient_step import GradientStep
 from dune_rl.learning.sac.replay import Replay, check_memory
 from dune_rl.learning.sac.settings import SacConf
@@ -36,7 +36,12 @@ class Sac(Algorithm):
     def __init__(self, context: LearnerContext, conf: SacConf) -> None:
         self._conf = conf
         self.architecture = Architecture(
-            conf.hidden, conf.scan_channels, conf.observation_clip, conf.image_channels, conf.image_features
+            conf.hidden,
+            conf.scan_channels,
+            conf.observation_clip,
+            conf.image_channels,
+            conf.image_features,
+            {part: encoder.model_dump(mode="json") for part, encoder in conf.networks.items()},
         )
         super().__init__(context)
         self._step = GradientStep(conf, context.spec, self.policy.network, context.device)

@@ -1,9 +1,10 @@
-"""The TensorBoard file of a run: scalars, histograms, pictures, films, and hyperparameters."""
+"""The TensorBoard file of a run: scalars, histograms, pictures, films and hyperparameters."""
 
 import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,3 +99,66 @@ def encode_film(pictures: Sequence[Picture], rate_hz: float) -> bytes:
         encoded, format="gif", save_all=True, append_images=rest, duration=round(1000 / rate_hz), loop=0
     )
     return encoded.getvalue()
+
+
+# An animation of a GIF's few colours; film.mp4 has the pictures as they are.
+_WIDTH = 400
+_RATE_HZ = 6.0
+_MOST_PICTURES = 90
+
+
+def log_film(folder: Path, pictures: Sequence[Picture], rate_hz: float, frames: int) -> None:
+    """Show `pictures`, RGB (height, width, 3) at `rate_hz`, beside the other events of the run in `folder`.
+
+    Small, with some pictures a second, and of a long film only some of these: TensorBoard loads it whole.
+    """
+    every = max(1, round(rate_hz / _RATE_HZ), -(-len(pictures) // _MOST_PICTURES))
+    events = EventFile(folder)
+    try:
+        events.film("film", [_smaller(each) for each in pictures[::every]], rate_hz / every, frames)
+    finally:
+        events.close()
+
+
+def _smaller(picture: Picture) -> Picture:
+    height, width = picture.shape[:2]
+    return np.asarray(Image.fromarray(picture).resize((_WIDTH, round(height * _WIDTH / width))))
+
+
+# These say how a run is run, and not what is learned.
+_LEFT_OUT = (
+    *("run_dir", "resume", "film", "hydra", "device"),
+    *("learning.collector", "learning.evaluation", "learning.checkpoint", "learning.threads"),
+)
+
+
+def choose_hyperparameters(config: Mapping[str, Any], words: Sequence[str] = ()) -> dict[str, HParam]:
+    """What tells runs apart in a resolved `config`: world, robot, algorithm, seed, length, and all `words`.
+
+    `words` are those of the command line or of a job of a sweep, KEY=VALUE: whatever a sweep changes has a
+    column, also in the run that has the default. TensorBoard shows few columns at first: there are no others.
+    """
+    found: dict[str, HParam] = {}
+    for name, section in (("world", "world"), ("robot", "robot"), ("algorithm", "learning")):
+        option = config.get(section)
+        if isinstance(option, Mapping) and "name" in option:
+            found[name] = str(option["name"])
+    for name in ("seed", "total_frames"):
+        if name in config:
+            found[name] = config[name]
+    for word in words:
+        name, _, text = word.lstrip("+").partition("=")
+        left_out = any(name == each or name.startswith((f"{each}.", f"{each}/")) for each in _LEFT_OUT)
+        if text and not name.startswith("~") and not left_out:
+            found[name] = _value(config, name, text)
+    return found
+
+
+def _value(config: Mapping[str, Any], name: str, text: str) -> HParam:
+    """The setting's resolved value; the word's text where it names an option of several settings."""
+    found: Any = config
+    for key in name.split("."):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    if isinstance(found, bool | int | float | str):
+        return found
+    return text if found is None or isinstance(found, Mapping) else str(found)

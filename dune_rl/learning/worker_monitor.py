@@ -27,7 +27,7 @@ class _WorkerEnded(BaseException):
     """Ends a wait; libraries catch an `Exception` and go on to wait."""
 
 
-class WorkerWatch:
+class WorkerMonitor:
     """Waits for what worker `processes` do, and raises `TrainingError` once one of them has ended.
 
     TorchRL's collectors wait for a dead worker for ever. Outside the main thread, which alone can be

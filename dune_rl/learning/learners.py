@@ -1,0 +1,213 @@
+"""The learners of a run: new, from an earlier run's weights, from a checkpoint, or frozen policies."""
+
+import warnings
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+
+from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
+from dune_rl.core.suggestions import one_of
+from dune_rl.learning.algorithm import Algorithm, LearnerContext
+from dune_rl.learning.checkpoint import (
+    CHECKPOINT_FILE,
+    POLICY_SOURCES,
+    find_checkpoint_file,
+    read_checkpoint_file,
+)
+from dune_rl.learning.group_policy import Deterministic, GroupPolicy
+from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError, PolicySpec
+from dune_rl.learning.registry import ALGORITHMS
+from dune_rl.learning.saved_policies import read_saved_policy, saved_entry
+from dune_rl.learning.settings import LearningConf
+
+
+def build_learner(conf: LearningConf, context: LearnerContext) -> Algorithm:
+    """The learner of one group by the algorithm that `conf` is of; raises ConfigError for what is none."""
+    learner = ALGORITHMS.build(conf, context)
+    if not isinstance(learner, Algorithm):
+        raise ConfigError(
+            f"the algorithm {conf.name!r} must be a class derived from Algorithm, and is {learner!r:.80}"
+        )
+    return learner
+
+
+def build_learners(
+    conf: LearningConf, env: EnvBase, total_frames: int, folder: Path, device: torch.device
+) -> dict[str, Algorithm]:
+    """The learner of each group of agents of `env`, which writes to `folder`; or its frozen policy."""
+    learners: dict[str, Algorithm] = {}
+    for group, agents in env.group_map.items():
+        context = LearnerContext(
+            group=group,
+            num_agents=len(agents),
+            spec=PolicySpec.of(env, group),
+            total_frames=total_frames,
+            folder=folder,
+            device=device,
+            algorithm=conf.name,
+        )
+        frozen = conf.frozen(group)
+        if frozen is None:
+            learners[group] = build_learner(conf.of_group(group), context)
+        else:
+            learners[group] = FrozenPolicy(context, Path(frozen))
+    return learners
+
+
+class FrozenGroupPolicy(GroupPolicy):
+    """A group's policy that acts without noise, also while data are collected."""
+
+    def forward(self, observation: TensorDictBase) -> TensorDictBase:
+        """Writes the action of every agent, done or not."""
+        return Deterministic(super().forward)(observation)
+
+
+class FrozenPolicy(Algorithm):
+    """The learner of a group that is not to learn: it acts by the policy for the group in `path`.
+
+    Raises CheckpointError, which names the setting, for a file that has no policy for what the group observes
+    and does.
+    """
+
+    learns = False
+
+    def __init__(self, context: LearnerContext, path: Path) -> None:
+        try:
+            self._saved = read_saved_policy(path, context.group, context.spec)
+        except PolicyMismatchError as error:
+            message = f"learning.groups.{context.group}.frozen: {error}"
+            raise GroupMismatchError(message, context.group, str(path)) from None
+        except CheckpointError as error:
+            raise CheckpointError(f"learning.groups.{context.group}.frozen: {error}") from None
+        super().__init__(replace(context, spec=self._saved.spec, algorithm=self._saved.algorithm))
+
+    def make_policy(self, device: torch.device | str = "cpu") -> GroupPolicy:
+        """The policy with its weights."""
+        return FrozenGroupPolicy(self.context.group, self._saved.spec, self._saved.make_network(device))
+
+    def network_settings(self) -> dict[str, Any]:
+        """Those in the file."""
+        return dict(self._saved.network)
+
+    def absorb(self, batch: TensorDictBase, frames: int) -> None:
+        """Learns nothing."""
+
+    def update(self) -> dict[str, float]:
+        """Learns nothing."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """The weights that the run began with, even if the file has others now."""
+        super().load_state_dict(state)
+        self._saved = replace(self._saved, weights=dict(state["policy"]))
+
+
+def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> None:
+    """Load the weights that `start_from` names into each learner that has it set in `conf`.
+
+    Of a run's folder the last checkpoint is read, or where it has none, its policy, of which a warning
+    tells that the critics are new. Raises CheckpointError, which names the setting, where the file cannot be
+    read, has nothing for the group, or networks of another shape; GroupMismatchError where its policy is for
+    other observations or actions.
+    """
+    for group, learner in learners.items():
+        setting, location = conf.start_of(group)
+        if location is None:
+            continue
+        try:
+            source = find_checkpoint_file(Path(location), CHECKPOINT_FILE, *POLICY_SOURCES)
+            content = read_checkpoint_file(source, "policy", "checkpoint")
+            if fault := describe_missing_start(content["groups"], source, group, conf, learners):
+                raise CheckpointError(fault)
+            entry = saved_entry(content["groups"], source, group)
+            require_same_networks(learner, entry, source, "Set {}, or start from another run.", conf, group)
+        except PolicyMismatchError as error:
+            raise GroupMismatchError(f"{setting}: {error}", group, location) from None
+        except CheckpointError as error:
+            raise CheckpointError(f"{setting}: {error}") from None
+        if "learner" not in entry:
+            note = f"{setting}: {source} has a policy alone; its critics, which teach it, begin anew"
+            warnings.warn(note, DuneWarning, stacklevel=2)
+        learner.start_from(entry.get("learner", entry))
+
+
+def describe_missing_start(
+    trained: Collection[str], source: Path | str, group: str, conf: LearningConf, groups: Collection[str]
+) -> str:
+    """Why `group` cannot start from `source`, which has policies of the groups `trained`; empty if it can.
+
+    `groups` are all that act by a policy. The only policy of a file is that of the only group that learns,
+    or of a group whose own setting names it.
+    """
+    setting, _ = conf.start_of(group)
+    own = f"learning.groups.{group}.start_from"
+    learning = [name for name in groups if conf.frozen(name) is None]
+    if group in trained or (len(trained) == 1 and (setting == own or len(learning) == 1)):
+        return ""
+    names = ", ".join(sorted(trained))
+    if len(learning) == 1:
+        return (
+            f"{source} has no policy for the group {group}, but for {names}.\n"
+            f"Call the group {one_of(trained)}, after the one whose policy it starts with, or start from "
+            "another run."
+        )
+    return (
+        f"{source} has no policy for the group {group}, but for {names}.\n"
+        f"Begin with random weights by {own}=null, or with another run by {own}=RUN."
+    )
+
+
+def restore_learners(
+    learners: Mapping[str, Algorithm],
+    saved: Mapping[str, Mapping[str, Any]],
+    source: Path,
+    conf: LearningConf,
+) -> None:
+    """Continue from the groups `saved` in the checkpoint `source`; raises CheckpointError if they differ."""
+    if saved.keys() != learners.keys():
+        raise CheckpointError(
+            f"{source} trains {', '.join(sorted(saved))}, and the groups here are "
+            f"{', '.join(sorted(learners))}.\n"
+            "Resume with the agents that it was started with, or train again."
+        )
+    for group, learner in learners.items():
+        entry = saved[group]
+        require_same_networks(learner, entry, source, "Resume with {}, or train again.", conf, group)
+        learner.load_state_dict(entry["learner"])
+        if entry["experience"] is not None:
+            learner.load_experience(source.parent, entry["experience"])
+
+
+def require_same_networks(
+    learner: Algorithm,
+    entry: Mapping[str, Any],
+    source: Path,
+    remedy: str,
+    conf: LearningConf,
+    group: str,
+) -> None:
+    """Raise CheckpointError unless `entry`, of the file `source`, has the networks of the learner of `group`.
+
+    `remedy` says what to do, with {} for what to set, which depends on where `conf` has the group's settings.
+    """
+    context = learner.context
+    if entry["algorithm"] != context.algorithm:
+        other = entry["algorithm"]
+        raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
+    PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
+    # Published policies are older than `learning.networks`.
+    theirs, ours = {"networks": {}, **entry["network"]}, learner.network_settings()
+    settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
+    # Without spaces, so that they can be pasted.
+    different = [
+        f"{settings}.{key}={value}".replace(" ", "")
+        for key, value in theirs.items()
+        if value != ours.get(key, value)
+    ]
+    if different:
+        raise CheckpointError(f"{source} has networks of another shape. {remedy.format(' '.join(different))}")

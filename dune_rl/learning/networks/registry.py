@@ -1,0 +1,45 @@
+"""Registry of encoders, the networks that make features of one part of an observation.
+
+Importing it loads no PyTorch.
+"""
+
+from typing import Any, Protocol
+
+from dune_rl.core.registry import Registry
+from dune_rl.core.settings import Settings
+
+
+class EncoderConf(Settings):
+    """Base of the settings of every encoder; `encoder` is its name in the registry."""
+
+    encoder: str
+
+
+class Encoder(Protocol):
+    """A PyTorch module from readings (..., *shape) of a `PartSpec` to features (..., `size`)."""
+
+    size: int
+
+    def __call__(self, readings: Any) -> Any: ...
+
+
+ENCODERS: Registry[Any] = Registry(
+    "encoder",
+    "dune_rl.learning.networks.registry:ENCODERS",
+    own={
+        "vector": "dune_rl.learning.networks.encoders:VectorEncoder",
+        "scan": "dune_rl.learning.networks.encoders:ScanEncoder",
+        "image": "dune_rl.learning.networks.encoders:ImageEncoder",
+    },
+    base=EncoderConf,
+    product=Encoder,
+    form="a class derived from torch.nn.Module, of a `part`",
+    function_leading=("part",),
+    class_leading=("part",),
+    tag="encoder",
+)
+
+
+def parse_encoder(value: Any) -> Any:
+    """The settings of an encoder, of which a name alone stands for its defaults; for a `BeforeValidator`."""
+    return ENCODERS.parse_settings({"encoder": value} if isinstance(value, str) else value)
