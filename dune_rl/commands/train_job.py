@@ -94,9 +94,10 @@ def _job(config: DictConfig) -> float | None:
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
         with _cores_of_a_sweep(conf, engine):
             result = train(conf, words=engine.overrides.task)
-        from dune_rl.learning.objective import measure_objective
+        from dune_rl.statistics.measures import mean_of_known
 
-        return measure_objective(conf.objective, result.evaluation[conf.driven_group.name])
+        rows = result.evaluation[conf.driven_group.name]
+        return mean_of_known(row[conf.objective] for row in rows)
     except (DuneError, OSError) as error:
         message = command_line.describe_user_error(error)
         if message is None:

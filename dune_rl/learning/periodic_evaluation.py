@@ -10,7 +10,7 @@ from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Deterministic, JointPolicy
 from dune_rl.learning.settings import EvaluationConf
-from dune_rl.statistics.measures import MetricsRow, average_metrics, selection_score
+from dune_rl.statistics.measures import MetricsRow, average_metrics, mean_of_known, selection_score
 
 
 class PeriodicEvaluation:
@@ -58,9 +58,8 @@ class PeriodicEvaluation:
     @property
     def success_rate(self) -> float:
         """Of the last evaluation, the mean of the groups that have one; NaN before the first."""
-        rates = [average_metrics(rows).get("SR", math.nan) for rows in self.rows.values() if rows]
-        known = [rate for rate in rates if not math.isnan(rate)]
-        return sum(known) / len(known) if known else math.nan
+        rates = (average_metrics(rows).get("SR", math.nan) for rows in self.rows.values() if rows)
+        return mean_of_known(rates)
 
     def is_done(self, frames: int) -> bool:
         """Whether the policies after `frames` have been evaluated."""

@@ -130,35 +130,25 @@ class WarmupPolicy(TensorDictModuleBase):
         return observation.set((self._group, "action"), chosen)
 
 
-class RandomWarmup(TensorDictModuleBase):
-    """Draws every action of `group` uniformly within its bounds: a learner's first experience."""
+class UniformRandom(TensorDictModuleBase):
+    """Draws every action of `group` uniformly within its bounds.
 
-    def __init__(self, group: str, spec: PolicySpec) -> None:
+    It draws with a generator of its own `seed`; without one with torch's global generator, as a learner's
+    warm-up does.
+    """
+
+    def __init__(self, group: str, spec: PolicySpec, seed: int | None = None) -> None:
         super().__init__()
         self.in_keys: list[Any] = [(group, "observation", key) for key in spec.keys[:1]]
         self.out_keys = [(group, "action")]
         self._group = group
+        self._generator = None if seed is None else torch.Generator().manual_seed(seed)
         self.register_buffer("_low", torch.tensor(spec.low))
         self.register_buffer("_width", torch.tensor(spec.high) - torch.tensor(spec.low))
 
     @torch.no_grad()
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes (group, "action"), drawn with torch's global generator."""
-        shape = (*observation.get(self._group).batch_size, len(self._low))
-        return observation.set((self._group, "action"), self._low + self._width * torch.rand(shape))
-
-
-class UniformRandom:
-    """Draws every action of `group` uniformly within its bounds, from a generator of its own."""
-
-    def __init__(self, group: str, spec: PolicySpec, seed: int = 0) -> None:
-        self._group = group
-        self._low = torch.tensor(spec.low)
-        self._width = torch.tensor(spec.high) - self._low
-        self._generator = torch.Generator().manual_seed(seed)
-
-    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        """Uses nothing of the observation but its batch size."""
+        """Writes (group, "action"); of the observation it uses the batch size alone."""
         shape = (*observation.get(self._group).batch_size, len(self._low))
         share = torch.rand(shape, generator=self._generator)
         return observation.set((self._group, "action"), self._low + share * self._width)

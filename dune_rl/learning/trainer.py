@@ -31,7 +31,7 @@ from dune_rl.learning.process import (
 )
 from dune_rl.learning.run.folder import RunFolder
 from dune_rl.learning.run.log import RunLog
-from dune_rl.learning.run.progress import Reporter, SilentReporter
+from dune_rl.learning.run.progress import Reporter
 from dune_rl.learning.run.status import RunStatus
 from dune_rl.learning.run.tensorboard import HParam
 from dune_rl.learning.settings import LearningConf
@@ -101,7 +101,7 @@ class Trainer:
         self._folder = RunFolder(run_dir, config, fresh=source is None)
         self._make_env, self._conf = make_env, learning
         self._seed, self._total_frames = seed, total_frames
-        self._reporter = reporter or SilentReporter()
+        self._reporter = reporter or Reporter()
         self._title = title or run_dir.name
         self._threads = learning.threads or learner_threads(learning.collector)
 
@@ -231,7 +231,7 @@ class Trainer:
         if warmed_up and not self._warmup.goes_on(self.frames):
             # What the learners' policies do is not to be mixed with what others did, nor with their speed.
             self._log.clear_recent()
-            self._status.restart_speed()
+            self._status.speed.restart()
 
     def _make_collector(self) -> TransitionCollector:
         """A collector for the present phase: warm-up policies in this process, then the learners'."""

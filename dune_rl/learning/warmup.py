@@ -6,7 +6,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.policies import RandomWarmup
+from dune_rl.learning.policies import UniformRandom
 
 
 class WarmUp:
@@ -42,8 +42,8 @@ class WarmUp:
         found: dict[str, TensorDictModuleBase] = {}
         for group in sorted(self.groups):
             learner = self._learners[group]
-            found[group] = learner.warmup_policy() or RandomWarmup(group, learner.context.spec)
-        self._is_random = all(isinstance(policy, RandomWarmup) for policy in found.values())
+            found[group] = learner.warmup_policy() or UniformRandom(group, learner.context.spec)
+        self._is_random = all(isinstance(policy, UniformRandom) for policy in found.values())
         return found
 
     def learners_policies(self) -> dict[str, GroupPolicy]:

@@ -1,7 +1,7 @@
 """Measures of evaluated episodes, with confidence intervals over independent sites or episodes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,12 @@ def average_metrics(rows: Sequence[Mapping[str, float]]) -> MetricsRow:
         return {}
     found = {measure.name: _value(measure, rows) for measure in measures_of(list(rows[0]))}
     return found | {name: _mean(column(rows, name)) for name in ("return", "steps")}
+
+
+def mean_of_known(values: Iterable[float]) -> float:
+    """The mean of the values that are not NaN; NaN without any."""
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
 
 
 def selection_score(statistics: Mapping[str, float]) -> float:

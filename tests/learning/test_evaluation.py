@@ -85,7 +85,7 @@ def test_an_environment_can_be_evaluated_on_again() -> None:
 
 def test_references_do_as_they_say() -> None:
     good = episodes(GO_TO_GOAL, 8, 30)
-    poor = episodes(UniformRandom("rover", SPEC), 8, 30)
+    poor = episodes(UniformRandom("rover", SPEC, 0), 8, 30)
     assert estimate_metrics(good)["SR"].value == 1
     assert estimate_metrics(poor)["SR"].value < 0.5
     test = compare_success(good, poor)

@@ -10,12 +10,12 @@ from training import small, trainer
 from dune_rl.learning.run.progress import (
     BarReporter,
     LineReporter,
-    SilentReporter,
+    Reporter,
     TrainingStatus,
     format_duration,
     show_episodes,
 )
-from dune_rl.learning.run.status import DurationEstimate, SpeedMeter
+from dune_rl.learning.run.status import SpeedMeter, describe_duration
 
 STATUS = TrainingStatus(500_000, 1_000_000, 2500.0, 120.0, 0.734, 0.15, 3723.0)
 
@@ -70,15 +70,9 @@ def test_time_left_counts_frames_and_evaluations() -> None:
     assert math.isnan(meter.seconds_left(5000, 3))
 
 
-def test_an_estimate_is_given_once_after_a_minute() -> None:
-    clock = Clock()
-    estimate = DurationEstimate(clock)
-    assert estimate.line(600.0) is None
-    clock.now += 61.0
-    assert estimate.line(math.nan) is None
-    line = estimate.line(599.0)
-    assert line is not None and "about 11 minutes, until " in line
-    assert estimate.line(599.0) is None
+def test_the_estimate_of_a_run_has_its_length_and_its_end() -> None:
+    assert "about 11 minutes, until " in describe_duration(61.0, 599.0)
+    assert "about 2.5 hours, until " in describe_duration(1800.0, 7200.0)
 
 
 def test_episodes_are_counted_in_lines_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -92,7 +86,7 @@ def test_durations() -> None:
     assert [format_duration(s) for s in (5.4, 65.0, 3600.0, math.nan)] == ["0:05", "1:05", "1:00:00", "?"]
 
 
-class Recording(SilentReporter):
+class Recording(Reporter):
     """Keeps every status."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.run.progress import SilentReporter, TrainingStatus
+from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.run.status import SpeedMeter
 from dune_rl.learning.settings import CollectorConf
 
@@ -127,7 +127,7 @@ def test_other_groups_do_not_resume(tmp_path: Path) -> None:
 
 
 def test_a_signal_stops_a_run_which_is_saved(tmp_path: Path) -> None:
-    class Stopper(SilentReporter):
+    class Stopper(Reporter):
         """Sends SIGTERM to this process after 600 frames."""
 
         def update(self, status: TrainingStatus) -> None:
@@ -151,6 +151,6 @@ def test_speeds_leave_out_a_pause_and_outlast_it() -> None:
     speed = SpeedMeter(lambda: next(clock))
     assert speed.mark(0, 0) == (0.0, 0.0)
     assert speed.mark(600, 40) == (300.0, 20.0)
-    speed.pause()
+    speed.pause(98.0)
     assert speed.mark(600, 40) == (300.0, 20.0)
     assert speed.mark(700, 50) == (100.0, 10.0)

@@ -7,7 +7,7 @@ import torch
 from point_mass import make_two_groups
 from training import assert_halves_make_a_whole, make_sac, small
 
-from dune_rl.learning.policies import RandomWarmup, WarmupPolicy
+from dune_rl.learning.policies import UniformRandom, WarmupPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.warmup import WarmUp
 
@@ -34,7 +34,7 @@ def test_each_group_is_warmed_up_in_its_own_way(tmp_path: Path, specs) -> None:
     )
     assert {group: type(one) for group, one in warm_up.begin_phase(0).items()} == {
         "rover": WarmupPolicy,
-        "walker": RandomWarmup,
+        "walker": UniformRandom,
     }
     assert warm_up.describe(0) == "scripted" and warm_up.learners_policies() == {}
     assert not warm_up.is_over(99) and warm_up.is_over(100)
@@ -60,7 +60,7 @@ def test_a_group_with_a_shorter_warm_up_acts_by_its_learner_afterwards(tmp_path:
 def test_random_actions_fill_the_bounds(specs) -> None:
     env, spec = make_two_groups(8, 0), specs["walker"]
     torch.manual_seed(0)
-    policy, observation = RandomWarmup("walker", spec), env.reset()
+    policy, observation = UniformRandom("walker", spec), env.reset()
     actions = torch.stack([policy(observation)["walker", "action"].clone() for _ in range(200)]).flatten(
         0, -2
     )

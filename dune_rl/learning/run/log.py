@@ -12,14 +12,15 @@ from torch import Tensor
 
 from dune_rl.core.files import write_csv
 from dune_rl.learning.group_policy import acted_by_past
-from dune_rl.learning.objective import measure_objective
 from dune_rl.learning.run.curve import draw_curve
 from dune_rl.learning.run.tensorboard import EventFile, HParam, Picture
 from dune_rl.metrics.catalogue import measures_of
-from dune_rl.statistics.measures import MetricsRow, average_metrics
+from dune_rl.statistics.measures import MetricsRow, average_metrics, mean_of_known
 
 METRICS_FILE = "metrics.csv"
 CURVE_FILE = "curve.png"
+# Training episodes over which statistics are taken.
+_WINDOW = 100
 _SAMPLED = ("reward/", "randomisation/")
 
 
@@ -68,11 +69,11 @@ class RunLog:
             for name, value in zip(recent.names, rows.nanmean(0).tolist(), strict=True):
                 if name.startswith(_SAMPLED):
                     self.scalars(group, {name: value}, frames)
-            statistics = recent.average_metrics()
+            statistics = average_metrics(recent.rows())
             self._log_statistics(group, kind, statistics, frames)
             if complete:
                 self._record(group, kind, len(recent), statistics, frames, updates[group])
-                self._log_distributions(group, f"{kind} episodes", recent.columns(), frames)
+                self._log_distributions(group, f"{kind} episodes", recent.rows(), frames)
                 actions: Tensor = batch[group, "action"].flatten(0, -2)
                 parts = enumerate(actions.T.numpy())
                 self.histograms(group, {f"actions/{part}": values for part, values in parts}, frames)
@@ -80,9 +81,7 @@ class RunLog:
     @property
     def success_rate(self) -> float:
         """Over the recent training episodes, the mean of the groups that have one; NaN before the first."""
-        rates = [recent.success_rate for recent in self._recent.values()]
-        known = [rate for rate in rates if not math.isnan(rate)]
-        return sum(known) / len(known) if known else math.nan
+        return mean_of_known(recent.success_rate for recent in self._recent.values())
 
     def clear_recent(self) -> None:
         """Forget the recent episodes: another policy drives from now on."""
@@ -107,11 +106,9 @@ class RunLog:
         known = {f"{kind}/{name}": value for name, value in statistics.items() if not math.isnan(value)}
         self.scalars(group, known, frames)
 
-    def _log_distributions(
-        self, group: str, kind: str, columns: Mapping[str, Iterable[float]], frames: int
-    ) -> None:
-        chosen = {f"{kind}/{name}": columns[name] for name in self._distributed[group] if name in columns}
-        self.histograms(group, chosen, frames)
+    def _log_distributions(self, group: str, kind: str, rows: Sequence[MetricsRow], frames: int) -> None:
+        columns = {f"{kind}/{name}": [row[name] for row in rows] for name in self._distributed[group]}
+        self.histograms(group, columns, frames)
 
     # -- evaluations ----------------------------------------------------------------------------------
 
@@ -122,8 +119,7 @@ class RunLog:
         for group, episodes in rows.items():
             statistics = average_metrics(episodes)
             self._log_statistics(group, "eval", statistics, frames)
-            columns = {name: [row[name] for row in episodes] for name in self._distributed[group]}
-            self._log_distributions(group, "eval episodes", columns, frames)
+            self._log_distributions(group, "eval episodes", episodes, frames)
             self._record(group, "eval", len(episodes), statistics, frames, updates[group])
         self.write()
 
@@ -154,10 +150,7 @@ class RunLog:
         names = [measure.name for measure in measures_of(self._recent[group].names)]
         found = average_metrics(episodes)
         values = {name: found.get(name, math.nan) for name in (*names, "return", "steps")}
-        if episodes and objective in episodes[0]:
-            values["objective"] = measure_objective(objective, episodes)
-        else:
-            values["objective"] = math.nan
+        values["objective"] = mean_of_known(row.get(objective, math.nan) for row in episodes)
         return {f"final/{name}": value for name, value in values.items()}
 
     # -- files ----------------------------------------------------------------------------------------
@@ -198,15 +191,6 @@ class RunLog:
         self._events.close()
 
 
-def _distributed(names: Sequence[str]) -> list[str]:
-    """The metrics whose distributions are logged: those of measures that are no shares, return and steps."""
-    measured = [measure.metric for measure in measures_of(list(names)) if not measure.is_share]
-    return [name for name in ("return", "steps", *dict.fromkeys(measured)) if name in names]
-
-
-_WINDOW = 100
-
-
 class RecentEpisodes:
     """The last hundred training episodes of a group's agents, with metrics of these `names`."""
 
@@ -219,7 +203,7 @@ class RecentEpisodes:
         return len(self._rows)
 
     def extend(self, rows: Sequence[list[float]]) -> bool:
-        """Add rows of metrics; returns whether a hundred have come in since it last did."""
+        """Add rows of metrics; returns whether a hundred have come in since the last time it did."""
         self._rows.extend(rows)
         self._uncounted += len(rows)
         full = self._uncounted >= _WINDOW
@@ -232,15 +216,9 @@ class RecentEpisodes:
         self._rows.clear()
         self._uncounted = 0
 
-    def average_metrics(self) -> MetricsRow:
-        """Means over the recent episodes."""
-        return average_metrics([dict(zip(self.names, row, strict=True)) for row in self._rows])
-
-    def columns(self) -> dict[str, list[float]]:
-        """The values of each metric over the recent episodes."""
-        return (
-            dict(zip(self.names, map(list, zip(*self._rows, strict=True)), strict=True)) if self._rows else {}
-        )
+    def rows(self) -> list[MetricsRow]:
+        """The episodes' metrics."""
+        return [dict(zip(self.names, row, strict=True)) for row in self._rows]
 
     @property
     def success_rate(self) -> float:
@@ -260,3 +238,9 @@ class RecentEpisodes:
         self._uncounted = state["unrecorded"]
         if tuple(state["names"]) == self.names:
             self._rows.extend(state["window"].tolist())
+
+
+def _distributed(names: Sequence[str]) -> list[str]:
+    """The metrics whose distributions are logged: of measures that are no shares, return and steps."""
+    measured = [measure.metric for measure in measures_of(list(names)) if not measure.is_share]
+    return [name for name in ("return", "steps", *dict.fromkeys(measured)) if name in names]

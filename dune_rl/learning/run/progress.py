@@ -3,10 +3,9 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Self
 
 from rich.console import Console
 from rich.markup import escape
@@ -27,8 +26,8 @@ _WIDE = 150
 class TrainingStatus:
     """Progress of a run: counts, recent speeds [1/s], success rates, and the time left [s].
 
-    `success_rate` is that of recent training episodes, and `evaluated` that of the last evaluation. What is
-    unknown is NaN. While a warm-up policy drives, `activity` says so and `success_rate` is unknown.
+    `success_rate` is of recent training episodes, and `evaluated` of the last evaluation. Unknown values are
+    NaN. While a warm-up policy drives, `activity` says so and `success_rate` is unknown.
     """
 
     frames: int
@@ -44,32 +43,18 @@ class TrainingStatus:
         """The current activity and the number of frames."""
         return f"{self.activity}  {self.frames:,} of {self.total_frames:,} frames"
 
-    def statistics(self) -> str:
-        """Time left, speeds and success rates, in one line."""
-        return self._join(
-            f"{format_duration(self.seconds_left)} left",
-            self._speed("frames", self.frames_per_s),
-            self._speed("updates", self.updates_per_s),
-            _percentage("success in training", self.success_rate),
-            _percentage("evaluated", self.evaluated),
-        )
-
-    def brief(self) -> str:
-        """What of the statistics has room beside a bar on 80 columns."""
-        return self._join(
-            f"{format_duration(self.seconds_left)} left",
-            self._speed("frames", self.frames_per_s),
-            _percentage("evaluated", self.evaluated),
-        )
-
-    @staticmethod
-    def _speed(of: str, per_s: float) -> str:
-        """A speed; nothing before there is one."""
-        return f"{per_s:,.0f} {of}/s" if per_s > 0 else ""
-
-    @staticmethod
-    def _join(*words: str) -> str:
+    def statistics(self, *, brief: bool = False) -> str:
+        """Time left, speeds and success rates in one line; `brief` fits beside a bar on 80 columns."""
+        words = [f"{format_duration(self.seconds_left)} left", _speed("frames", self.frames_per_s)]
+        if not brief:
+            words.append(_speed("updates", self.updates_per_s))
+            words.append(_percentage("success in training", self.success_rate))
+        words.append(_percentage("evaluated", self.evaluated))
         return "  ".join(filter(None, words))
+
+
+def _speed(counted: str, per_s: float) -> str:
+    return f"{per_s:,.0f} {counted}/s" if per_s > 0 else ""
 
 
 def _percentage(name: str, rate: float) -> str:
@@ -85,14 +70,11 @@ def format_duration(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-class Reporter(Protocol):
-    """Context manager that shows the progress of a run; `update` is called inside the context."""
+class Reporter(AbstractContextManager[Any]):
+    """Shows the progress of a run inside the context; this one shows nothing."""
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        return None
 
     def update(self, status: TrainingStatus) -> None:
         """Show `status`; called after every batch."""
@@ -101,23 +83,7 @@ class Reporter(Protocol):
         """Show a line that is said once."""
 
 
-class SilentReporter:
-    """Reports nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def update(self, status: TrainingStatus) -> None:
-        """Do nothing."""
-
-    def note(self, line: str) -> None:
-        """Do nothing."""
-
-
-class BarReporter:
+class BarReporter(Reporter):
     """A progress bar on a terminal, with the counts of frames where that is wide enough."""
 
     def __init__(self, console: Console) -> None:
@@ -140,33 +106,25 @@ class BarReporter:
         self._bar.stop()
 
     def update(self, status: TrainingStatus) -> None:
-        """Redraw the bar, as often as its console refreshes."""
         self._bar.update(
             self._task,
             completed=status.frames,
             total=status.total_frames,
             description=status.counts() if self._is_wide else status.activity,
-            statistics=status.statistics() if self._is_wide else status.brief(),
+            statistics=status.statistics(brief=not self._is_wide),
         )
 
     def note(self, line: str) -> None:
-        """Print a line above the bar."""
         self._bar.console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-class LineReporter:
+class LineReporter(Reporter):
     """Calls `emit` with one plain line every `interval_s` [s], for logs and pipes."""
 
     def __init__(self, emit: Callable[[str], None], interval_s: float = 15.0) -> None:
         self._emit = emit
         self._interval_s = interval_s
         self._last = -math.inf
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
 
     def update(self, status: TrainingStatus) -> None:
         """Emit a line unless the last one is more recent than `interval_s`."""
@@ -176,7 +134,6 @@ class LineReporter:
             self._emit(f"{status.counts()}  {status.statistics()}")
 
     def note(self, line: str) -> None:
-        """Emit the line."""
         self._emit(line)
 
 
