@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dune_rl.core.errors import DuneError
 
 if TYPE_CHECKING:
-    from dune_rl.evaluation.episode_sets.generate import SetRecipe
+    from dune_rl.evaluation.episode_sets.recipes import SetRecipe
 
 
 # Options of sets from settings.
@@ -77,7 +77,7 @@ def _make(parsed: Namespace) -> None:
     from dune_rl.commands.command_line import describe_user_error
     from dune_rl.core.errors import ConfigError
     from dune_rl.evaluation.episode_sets.files import write_episode_set
-    from dune_rl.evaluation.episode_sets.generate import generate_episodes
+    from dune_rl.evaluation.episode_sets.recipes import generate_episodes
 
     recipes = named_recipes(parsed)
     for recipe in recipes:
@@ -99,8 +99,7 @@ def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
     """The recipes that the command line names, or the one of its settings."""
     from dune_rl.core.errors import ConfigError
     from dune_rl.core.suggestions import closest
-    from dune_rl.evaluation.episode_sets.generate import all_recipes
-    from dune_rl.evaluation.episode_sets.own import own_recipe
+    from dune_rl.evaluation.episode_sets.recipes import all_recipes, own_recipe
 
     if parsed.settings:
         if len(parsed.names) != 1:

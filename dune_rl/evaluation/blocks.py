@@ -1,7 +1,8 @@
-"""Blocks of episodes, which processes run one by one: results do not depend on how they are shared out."""
+"""Blocks of episodes, which processes run one by one, and episodes that are finished."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -38,3 +39,17 @@ def missing_blocks(
             else:
                 found.append(EpisodeBlock(policy, first, len(numbers)))
     return found
+
+
+@dataclass(frozen=True)
+class FinishedEpisode:
+    """An episode of a policy (by number): rows by group, one for each agent with metrics, and its steps.
+
+    `attempts` are those at goals, where the protocol records them.
+    """
+
+    policy: int
+    episode: int
+    rows: dict[str, list[dict[str, Any]]]
+    steps: list[dict[str, Any]]
+    attempts: list[dict[str, Any]] = field(default_factory=list)

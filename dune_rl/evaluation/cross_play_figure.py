@@ -12,8 +12,9 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from dune_rl.core.files import write_atomically
+from dune_rl.evaluation.tables import describe_estimate
 from dune_rl.metrics.catalogue import measure_of
-from dune_rl.metrics.number_text import format_value
+from dune_rl.statistics.intervals import Estimate
 
 Row = Mapping[str, Any]
 _LONGEST_NAME = 22
@@ -27,14 +28,7 @@ _BEYOND, _NOTHING_NEAR = "#e4e4e8", "12.00\nnothing\nnearer"
 def describe_cell(row: Row, separator: str = " ") -> str:
     """Value and interval of a row, shares in per cent; a dash where nothing was measured."""
     value, low, high = (float(row[key]) for key in ("value", "low", "high"))
-    if np.isnan(value):
-        return "-"
-    measure = measure_of(str(row["measure"]))
-    unit = " %" if measure.unit == "%" else ""
-    shown = f"{format_value(measure, value)}{unit}"
-    if np.isnan(low):
-        return shown
-    return f"{shown}{separator}({format_value(measure, low)} to {format_value(measure, high)})"
+    return describe_estimate(measure_of(str(row["measure"])), Estimate(value, low, high, 0), separator)
 
 
 def cells_of(rows: Sequence[Row], measure: str) -> dict[tuple[str, str, str], Row]:

@@ -13,7 +13,7 @@ from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import sha256_of, write_atomically
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.tables import write_columns, write_tables
 from dune_rl.learning.run.lock import RunLock
 

@@ -10,8 +10,7 @@ from queue import Empty
 from typing import Any
 
 from dune_rl.core.errors import DuneError, TrainingError
-from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 
 _WAIT_S = 1.0

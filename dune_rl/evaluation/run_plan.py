@@ -5,12 +5,10 @@ from collections.abc import Collection, Mapping, Sequence
 from rich.console import Console
 
 from dune_rl.core.files import write_csv
-from dune_rl.evaluation.blocks import missing_blocks
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.blocks import FinishedEpisode, missing_blocks
 from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder, rows_of_group
 from dune_rl.evaluation.processes import run_in_processes
-from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, show_runs
-from dune_rl.evaluation.protocols.runs_done import finished_runs
+from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, finished_runs, show_runs
 from dune_rl.evaluation.recorder import START_COLUMNS
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.evaluation.tables import (

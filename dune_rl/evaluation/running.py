@@ -11,9 +11,8 @@ from tensordict import TensorDictBase
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
-from dune_rl.evaluation.blocks import EpisodeBlock
+from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
 from dune_rl.evaluation.episode_sets import EpisodeSet, plan_of_set, read_episode_set
-from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.policies import PolicySource, UserPolicy, policy_sources
 from dune_rl.evaluation.protocols.attempts import AttemptRecorder
 from dune_rl.evaluation.protocols.run_observer import RunLength, RunObserver

@@ -12,8 +12,7 @@ from rich.console import Console
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
-from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
 from dune_rl.evaluation.folder import EPISODES, changed_files, read_provenance
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.learning.run.progress import show_episodes
@@ -33,39 +32,30 @@ class RowDifference:
     repeated: str
 
 
-def sample_blocks(plan: EvaluationPlan, sample: int) -> list[EpisodeBlock]:
+def sample_blocks(
+    plan: EvaluationPlan, sample: int, sizes: Mapping[tuple[str, int], int] | None = None
+) -> list[EpisodeBlock]:
     """Blocks of about `sample` episodes over all policies, the same for the same plan.
 
-    They are whole batches of scenes, so that each episode is repeated in the row that it had.
+    They are whole batches of scenes, so that each episode is repeated in the row that it had. Of a protocol
+    they are whole runs, with `sizes`: the episodes of each, by policy and run.
     """
-    batches = [
-        EpisodeBlock(policy, first, min(plan.scenes, plan.episodes - first))
+    scenes = plan.scenes if sizes is None else 1
+    blocks = [
+        EpisodeBlock(policy, first, min(scenes, plan.episodes - first))
         for policy in range(len(plan.sources))
-        for first in range(0, plan.episodes, plan.scenes)
-    ]
-    order = stream(plan.conf.seed, "verify", len(batches)).permutation(len(batches)).tolist()
-    found: list[EpisodeBlock] = []
-    for index in order:
-        if sum(block.count for block in found) >= sample:
-            break
-        found.append(batches[index])
-    return sorted(found, key=lambda block: (block.policy, block.first))
-
-
-def sample_runs(
-    plan: EvaluationPlan, sample: int, sizes: Mapping[tuple[str, int], int]
-) -> list[EpisodeBlock]:
-    """As `sample_blocks`, whole runs of a protocol; `sizes` has the episodes of each by policy and run."""
-    runs = [
-        EpisodeBlock(policy, run, 1) for policy in range(len(plan.sources)) for run in range(plan.episodes)
+        for first in range(0, plan.episodes, scenes)
     ]
     found: list[EpisodeBlock] = []
     count = 0
-    for index in stream(plan.conf.seed, "verify", len(runs)).permutation(len(runs)).tolist():
+    for index in stream(plan.conf.seed, "verify", len(blocks)).permutation(len(blocks)).tolist():
         if count >= sample:
             break
-        found.append(runs[index])
-        count += sizes.get((plan.sources[runs[index].policy].name, runs[index].first), 0)
+        block = blocks[index]
+        found.append(block)
+        count += (
+            block.count if sizes is None else sizes.get((plan.sources[block.policy].name, block.first), 0)
+        )
     return sorted(found, key=lambda block: (block.policy, block.first))
 
 
@@ -86,7 +76,7 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
         total = sum(block.count for block in blocks)
     else:
         sizes = Counter((row["policy"], int(row["run"])) for row in stored.values())
-        blocks = sample_runs(plan, sample, sizes)
+        blocks = sample_blocks(plan, sample, sizes)
         total = sum(sizes[plan.sources[block.policy].name, block.first] for block in blocks)
     with show_episodes(console, "verifying", total) as show:
         count = 0

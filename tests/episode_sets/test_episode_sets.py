@@ -28,7 +28,7 @@ from dune_rl.evaluation.episode_sets import (
 from dune_rl.evaluation.episode_sets.apply import check_set_overrides
 from dune_rl.evaluation.episode_sets.check import faulty_episodes
 from dune_rl.evaluation.episode_sets.files import sets_folder
-from dune_rl.evaluation.episode_sets.generate import (
+from dune_rl.evaluation.episode_sets.recipes import (
     EPISODES,
     FAMILIES,
     SITES,

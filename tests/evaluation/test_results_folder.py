@@ -16,10 +16,9 @@ import yaml
 
 from dune_rl.commands import evaluate
 from dune_rl.evaluation import run_plan
-from dune_rl.evaluation.blocks import EpisodeBlock, missing_blocks
+from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.episode_sets import read_episode_set, write_episode_set
-from dune_rl.evaluation.episode_sets.generate import all_recipes
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.episode_sets.recipes import all_recipes
 from dune_rl.evaluation.folder import ResultsFolder
 from dune_rl.evaluation.running import BlockRunner
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.columns import describe_columns, measured_columns
-from dune_rl.evaluation.finished import FinishedEpisode
 from dune_rl.evaluation.folder import ResultsFolder
 from dune_rl.evaluation.run_plan import rows_in_common
 from dune_rl.evaluation.verify import RowDifference, difference_size

@@ -1,14 +1,15 @@
-"""Settings and plans of evaluations on an episode set."""
+"""Settings and plans of evaluations on an episode set, and the sites that a training has drawn."""
 
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
-from dune_rl.bodies.settings import BodySettings
+from pydantic import TypeAdapter
+
 from dune_rl.config.build import build_robot
 from dune_rl.config.checks import validate
-from dune_rl.config.resolved_groups import ResolvedGroup
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import ConfigError
+from dune_rl.env.distributions import Choice, WholeNumbers
 from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
 from dune_rl.env.episodes.request import AgentRequest
 from dune_rl.evaluation.episode_sets.episode_set import EpisodeSet
@@ -72,7 +73,8 @@ def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
 
 def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
     """The plan of a set's episodes for the robot of `conf`."""
-    agent = robot_group(conf).agents[0]
+    (robot,) = conf.external_groups
+    (agent,) = robot.agents
     return EpisodePlan(
         [
             PlannedEpisode({agent: AgentRequest(one.start, one.goal)}, one.world_seed)
@@ -83,14 +85,7 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
 
 def footprint_radius_m(conf: EnvConf) -> float:
     """Radius of the footprint of the robot of `conf` [m]."""
-    body = robot_group(conf).body
-    assert not isinstance(body, BodySettings)
-    return build_robot(body, 1).footprint_radius_m
-
-
-def robot_group(conf: EnvConf) -> ResolvedGroup:
-    """The group of the one robot of `conf`."""
-    return next(group for group in conf.groups if not isinstance(group.body, BodySettings))
+    return build_robot(conf.robot, 1).footprint_radius_m
 
 
 def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:
@@ -101,3 +96,22 @@ def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:
             f"and the robot needs {radius:.2f} m: make a set for it with\n"
             f"python -m dune_rl.episode_sets make NAME +world={episode_set.world} robot=..."
         )
+
+
+def sites_of_training(config: Mapping[str, Any], episode_set: EpisodeSet) -> list[int]:
+    """The world seeds of `episode_set` that a run with the settings `config` has or may draw, in order.
+
+    None of a world without seeds, which is one site for everybody.
+    """
+    world = config.get("world") or {}
+    if world.get("name") != episode_set.world:
+        return []
+    drawn = (config.get("randomisation") or {}).get("world_seed")
+    seeds = sorted({one.world_seed for one in episode_set.episodes if one.world_seed is not None})
+    if drawn is None:
+        return [seed for seed in seeds if seed == world.get("seed")]
+    found = TypeAdapter[Any](WholeNumbers).validate_python(drawn)
+    if isinstance(found, Choice):
+        return [seed for seed in seeds if seed in found.values]
+    low, high = found.limits
+    return [seed for seed in seeds if low <= seed <= high]

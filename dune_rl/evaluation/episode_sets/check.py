@@ -42,7 +42,7 @@ def faulty_episodes(
             except (ValueError, WorldError) as error:
                 faults.append(f"episode {number}: {error}")
                 continue
-            group = simulation.groups[0]
+            (group,) = simulation.external
             state = simulation.state.groups[group.name]
             moved = float(np.hypot(*(state.motion.position_w[0, :2] - row.start[:2])))
             if moved > _SETTLED_M:

@@ -1,13 +1,14 @@
 """Tables of runs: by the paper's protocol, and by that of its published code."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
 
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.protocols.attempts import Attempt, attempts_of_rows, best_window_rate, join_attempts
 from dune_rl.evaluation.protocols.run_rows import describe_runs, run_rows
 from dune_rl.evaluation.running import EvaluationPlan
@@ -106,3 +107,12 @@ def attempt_rows(
         for one in sorted(finished, key=lambda one: (one.policy, one.episode))
         for attempt in one.attempts
     ]
+
+
+def finished_runs(plan: EvaluationPlan, finished: Iterable[FinishedEpisode]) -> set[tuple[int, int]]:
+    """Pairs of policy and run of which all steps are there."""
+    steps: Counter[tuple[int, int]] = Counter()
+    for episode in finished:
+        for agents in episode.rows.values():
+            steps[episode.policy, agents[0]["run"]] += agents[0]["steps"]
+    return {key for key, count in steps.items() if count >= (plan.conf.run_steps or 0)}

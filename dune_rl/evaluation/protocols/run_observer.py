@@ -8,7 +8,7 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.evaluation.finished import FinishedEpisode
+from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.protocols.attempts import (
     AttemptRecorder,
     attempts_of_rows,
