@@ -27,8 +27,7 @@ from dune_rl.reporting.tables.methods import PAPER, PAPER_FIGURES
 from dune_rl.reporting.tables.table import Cell, Table, escape_markdown, estimate_cell, to_markdown
 from dune_rl.statistics.intervals import Estimate
 from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows
-from dune_rl.statistics.paired_comparison import compare_success
-from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
+from dune_rl.statistics.paired_comparison import PairedComparison, compare_success, holm_adjusted
 
 
 class SourceConf(Settings):
