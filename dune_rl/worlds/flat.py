@@ -22,6 +22,8 @@ _SURFACES = tuple(SurfaceShare(name, 1.0 / len(SURFACE_NAMES)) for name in SURFA
 class FlatConf(GrassyConf):
     """Settings of `build_flat`."""
 
+    # The plane is built faster than it is read.
+    disk_cached = "appearance"
     name: Literal["flat"] = "flat"
     size_m: float = Field(default=100.0, ge=20.0, le=1000.0, description="length of the plane's side")
     region_size_m: float = Field(default=8.0, gt=0.0, le=1000.0, description="side of the spawn region")

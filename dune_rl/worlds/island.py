@@ -55,7 +55,7 @@ _SURFACES = (
 )
 
 
-class IslandConf(SeededConf, GrassyConf):
+class IslandConf(GrassyConf, SeededConf):
     """Settings of `build_island`.
 
     Slopes are proportional to `roughness_m` / `bump_length_m`: with the

@@ -1,5 +1,7 @@
 """Bases of the settings of worlds."""
 
+from typing import ClassVar, Literal
+
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
@@ -7,14 +9,21 @@ from dune_rl.worlds.surfaces import SurfaceChoice
 
 
 class WorldSettings(Settings):
-    """Settings of a world; `name` selects the settings class when a file is read."""
+    """Settings of a world; `name` selects the settings class when a file is read.
 
+    `disk_cached` says what the disk cache keeps: the world and its appearance (baked light and textures),
+    the appearance alone, or nothing. Users' worlds are not kept, because a change of their code would not be
+    noticed.
+    """
+
+    disk_cached: ClassVar[Literal["world", "appearance", "nothing"]] = "nothing"
     name: str
 
 
 class SeededConf(WorldSettings):
     """Seed of a world's terrain and props; `layout_seed` replaces it for the props."""
 
+    disk_cached = "world"
     seed: int = Field(default=0, ge=0, lt=2**32)
     layout_seed: int | None = Field(
         default=None, ge=0, lt=2**32, description="seed of the props' layout alone; null: the seed"

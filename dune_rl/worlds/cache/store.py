@@ -20,25 +20,11 @@ from dune_rl.worlds.appearance import is_appearance_cached
 from dune_rl.worlds.cache.background_builder import BackgroundBuilder
 from dune_rl.worlds.cache.folder import CacheFolder, DiskCache
 from dune_rl.worlds.cache.serialization import SerializationError, deserialize_world, serialize_world
-from dune_rl.worlds.construction.build import ConstructionConf
-from dune_rl.worlds.flat import FlatConf
-from dune_rl.worlds.importing.heightmap_world import HeightmapConf
-from dune_rl.worlds.importing.mesh_world import MeshConf
-from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.importing.sdf.files import RESOURCE_VARIABLE
-from dune_rl.worlds.inspection.build import InspectionConf
-from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.importing.surface_files import ImportedWorldConf
 from dune_rl.worlds.registry import build_uncached, parse_built_in_settings
-from dune_rl.worlds.rubicon.build import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
-
-_IMPORTED = (MeshConf, HeightmapConf, SdfConf)
-# Worlds that are cached. Users' worlds are not, because a change of their code would not be noticed; nor is
-# the plane, which is built faster than it is read.
-_CACHED = (InspectionConf, ConstructionConf, RubiconConf, IslandConf, *_IMPORTED)
-# Worlds whose appearance (baked light and textures) is cached.
-_APPEARANCE_CACHED = (*_CACHED, FlatConf)
 
 LIMIT_BYTES = 2 * 2**30
 
@@ -61,10 +47,10 @@ class WorldStore:
 
     def get(self, conf: WorldSettings) -> World:
         """The world of `conf`, read from the cache or built; warns and raises as building it does."""
-        if self.cache is None or not isinstance(conf, _APPEARANCE_CACHED):
+        if self.cache is None or conf.disk_cached == "nothing":
             return build_uncached(conf)
         key = world_key(conf)
-        if not isinstance(conf, _CACHED):
+        if conf.disk_cached == "appearance":
             world = build_uncached(conf)
             world.disk_cache = _appearance_cache(self.cache, key, {}, [])
             return world
@@ -84,15 +70,15 @@ class WorldStore:
 
     def is_cached(self, conf: WorldSettings, *, with_appearance: bool = False) -> bool:
         """Whether the cache has the world and, `with_appearance`, what cameras need; True without a cache."""
-        if self.cache is None or not isinstance(conf, _APPEARANCE_CACHED):
+        if self.cache is None or conf.disk_cached == "nothing":
             return True
         key = world_key(conf)
-        if isinstance(conf, _CACHED) and not self.cache.entry(key).exists():
+        if conf.disk_cached == "world" and not self.cache.entry(key).exists():
             return False
         # The key of an imported world's appearance depends on files that only building it determines.
         return (
             not with_appearance
-            or isinstance(conf, _IMPORTED)
+            or isinstance(conf, ImportedWorldConf)
             or is_appearance_cached(_appearance_cache(self.cache, key, {}, []))
         )
 
@@ -188,7 +174,7 @@ def _store_in(folder: Path | None, gigabytes: str) -> WorldStore:
 def world_key(conf: WorldSettings) -> str:
     """Hash of the settings, code, libraries and files that the world of `conf` depends on (hexadecimal)."""
     key: dict[str, Any] = {"code": _code_digest(), "settings": conf.model_dump(mode="json")}
-    if isinstance(conf, _IMPORTED):
+    if isinstance(conf, ImportedWorldConf):
         path = Path(conf.path).expanduser().absolute()
         key |= {"path": str(path), "bytes": _digest(path), "resources": os.environ.get(RESOURCE_VARIABLE, "")}
     return hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()

@@ -33,7 +33,7 @@ _SURFACES = (
 )
 
 
-class ConstructionConf(SeededConf, SurfacedConf):
+class ConstructionConf(SurfacedConf, SeededConf):
     """Settings of `build_construction`."""
 
     name: Literal["construction"] = "construction"

@@ -20,14 +20,14 @@ from dune_rl.worlds.importing.imported_world import (
     check_region,
     set_region,
 )
-from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.importing.surface_files import ImportedWorldConf, read_surfaces
 
 _LARGEST_M = 20_000.0
 # Up to this number of points, the file's own grid is the default.
 _OWN_POINTS = 400_000
 
 
-class HeightmapConf(SurfaceFileConf):
+class HeightmapConf(ImportedWorldConf):
     """Settings of `build_heightmap`. Row 0 of the map is its northern edge, at the largest y."""
 
     name: Literal["heightmap"] = "heightmap"

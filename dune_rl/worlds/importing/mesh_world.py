@@ -18,13 +18,13 @@ from dune_rl.worlds.importing.imported_world import (
     assemble_world,
     check_region,
 )
-from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.importing.surface_files import ImportedWorldConf, read_surfaces
 
 # Beyond this distance, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0
 
 
-class MeshConf(SurfaceFileConf):
+class MeshConf(ImportedWorldConf):
     """Settings of `build_mesh`."""
 
     name: Literal["mesh"] = "mesh"

@@ -18,9 +18,11 @@ from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceName
 _FORMATS = (".png", ".npy")
 
 
-class SurfaceFileConf(WorldSettings):
-    """Surface materials of the ground of an imported world."""
+class ImportedWorldConf(WorldSettings):
+    """File of an imported world, and surface materials of its ground."""
 
+    disk_cached = "world"
+    path: str
     surface_map: str | None = Field(
         default=None,
         min_length=1,
@@ -33,7 +35,7 @@ class SurfaceFileConf(WorldSettings):
     sinkage: bool = Field(default=False, description="wheels sink in soft surfaces")
 
 
-def read_surfaces(conf: SurfaceFileConf, extent: Rectangle) -> SurfaceMap | None:
+def read_surfaces(conf: ImportedWorldConf, extent: Rectangle) -> SurfaceMap | None:
     """The surface map over `extent`, None if there is none; `WorldError` if it cannot be read."""
     if conf.surface_map is None:
         if conf.sinkage:

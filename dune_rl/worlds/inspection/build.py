@@ -18,7 +18,7 @@ _SURFACES = (
 )
 
 
-class InspectionConf(SeededConf, GrassyConf):
+class InspectionConf(GrassyConf, SeededConf):
     """Settings of `build_inspection`.
 
     Every `seed` gives a different site with the same distribution of slopes,

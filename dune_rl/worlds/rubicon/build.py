@@ -38,7 +38,7 @@ _SURFACES = (
 )
 
 
-class RubiconConf(SeededConf, GrassyConf):
+class RubiconConf(GrassyConf, SeededConf):
     """Settings of `build_rubicon`.
 
     Every `seed` gives a different hillside. The terrain's slopes result from

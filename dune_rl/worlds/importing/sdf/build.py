@@ -26,14 +26,14 @@ from dune_rl.worlds.importing.sdf.actors import place_on_ground
 from dune_rl.worlds.importing.sdf.elements import build_plane
 from dune_rl.worlds.importing.sdf.files import SdfFileFinder
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
-from dune_rl.worlds.importing.surface_files import SurfaceFileConf, read_surfaces
+from dune_rl.worlds.importing.surface_files import ImportedWorldConf, read_surfaces
 
 _MOST_FRICTION = 5.0
 _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
 _TERRAIN_M, _TERRAIN_M2 = 15.0, 100.0
 
 
-class SdfConf(SurfaceFileConf):
+class SdfConf(ImportedWorldConf):
     """Settings of `build_sdf`."""
 
     name: Literal["sdf"] = "sdf"
