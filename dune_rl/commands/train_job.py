@@ -23,7 +23,7 @@ from rich.console import Console
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
-from dune_rl.config.compose import check_sweep, compose, compose_resumed, from_hydra, override_value
+from dune_rl.config.compose import check_sweep, compose, compose_resumed, override_value
 from dune_rl.config.group_files import describe_owner
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
@@ -50,6 +50,9 @@ def run(parsed: Namespace) -> None:
         return
     if not parsed.multirun:
         conf = compose(parsed.overrides, folders)
+        if parsed.cfg == "job":
+            print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+            return
         # Before Hydra writes its own files.
         _check_device(conf)
         # Only now: it loads what simulates, which a misspelt setting need not wait for.
@@ -90,7 +93,8 @@ def _job(config: DictConfig) -> float | None:
     if multiprocessing.get_start_method(allow_none=True) not in (None, "spawn", "fork", "forkserver"):
         multiprocessing.set_start_method("spawn", force=True)
     try:
-        conf = from_hydra(config)
+        # Hydra knows neither the shorthands of agent groups nor options that groups name.
+        conf = compose(engine.overrides.task, _folders_of(engine))
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
         with _cores_of_a_sweep(conf, engine):
             result = train(conf, words=engine.overrides.task)
@@ -108,6 +112,12 @@ def _job(config: DictConfig) -> float | None:
         command_line.print_error(f"job {engine.job.num} failed: {message}")
         raise command_line.ReportedError from error
     return None
+
+
+def _folders_of(engine: Any) -> list[str]:
+    """The further folders of options that Hydra was given."""
+    sources = engine.runtime.config_sources
+    return [source.path for source in sources if source.provider == "command-line"]
 
 
 @contextmanager

@@ -1,8 +1,10 @@
-"""Agent groups as they are configured, and what the shorthands `robot`, `robots` and `actors` stand for."""
+"""Agent groups as they are configured, with the presets of what they observe, do and are measured by."""
 
 import re
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Self
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, model_validator
 
@@ -11,7 +13,15 @@ from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.config.controller_settings import PATH, Controller, follows_trajectories, parse_controller
+from dune_rl.config.controller_settings import (
+    EXTERNAL,
+    PATH,
+    Controller,
+    follows_trajectories,
+    parse_controller,
+    reads_sensors,
+)
+from dune_rl.core.errors import DuneError
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
 from dune_rl.metrics.episode import MetricsConf
@@ -19,13 +29,23 @@ from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.tasks.presence import PresenceConf
-from dune_rl.tasks.task import TaskConf
+from dune_rl.tasks.task import TaskConf, walking_task
 
 PERSON = "person"
+SHARED, NONE = "shared", "none"
+# What a section of a group may be called in place of settings of its own: `presets_of` says what each is.
+PRESETS: Mapping[str, tuple[str, ...]] = {
+    "sensors": (SHARED, "walker", NONE),
+    "task": (SHARED, "roaming", "walking", "to_and_fro", NONE),
+    "metrics": (SHARED, NONE),
+}
+SECTIONS: Mapping[str, type[Settings]] = {"sensors": SensorsConf, "task": TaskConf, "metrics": MetricsConf}
 _MOST_AGENTS = 1000
 # Agents are called GROUP_0, GROUP_1, ...; TorchRL has keys of its own beside the groups'.
 _GROUP_NAME = re.compile(r"[A-Za-z]\w*")
 _TAKEN_NAMES = ("action", "done", "metrics", "next", "observation", "reward", "terminated", "truncated")
+
+Body = RobotSettings | BodySettings
 
 
 def _parse_body(value: Any) -> Any:
@@ -43,6 +63,17 @@ def _parse_body(value: Any) -> Any:
     return ROBOTS.parse_settings(value)
 
 
+def _parse_section(section: str) -> BeforeValidator:
+    """Leaves the name of a preset as it is, and parses anything else as settings."""
+
+    def parse(value: Any) -> Any:
+        if value is None or value in PRESETS[section]:
+            return value
+        return SECTIONS[section].model_validate(value)
+
+    return BeforeValidator(parse)
+
+
 class AgentGroupConf(Settings):
     """A group of `count` equal agents.
 
@@ -54,11 +85,11 @@ class AgentGroupConf(Settings):
     whose ends they go; other bodies have none unless it is given, and start and
     go in the region of their task. With `presence` the agents come and go.
 
-    Where `sensors`, `task` or `metrics` are None, they follow from the rest:
-    see `resolve_groups`.
+    `sensors`, `task` and `metrics` are settings, or the name of a preset (`presets_of`). Where one is left
+    out, the preset of the body and the controller is filled in, and so is `path` for agents on paths.
     """
 
-    body: Annotated[SerializeAsAny[RobotSettings | BodySettings], BeforeValidator(_parse_body)]
+    body: Annotated[SerializeAsAny[Body], BeforeValidator(_parse_body)]
     count: int = Field(1, ge=1, le=_MOST_AGENTS, description="number of agents")
     controller: Annotated[SerializeAsAny[Controller], BeforeValidator(parse_controller)] = "external"
     path: PathConf | None = Field(
@@ -67,9 +98,19 @@ class AgentGroupConf(Settings):
     presence: PresenceConf | None = Field(
         None, description="when the agents come and go; null: they are there all the time"
     )
-    sensors: SensorsConf | None = None
-    task: TaskConf | None = None
-    metrics: MetricsConf | None = None
+    sensors: Annotated[
+        SensorsConf | Literal["shared", "walker", "none"] | None, _parse_section("sensors")
+    ] = None
+    task: Annotated[
+        TaskConf | Literal["shared", "roaming", "walking", "to_and_fro", "none"] | None,
+        _parse_section("task"),
+    ] = None
+    metrics: Annotated[MetricsConf | Literal["shared", "none"] | None, _parse_section("metrics")] = None
+
+    @property
+    def is_robot(self) -> bool:
+        """Whether the body is that of a robot."""
+        return isinstance(self.body, RobotSettings)
 
     @model_validator(mode="after")
     def _body_can_do_it(self) -> Self:
@@ -82,6 +123,16 @@ class AgentGroupConf(Settings):
             )
         if self.presence is not None and follows_trajectories(self.controller):
             raise ValueError("presence: trajectories have times of their own; leave presence out")
+        return self
+
+    @model_validator(mode="after")
+    def _nothing_is_left_open(self) -> Self:
+        on_path = is_on_path(self.body, self.controller, has_path=self.path is not None)
+        filled: dict[str, Any] = {"path": PathConf()} if on_path else {}
+        for name, value in {**filled, **presets_of(self.body, self.controller, on_path=on_path)}.items():
+            if getattr(self, name) is None:
+                # The settings are frozen for everybody else.
+                object.__setattr__(self, name, value)
         return self
 
 
@@ -97,14 +148,113 @@ def _checked_names(groups: dict[str, AgentGroupConf]) -> dict[str, AgentGroupCon
 AgentGroups = Annotated[dict[str, AgentGroupConf], AfterValidator(_checked_names)]
 
 
-def is_on_path(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> bool:
+@dataclass(frozen=True)
+class ResolvedGroup:
+    """An agent group with settings in the place of its presets.
+
+    A group without `task` has no goal of its own, earns nothing and never ends an episode; one without
+    `sensors` observes nothing. `path` is set for agents that start on paths: persons, and others if they are
+    given one.
+    """
+
+    name: str
+    body: Body
+    count: int
+    controller: Controller
+    path: PathConf | None
+    sensors: SensorsConf | None
+    task: TaskConf | None
+    metrics: MetricsConf | None
+    presence: PresenceConf | None = None
+
+    @property
+    def is_external(self) -> bool:
+        """Whether its actions come from outside."""
+        return self.controller == EXTERNAL
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The names of its agents."""
+        return tuple(f"{self.name}_{number}" for number in range(self.count))
+
+
+def presets_of(
+    body: Body, controller: Controller, *, on_path: bool, with_all: bool = False
+) -> dict[str, str]:
+    """The presets of a group's sensors, task and metrics.
+
+    - `shared`: the section of the environment
+    - `walker`: goal, nearest other agent, own velocity (`sensors=walker`)
+    - `roaming`: starts and goals of the shared task; goal follows goal, nothing is earned
+    - `walking`: to the ends of the path, clear of others (`task=walking`); `to_and_fro`: the same, nothing
+      is earned
+    - `none`: nothing is observed, done or measured
+
+    Robots observe by `shared` sensors, other bodies by `walker`. External agents have the shared task, on
+    paths `walking`, and the shared metrics. Agents with another controller have no metrics, and sensors only
+    if it reads them; they roam, or go to and fro on their path. With `with_all`, no section is `none`.
+    """
+    is_external = controller == EXTERNAL
+    observes = with_all or is_external or reads_sensors(controller)
+    task = ("walking" if is_external else "to_and_fro") if on_path else SHARED if is_external else "roaming"
+    return {
+        "sensors": ("walker" if isinstance(body, BodySettings) else SHARED) if observes else NONE,
+        "task": task if observes or not on_path else NONE,
+        "metrics": SHARED if is_external or with_all else NONE,
+    }
+
+
+def preset_settings(section: str, preset: str, shared: Any) -> Any:
+    """The settings of a preset, given the environment's section `shared`; None for `none`."""
+    match section, preset:
+        case (_, "none"):
+            return None
+        case ("sensors", "walker"):
+            return walker_sensors()
+        case ("task", "walking"):
+            return walking_task()
+        case ("task", "to_and_fro"):
+            return roaming_task(walking_task())
+        case ("task", "roaming"):
+            return roaming_task(shared)
+    return shared
+
+
+def walker_sensors() -> SensorsConf:
+    """What persons observe: the end of their path, the nearest other agent, and their own velocity."""
+    return SensorsConf.model_validate(
+        {
+            "enabled": ["goal", "nearest_agent", "velocity"],
+            "named": {"velocity": {"sensor": "planar_velocity"}},
+        }
+    )
+
+
+def roaming_task(task: TaskConf) -> TaskConf:
+    """A task of the same starts and goals that earns nothing and never ends: goal follows goal."""
+    reached = task.terminations.get("goal_reached")
+    renewed = {} if reached is None else {"goal_reached": {**reached.model_dump(), "renew": True}}
+    return TaskConf.model_validate({**task.model_dump(), "rewards": {}, "terminations": renewed})
+
+
+def parse_members(group: Mapping[str, Any]) -> tuple[Body, Controller] | None:
+    """Body and controller of a group given as plain data; None where one is faulty."""
+    with suppress(ValueError, DuneError):
+        body = _parse_body(group.get("body"))
+        controller = parse_controller(group.get("controller", EXTERNAL))
+        if isinstance(body, RobotSettings | BodySettings):
+            return body, controller
+    return None
+
+
+def is_on_path(body: Body, controller: Controller, *, has_path: bool) -> bool:
     """Whether agents start on paths or trajectories: persons do, and other bodies that are given one."""
     if not isinstance(body, BodySettings):
         return False
     return isinstance(body, PersonConf) or controller == PATH or follows_trajectories(controller) or has_path
 
 
-def why_not(body: RobotSettings | BodySettings, controller: Controller, *, has_path: bool) -> str:
+def why_not(body: Body, controller: Controller, *, has_path: bool) -> str:
     """Why a body cannot do what a controller has it do, and what to write instead; empty where it can."""
     if not isinstance(body, BodySettings) and (
         controller == PATH or follows_trajectories(controller) or has_path
@@ -133,29 +283,12 @@ def why_not(body: RobotSettings | BodySettings, controller: Controller, *, has_p
     )
 
 
-def motion_model(body: RobotSettings | BodySettings) -> str:
+def motion_model(body: Body) -> str:
     """How a body moves: unicycle, bicycle, holonomic or flying."""
     if isinstance(body, BodySettings):
         return body.motion_model
     steers = getattr(getattr(body, "drive", None), "kind", None) == "ackermann"
     return "bicycle" if steers else "unicycle"
-
-
-def robot_groups(robots: Iterable[RobotSettings], taken: Iterable[str]) -> dict[str, AgentGroupConf]:
-    """A group for each kind of equal robots, in the order of the first of each.
-
-    Rover Zero's is called `rover`, another has its robot's name; a further one of a name gets `_b`, `_c` and
-    so on, and so does one whose name is `taken`.
-    """
-    counts: dict[RobotSettings, int] = {}
-    for robot in robots:
-        counts[robot] = counts.get(robot, 0) + 1
-    groups: dict[str, AgentGroupConf] = {}
-    for robot, count in counts.items():
-        label = "rover" if robot.name == "rover_zero" else re.sub(r"\W", "_", robot.name)
-        name = free_name(label, {*taken, *groups})
-        groups[name] = AgentGroupConf(body=robot, count=count)
-    return groups
 
 
 def free_name(name: str, taken: Iterable[str]) -> str:

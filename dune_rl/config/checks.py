@@ -11,6 +11,7 @@ from pydantic_core import ErrorDetails
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
+from dune_rl.config.shorthands import SHORTHANDS
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.core.suggestions import closest
@@ -96,6 +97,10 @@ def unknown_setting(path: Sequence[str | int], model: type[BaseModel], data: Map
     name = _dotted(path)
     section = _section(path[:-1], model, data)
     siblings = list(section.model_fields) if section else []
+    if "agents" in siblings:
+        # They write into it.
+        after = siblings.index("agents") + 1
+        siblings[after:after] = SHORTHANDS
     match = closest(str(path[-1]), siblings)
     if match:
         return f"{name} is not a setting; did you mean {_dotted((*path[:-1], match))}?"

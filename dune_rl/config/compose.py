@@ -1,12 +1,12 @@
 """Settings composed by Hydra from `conf/` and overrides, and validated as a whole."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar, overload
 
 from hydra.core.config_loader import ConfigLoader
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -14,7 +14,18 @@ from omegaconf import DictConfig, OmegaConf
 
 from dune_rl.config.checks import unique_lines, validate
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
-from dune_rl.config.expand import expand_options, merged
+from dune_rl.config.group_options import (
+    SCENARIO,
+    WORLD_ACTORS,
+    OptionReader,
+    describe_shared_groups,
+    difference,
+    drop_other_options,
+    expand_groups,
+    expand_robots,
+    has_scenario,
+    replace_default_actors,
+)
 from dune_rl.config.hydra_session import (
     WHOLE_SETTINGS,
     compose_config,
@@ -23,22 +34,17 @@ from dune_rl.config.hydra_session import (
     stated_keys,
     to_plain,
 )
-from dune_rl.config.named_options import keep_named_options, name_options
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.saved import copy_nested, upgrade_saved
-from dune_rl.config.scenarios import (
-    SCENARIO,
-    change_saved,
-    describe_shared_groups,
-    drop_groups_without_body,
-    drop_values_of_other_world,
-    has_scenario,
-    named_in,
-    names_options,
-)
 from dune_rl.config.schema import Conf, EnvConf
-from dune_rl.config.world_actors import GROUP as ACTOR_GROUP
-from dune_rl.config.world_actors import replace_default_actors
+from dune_rl.config.shorthands import (
+    SHORTHANDS,
+    change_group,
+    complete_sections,
+    is_robot_group,
+    join_groups,
+    merged,
+)
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
 
@@ -46,8 +52,6 @@ Model = TypeVar("Model", bound=EnvConf)
 
 # Groups of agents are no options, whatever they are called.
 _GROUPS = ("agents", "actors")
-# What `agents` takes the place of.
-_SHORTHANDS = ("robot", "robots", "actors")
 # Of environments made in Python and of benchmarks, unless a scenario or an experiment chooses one.
 _DEFAULT_WORLD = "inspection"
 
@@ -121,10 +125,8 @@ def compose_environment(
     with hydra_session(config_dirs) as loader:
         words, changes = _words_and_changes(world, overrides, settings or {}, loader)
         request = _with_world(_DEFAULT_WORLD, "environment", parse_overrides(words, loader), loader)
-        request = keep_named_options("environment", request)
-        data = to_plain(compose_config("environment", request))
-        data = merged(data, name_options(data, changes))
-        return _validate_all(model, data, request, loader, set_in_python=settings or {})
+        data = to_plain(compose_config("environment", request.without_group_changes()))
+        return _finish(model, data, request, loader, changes, set_in_python=settings or {})
 
 
 def _words_and_changes(
@@ -151,13 +153,17 @@ def _words_and_changes(
             changes[name] = {"enabled": list(value)}
         elif isinstance(value, str):
             words.append(f"{name}={value}")
-        elif name == "actors" and names_options(value, loader):
+        elif name == "actors" and value and isinstance(value, list | tuple) and _are_names(value):
             words.append(f"actors=[{','.join(value)}]")
         elif isinstance(value, Sequence):
             changes[name] = list(value)
         else:
             changes[name] = value
     return words, changes
+
+
+def _are_names(values: Sequence[Any]) -> bool:
+    return all(isinstance(each, str) for each in values)
 
 
 def _with_world(world: str, name: str, request: ParsedOverrides, loader: ConfigLoader) -> ParsedOverrides:
@@ -179,12 +185,12 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
     `ConfigError` names the faults of all.
     """
     with hydra_session(config_dirs) as loader:
-        request = keep_named_options("train", parse_overrides(overrides, loader))
+        request = parse_overrides(overrides, loader)
         faults = list(request.faults)
         for variant in _sweep_variants(request):
-            data = to_plain(compose_config("train", variant))
+            data = to_plain(compose_config("train", variant.without_group_changes()))
             try:
-                _validate_all(Conf, data, request, loader)
+                _finish(Conf, data, replace(variant, faults=request.faults), loader)
             except ConfigError as error:
                 faults += str(error).splitlines()
         if faults:
@@ -205,16 +211,6 @@ def override_value(overrides: Sequence[str], key: str) -> Any | None:
     return value
 
 
-def from_hydra(config: DictConfig) -> Conf:
-    """The settings that Hydra composed for a job, which have been validated before."""
-    data = to_plain(config)
-    drop_groups_without_body(data)
-    drop_values_of_other_world(data)
-    faults = expand_options(data, GlobalHydra.instance().config_loader())
-    replace_default_actors(data)
-    return validate(Conf, data, faults)
-
-
 def _compose(
     model: type[Model],
     name: str,
@@ -230,57 +226,163 @@ def _compose(
         swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
         if swept:
             raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
-        request = keep_named_options(name, request)
-        config = compose_config(name, request)
+        config = compose_config(name, request.without_group_changes())
         if saved is None:
-            data = to_plain(config)
-        else:
-            saved = upgrade_saved(saved)
-            if has_scenario(request):
-                saved = change_saved(saved, name, request)
-            data = _overlay_saved(saved, config, request, model)
-        return _validate_all(model, data, request, loader)
+            return _finish(model, to_plain(config), request, loader)
+        saved = upgrade_saved(saved)
+        if has_scenario(request):
+            saved = _change_saved(saved, name, request)
+        return _finish(
+            model,
+            _overlay_saved(saved, config, request, model),
+            request,
+            loader,
+            saved_groups=saved["agents"],
+        )
 
 
-def _validate_all(
+def _finish(
     model: type[Model],
     data: dict[str, Any],
     request: ParsedOverrides,
     loader: ConfigLoader,
-    set_in_python: Iterable[str] = (),
+    changes: Mapping[str, Any] | None = None,
+    set_in_python: Mapping[str, Any] | None = None,
+    saved_groups: Mapping[str, Any] | None = None,
 ) -> Model:
     """The settings in `data`, or a `ConfigError` that names all faults, those of the overrides too.
 
-    `set_in_python` are the sections that were set beside the overrides.
+    `changes` are settings given in Python beside the overrides, of the sections `set_in_python`;
+    `saved_groups` the agent groups of a run that the overrides change.
     """
+    set_in_python = set_in_python or {}
     # What a caller gave in Python stays as it is.
-    data = copy_nested(data)
+    data, changes = copy_nested(data), copy_nested(changes or {})
     if has_scenario(request):
-        drop_groups_without_body(data, named_in("actors", request))
-        given = set_in_python.get("world") if isinstance(set_in_python, Mapping) else None
-        in_python = given if isinstance(given, Mapping) else ()
-        drop_values_of_other_world(data, {*named_in("world", request), *in_python})
-    faults = [*_request_faults(request, data, loader), *expand_options(data, loader)]
-    replaced_actors = replace_default_actors(data, keep="actors" in set_in_python)
-    for override in request.values:
-        section, _, rest = str(override.key_or_group).partition(".")
-        name, _, setting = rest.partition(".")
-        if section == "actors" and setting and name in replaced_actors:
+        given = set_in_python.get("world")
+        drop_other_options(data, {*request.named_in("world"), *(given if isinstance(given, Mapping) else ())})
+    options = OptionReader(loader)
+    data = merged(data, {name: value for name, value in changes.items() if name not in _GROUPS})
+    faults = _request_faults(request, data, loader)
+    _change_groups(data, "actors", request, changes)
+    if changes.get("agents") is not None:
+        data["agents"] = changes["agents"]
+    faults += _describe_replaced(data, request, set_in_python)
+    faults += expand_robots(data, options)
+    keeps_actors = "actors" in set_in_python or (
+        saved_groups is not None and "actors" not in request.chosen()
+    )
+    replaced_actors = replace_default_actors(data, keep=keeps_actors)
+    for key in (str(override.key_or_group).split(".") for override in request.group_changes):
+        if key[0] == "actors" and len(key) > 2 and key[1] in replaced_actors:
             faults.append(
-                f"{override.key_or_group}: the actors of the world's file take the place of {name}; set "
-                f"actors.{ACTOR_GROUP}.{setting}, or choose actors=walkers"
+                f"{'.'.join(key)}: the actors of the world's file take the place of {key[1]}; set "
+                f"actors.{WORLD_ACTORS}.{'.'.join(key[2:])}, or choose actors=walkers"
             )
+    try:
+        data, origins = join_groups(data)
+    except ValueError as error:
+        raise ConfigError("\n".join([*faults, str(error)])) from None
+    if saved_groups is not None:
+        data["agents"], origins = _groups_of_run(saved_groups, data["agents"], request)
+    _change_groups(data, "agents", request, {})
+    faults += expand_groups(data, options)
+    try:
+        return validate(model, complete_sections(data), faults)
+    except ConfigError as error:
+        raise ConfigError(_name_shorthands(str(error), origins)) from None
+
+
+def _change_groups(
+    data: dict[str, Any], section: str, request: ParsedOverrides, changes: Mapping[str, Any]
+) -> None:
+    """Apply the changes of single groups, and of settings in them, to a section of agent groups."""
+    groups = data.get(section) or {}
+    wanted = [(str(each.key_or_group).split(".")[1:], each) for each in request.group_changes]
+    wanted = [(path, each) for path, each in wanted if str(each.key_or_group).startswith(f"{section}.")]
+    replacing = changes.get(section, {})
+    if not isinstance(replacing, Mapping):
+        groups = replacing
+    if not isinstance(groups, Mapping):
+        data[section] = groups
+        return
+    groups = dict(groups)
+    for path, each in wanted:
+        try:
+            change_group(groups, path, _value_of(each, data))
+        except ConfigError as error:
+            words = " ".join(str(each.input_line) for _, each in wanted)
+            raise ConfigError(f"{error}; write the whole value, or one of the two: {words}") from None
+    for name, value in replacing.items() if isinstance(replacing, Mapping) else ():
+        change_group(groups, [str(name)], value)
+    if groups:
+        data[section] = groups
+
+
+def _value_of(override: Override, data: Mapping[str, Any]) -> Any:
+    """The value of an override, with interpolations resolved."""
+    value = override.value()
+    if "${" not in str(override.input_line):
+        return value
+    return to_plain(OmegaConf.create({**data, "value_": value}))["value_"]
+
+
+def _groups_of_run(
+    saved: Mapping[str, Any], fresh: Mapping[str, Any], request: ParsedOverrides
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """The agent groups of a run, changed by overrides; `fresh` are those that the overrides compose alone."""
+    chosen = request.chosen()
+    if "agents" in chosen:
+        return dict(fresh), {}
+    robots = {name: group for name, group in saved.items() if is_robot_group(group)}
+    actors = {name: group for name, group in saved.items() if name not in robots}
+    origins: dict[str, str] = {}
+    if chosen & {"robot", "robots"}:
+        robots = {name: group for name, group in fresh.items() if is_robot_group(group)}
+    else:
+        changed = [each for each in request.values if str(each.key_or_group).startswith("robot.")]
+        for override in changed:
+            if len(robots) > 1:
+                raise ConfigError(
+                    f"{override.input_line}: there are the robots {', '.join(robots)}; write agents.NAME.body"
+                )
+            (name,) = robots
+            change_group(robots, [name, "body", *str(override.key_or_group).split(".")[1:]], override.value())
+            origins[f"agents.{name}.body"] = "robot"
+    if chosen & {"actors", SCENARIO}:
+        actors = {name: group for name, group in fresh.items() if not is_robot_group(group)}
+    else:
+        for override in request.group_changes:
+            section, *path = str(override.key_or_group).split(".")
+            if section == "actors":
+                change_group(actors, path, override.value())
+    origins |= {f"agents.{name}": f"actors.{name}" for name in request.named_in("actors")}
+    return {**robots, **actors}, origins
+
+
+def _name_shorthands(message: str, origins: Mapping[str, str]) -> str:
+    """An error's message, in which paths in `agents` are those of the shorthands that wrote there."""
+    for path, origin in sorted(origins.items(), key=lambda item: -len(item[0])):
+        message = re.sub(rf"(?<![\w.]){re.escape(path)}(?!\w)", origin, message)
+    return message
+
+
+def _describe_replaced(
+    data: Mapping[str, Any], request: ParsedOverrides, set_in_python: Mapping[str, Any]
+) -> list[str]:
+    """Faults of shorthands that were set beside what takes their place."""
     overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
+    faults = []
     if data.get("agents") is not None and has_scenario(request):
         faults.append(
             f"agents takes the place of the actors of the {SCENARIO}: leave one of the two out, or add "
             "groups with +actors.NAME={...}"
         )
-    for section, replaced in (("agents", _SHORTHANDS), ("robots", ("robot",))):
+    for section, replaced in (("agents", SHORTHANDS), ("robots", ("robot",))):
         for name in replaced if data.get(section) is not None else ():
             if name in overridden or name in set_in_python:
                 faults.append(f"{section} takes the place of {name}; leave one of them out")
-    return validate(model, data, faults)
+    return faults
 
 
 def _request_faults(request: ParsedOverrides, data: dict[str, Any], loader: ConfigLoader) -> list[str]:
@@ -295,18 +397,29 @@ def _request_faults(request: ParsedOverrides, data: dict[str, Any], loader: Conf
     return faults
 
 
+def _change_saved(saved: Mapping[str, Any], name: str, request: ParsedOverrides) -> dict[str, Any]:
+    """Saved settings with the values that the scenario of the overrides states; `name` is the file composed.
+
+    World and actors are those of the overrides.
+    """
+    alone = replace(request, groups=tuple(o for o in request.groups if o.key_or_group == SCENARIO), values=())
+    with_it = to_plain(compose_config(name, alone))
+    changes = difference(to_plain(compose_config(name, replace(alone, groups=()))), with_it)
+    kept = {key: value for key, value in saved.items() if key != "world"}
+    return merged(kept, {key: value for key, value in changes.items() if key in kept})
+
+
 def _overlay_saved(
     saved: Mapping[str, Any], config: DictConfig, request: ParsedOverrides, model: type[EnvConf]
 ) -> dict[str, Any]:
-    """Saved settings, changed by the overrides; sections that they do not have are those of `config`."""
+    """Saved settings but for agent groups, changed by the overrides; `config` has the sections they lack."""
     if any(override.key_or_group == "experiment" for override in request.groups):
         raise ConfigError("a saved run brings its own settings; leave +experiment out")
-    fresh = to_plain(config)
-    names = model.model_fields if model is Conf else EnvConf.model_fields
+    names = (model if model is Conf else EnvConf).model_fields.keys() - {"agents"}
     chosen = {override.key_or_group for override in request.groups}
-    kept_sections = {name: saved[name] for name in names if name in saved and name not in chosen}
-    overlaid = OmegaConf.create({**fresh, **kept_sections})
-    for override in request.values:
+    kept = {name: saved[name] for name in names if name in saved and name not in chosen}
+    overlaid = OmegaConf.create({**to_plain(config), **kept})
+    for override in request.without_group_changes().values:
         if not override.is_delete():
             key = override.key_or_group
             OmegaConf.update(overlaid, key, OmegaConf.select(config, key), merge=False, force_add=True)

@@ -4,13 +4,15 @@ import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from dune_rl.config.agents import ResolvedGroup
+from dune_rl.config.checks import validate
+from dune_rl.config.compose import compose_environment
 from dune_rl.config.controller_settings import FrozenPolicyConf, TrajectoryFilesConf
-from dune_rl.config.resolved_groups import ResolvedGroup
+from dune_rl.config.saved import upgrade_saved
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core.errors import CheckpointError, DuneError, WorldError
 from dune_rl.core.paths import conf_folder
 from dune_rl.core.suggestions import one_of
-from dune_rl.robots.settings import RobotSettings
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
 
@@ -46,11 +48,8 @@ def _raise_all(policies: Sequence[str], trajectories: Sequence[str]) -> None:
 def describe_owner(checkpoint: str, group: str, settings: str) -> str:
     """What `group` must have to act by the policy in a file: that of the group which was trained.
 
-    Its settings are at `settings`, empty for `robot`. The text is empty where the file does not tell.
+    Its settings are at `settings`. The text is empty where the file does not tell.
     """
-    # Only now: settings of runs need what composes settings.
-    from dune_rl.config.checks import validate
-    from dune_rl.config.saved import upgrade_saved
     from dune_rl.learning.saved_policies import read_policy_groups
 
     try:
@@ -65,22 +64,14 @@ def describe_owner(checkpoint: str, group: str, settings: str) -> str:
     owner = next((each for each in owners if each.name == name), None)
     if owner is None or owner.sensors is None:
         return ""
-    is_robot = isinstance(owner.body, RobotSettings)
-    if settings.startswith("actors.") if is_robot else not settings:
-        # Actors are no robots, and `robot` is nothing else.
-        return f"The policy is that of {name}, a {owner.body.name}: take another checkpoint."
-    robot, sensors = (f"{settings}.body", f"{settings}.sensors") if settings else ("robot", "sensors")
     return (
-        f"The policy is that of {name}: write {robot}={owner.body.name} and "
-        f"{sensors}={_sensors_in_words(owner)}, or take another checkpoint."
+        f"The policy is that of {name}: write {settings}.body={owner.body.name} and "
+        f"{settings}.sensors={_sensors_in_words(owner)}, or take another checkpoint."
     )
 
 
 def _sensors_in_words(group: ResolvedGroup) -> str:
     """The option of `sensors` that a group has, or one that enables the same; else what it has enabled."""
-    # Only now: what composes settings needs this module.
-    from dune_rl.config.compose import compose_environment
-
     assert group.sensors is not None
     options = [file.stem for file in sorted((conf_folder() / "sensors").glob("*.yaml"))]
     found = {name: compose_environment("flat", [f"sensors={name}"]).sensors for name in options}

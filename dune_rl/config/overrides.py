@@ -1,7 +1,7 @@
 """Overrides of the command line: parsed, checked, and put into the form that Hydra accepts."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hydra.core.config_loader import ConfigLoader
@@ -32,6 +32,25 @@ class ParsedOverrides:
     engine: tuple[Override, ...]
     faults: tuple[str, ...]
     faulty_groups: frozenset[str]
+
+    @property
+    def group_changes(self) -> list[Override]:
+        """The overrides of agent groups and of settings in them, those of whole sections first."""
+        changes = [each for each in self.values if _changes_group(each)]
+        return sorted(changes, key=lambda each: str(each.key_or_group).count("."))
+
+    def without_group_changes(self) -> "ParsedOverrides":
+        """The overrides that Hydra composes: to Hydra an option's name is a text, which a change replaces."""
+        return replace(self, values=tuple(each for each in self.values if not _changes_group(each)))
+
+    def chosen(self) -> set[str]:
+        """The groups of options, and the settings of whole groups, that are chosen."""
+        return {str(each.key_or_group) for each in (*self.groups, *self.values)}
+
+    def named_in(self, section: str) -> set[str]:
+        """The parts of a section that an override changes, such as the groups of `actors`."""
+        keys = (str(override.key_or_group).split(".") for override in self.values)
+        return {key[1] for key in keys if key[0] == section and len(key) > 1}
 
     def hydra_words(
         self, present: Iterable[str], *, stated: Iterable[str] = (), first_of_sweep: bool = False
@@ -115,6 +134,11 @@ def sweep_values(override: Override) -> list[Override]:
         # Its values lie between the two that it has.
         return [parser.parse_override(f"{key}={value}") for value in (interval.start, interval.end)]
     return [parser.parse_override(f"{key}={value}") for value in override.sweep_string_iterator()]
+
+
+def _changes_group(override: Override) -> bool:
+    section, _, rest = str(override.key_or_group).partition(".")
+    return section in ("agents", "actors") and bool(rest) and not override.is_delete()
 
 
 def _is_group(loader: ConfigLoader, key: str) -> bool:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from dune_rl.config.agents import SECTIONS
+from dune_rl.config.shorthands import is_robot_group, join_groups, write_agents
 from dune_rl.tasks.task import TaskConf
 
 # Sections whose angles were in radians, under names that ended in `_rad`.
@@ -24,12 +26,29 @@ def upgrade_saved(saved: Mapping[str, Any]) -> dict[str, Any]:
         del data["metrics"]
     if isinstance(learning, dict):
         learning.setdefault("name", "sac")
-    if data.get("actors") == []:
-        data["actors"] = {}
     for section in _SECTIONS_OF_ANGLES:
         if section in data:
             data[section] = _in_degrees(data[section])
-    return data
+    return write_agents(data)
+
+
+def split_groups(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The groups of robots in saved settings of any form, and the others, with what they state themselves."""
+    if not config.get("agents") and "robot" not in config:
+        return {}, {}
+    robots: dict[str, Any] = {}
+    actors: dict[str, Any] = {}
+    for name, group in join_groups(config)[0]["agents"].items():
+        own = {
+            key: value for key, value in group.items() if key not in SECTIONS or isinstance(value, Mapping)
+        }
+        (robots if is_robot_group(group) else actors)[name] = own
+    return robots, actors
+
+
+def robot_names(config: Mapping[str, Any]) -> list[str]:
+    """The names of the robots in saved settings of any form, sorted."""
+    return sorted({str(group["body"]["name"]) for group in split_groups(config)[0].values()})
 
 
 def copy_nested(value: Any) -> Any:

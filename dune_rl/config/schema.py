@@ -1,13 +1,20 @@
 """Every setting there is: one class for training, one for evaluation, both around an environment's."""
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationError, model_validator
 
-from dune_rl.config.actors import groups_of_list
-from dune_rl.config.agents import AgentGroups, robot_groups
+from dune_rl.config.agents import (
+    PRESETS,
+    SHARED,
+    AgentGroupConf,
+    AgentGroups,
+    ResolvedGroup,
+    preset_settings,
+)
 from dune_rl.config.checks import describe_faults
-from dune_rl.config.resolved_groups import GroupDefaults, ResolvedGroup, resolve_groups
+from dune_rl.config.shorthands import write_agents
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
 from dune_rl.env.randomisation import RandomisationConf
@@ -16,8 +23,6 @@ from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.episode import MetricsConf, metric_names
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.registry import ROBOTS
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.conf import SensorsConf
 from dune_rl.tasks.registry import ROBOT_REWARDS, TERMINATIONS
@@ -26,56 +31,67 @@ from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
 
 WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(WORLDS.parse_settings)]
-RobotConf = Annotated[SerializeAsAny[RobotSettings], BeforeValidator(ROBOTS.parse_settings)]
 AlgorithmConf = Annotated[SerializeAsAny[LearningConf], BeforeValidator(ALGORITHMS.parse_settings)]
-
-
-def _groups(actors: object) -> object:
-    return groups_of_list(actors) if isinstance(actors, list | tuple) else actors
 
 
 class EnvConf(Settings):
     """What an environment is made of; the world has no default.
 
-    `agents` are the agent groups of a scene. Without them `robot`, or several
-    `robots`, and `actors`, which are groups beside the robots', stand for them:
-    equal robots are one group. `sensors`, `task` and `metrics` are those of the
-    groups that have none of their own.
+    `agents` are the agent groups of a scene. Instead of them `robot`, or several `robots`, and `actors`,
+    which are groups beside the robots', can be given: they write into `agents`. `sensors`, `task` and
+    `metrics` are those of the groups that share them.
     """
 
     world: WorldConf
     weather: WeatherConf = WeatherConf()
-    agents: Annotated[AgentGroups, Field(min_length=1)] | None = None
-    robot: RobotConf = RoverZeroConf()
-    robots: Annotated[tuple[RobotConf, ...], Field(min_length=1)] | None = None
-    actors: Annotated[AgentGroups, BeforeValidator(_groups)] = Field(default_factory=dict)
+    agents: Annotated[AgentGroups, Field(min_length=1)]
     sensors: SensorsConf = SensorsConf()
     physics: PhysicsConf = PhysicsConf()
     task: TaskConf = TaskConf()
     metrics: MetricsConf = MetricsConf()
     randomisation: RandomisationConf = RandomisationConf()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _shorthands_write_agents(cls, data: Any) -> Any:
+        return write_agents(data) if isinstance(data, Mapping) else data
+
     @property
     def groups(self) -> tuple[ResolvedGroup, ...]:
-        """The agent groups of a scene, in order, with all that they are made of."""
-        groups = self.agents
-        if groups is None:
-            robots = (self.robot,) if self.robots is None else self.robots
-            groups = {**robot_groups(robots, self.actors), **self.actors}
-        return resolve_groups(groups, GroupDefaults(self.sensors, self.task, self.metrics))
+        """The agent groups of a scene, in order, with settings in the place of presets."""
+        return tuple(self._resolved(name, group) for name, group in self.agents.items())
+
+    def _resolved(self, name: str, group: AgentGroupConf) -> ResolvedGroup:
+        values = {key: getattr(group, key) for key in AgentGroupConf.model_fields}
+        for section in PRESETS:
+            if isinstance(values[section], str):
+                values[section] = preset_settings(section, values[section], getattr(self, section))
+        if group.metrics == SHARED and not group.is_robot:
+            # These bodies have no motors.
+            values["metrics"] = self.metrics.model_copy(update={"energy": False})
+        return ResolvedGroup(name=name, **values)
+
+    @property
+    def robot(self) -> RobotSettings:
+        """The robot of the first group of robots."""
+        return next(group.body for group in self.agents.values() if isinstance(group.body, RobotSettings))
+
+    @property
+    def actors(self) -> dict[str, AgentGroupConf]:
+        """The groups beside those of robots."""
+        return {name: group for name, group in self.agents.items() if not group.is_robot}
 
     def path_of(self, group: str) -> str:
-        """The path of a group's settings, such as `actors.walker`; empty for `robot` and `robots`."""
-        if self.agents is not None:
-            return f"agents.{group}"
-        return f"actors.{group}" if group in self.actors else ""
+        """The path of a group's settings, such as `agents.walker`."""
+        return f"agents.{group}"
 
     def require_endings(self) -> None:
         """Raise ValueError unless some external group has a termination that ends its episodes."""
         external = self.external_groups
         endings = [[] if one.task is None else one.task.terminations.values() for one in external]
         if all(term.renew for terms in endings for term in terms):
-            path = f"{self.path_of(external[0].name)}.task".lstrip(".")
+            name = external[0].name
+            path = "task" if self.agents[name].task == SHARED else f"{self.path_of(name)}.task"
             raise ValueError(
                 f"{path}.terminations: no episode ends, as nothing but another goal follows a goal; add "
                 f"'+{path}.terminations.time_limit={{max_steps: 2000}}'"

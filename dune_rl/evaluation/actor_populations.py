@@ -7,11 +7,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from dune_rl.config.agents import AgentGroupConf
+from dune_rl.config.agents import NONE, AgentGroupConf, ResolvedGroup, roaming_task
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose_environment
-from dune_rl.config.resolved_groups import ResolvedGroup, roaming_task
 from dune_rl.config.saved import upgrade_saved
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import ConfigError, DuneError
@@ -25,7 +24,6 @@ from dune_rl.learning.checkpoint import (
     find_checkpoint_file,
     read_checkpoint_file,
 )
-from dune_rl.robots.settings import RobotSettings
 
 OPTION, CHECKPOINT = "option", "checkpoint"
 # Of a run the last policy: its best is that of the robots, among which adversaries may do worst.
@@ -103,7 +101,8 @@ def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
     content = read_checkpoint_file(file, "policy", "checkpoint")
     config = upgrade_saved(content["config"])
     saved = {name: config[name] for name in EnvConf.model_fields if name in config}
-    actors = [one for one in validate(EnvConf, saved).groups if not isinstance(one.body, RobotSettings)]
+    conf = validate(EnvConf, saved)
+    actors = [one for one in conf.groups if one.name in conf.actors]
     if not any(one.is_external for one in actors):
         trained = ", ".join(sorted(content["groups"]))
         raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
@@ -122,9 +121,10 @@ def _plain(group: ResolvedGroup, weights: str) -> dict[str, Any]:
     values = {name: getattr(group, name) for name in AgentGroupConf.model_fields}
     values |= {
         "controller": {"checkpoint": weights} if group.is_external else group.controller,
+        "sensors": group.sensors or NONE,
         # Its goals, and no rewards, which nobody reads.
-        "task": None if group.task is None else roaming_task(group.task),
-        "metrics": None,
+        "task": NONE if group.task is None else roaming_task(group.task),
+        "metrics": NONE,
     }
     return {
         name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value

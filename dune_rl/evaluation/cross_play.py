@@ -15,6 +15,7 @@ from rich.table import Table
 
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.evaluation.actor_populations import CHECKPOINT, ActorPopulation
@@ -23,7 +24,6 @@ from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_p
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
-from dune_rl.robots.settings import RobotSettings
 
 RECORD, MATRIX, PICTURE = "cross_play.json", "cross_play.csv", "cross_play.png"
 MEASURES = ("SR", "TC", "OC")
@@ -35,21 +35,13 @@ def settings_among(conf: EvaluateConf, population: ActorPopulation, out: Path) -
     The population takes the place of all actors; raises ConfigError where it has a group of the robots' name.
     """
     data = {**conf.model_dump(mode="json"), "cross_play": False, "populations": [], "out": str(out)}
-    if conf.agents is None:
-        data["actors"] = dict(population.groups)
-    else:
-        robots = {
-            name: group
-            for name, group in data["agents"].items()
-            if isinstance(conf.agents[name].body, RobotSettings)
-        }
-        taken = sorted(robots.keys() & population.groups.keys())
-        if taken:
-            raise ConfigError(
-                f"populations: {population.location} has a group {taken[0]}, as the robots are called: give "
-                "the robots' group in agents another name"
-            )
-        data["agents"] = {**robots, **population.groups}
+    taken = sorted((conf.agents.keys() - conf.actors.keys()) & population.groups.keys())
+    if taken:
+        raise ConfigError(
+            f"populations: {population.location} has a group {taken[0]}, as the robots are called: give "
+            "the robots' group in agents another name"
+        )
+    data["agents"] = replace_actors(data["agents"], population.groups)
     return validate(EvaluateConf, data)
 
 

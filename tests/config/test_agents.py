@@ -7,9 +7,9 @@ import pytest
 
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.compose import compose, compose_environment, compose_evaluation, from_hydra
+from dune_rl.config.agents import ResolvedGroup, walker_sensors
+from dune_rl.config.compose import compose, compose_environment, compose_evaluation
 from dune_rl.config.controller_settings import FrozenPolicyConf
-from dune_rl.config.resolved_groups import ResolvedGroup, walker_sensors
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
@@ -83,42 +83,8 @@ def test_equal_robots_are_one_group() -> None:
         "rover_b": (1, "external"),
     }
     assert groups["rover_b"].body == RoverZeroConf(wheel_friction=0.8)
-    conf = compose_environment("flat", ["robots=[rover_zero,leo_rover]"])
-    assert conf.robots == (RoverZeroConf(), LeoRoverConf())
-
-
-def test_a_list_of_actors_becomes_groups() -> None:
-    groups = groups_of(
-        actors=[
-            {"speed_mps": 0.7},
-            {"controller": "external"},
-            {"speed_mps": 0.7},
-            {"waypoints": [[0, 0], [3, 0]]},
-        ]
-    )
-    assert summary(groups) == {
-        "rover": (1, "external"),
-        "walker_b": (2, "path"),
-        "walker": (1, "external"),
-        "walker_c": (1, "path"),
-    }
-    assert groups["walker_b"].body == PersonConf(speed_mps=0.7)
-    assert groups["walker_c"].path == PathConf(waypoints=((0.0, 0.0), (3.0, 0.0)))
-    assert groups_of(actors=[{"count": 3}])["walker"].count == 3
-    assert summary(groups_of(actors=[])) == {"rover": (1, "external")}
-
-
-def test_a_file_of_a_list_of_actors_goes_on_working(tmp_path: Path) -> None:
-    (tmp_path / "actors").mkdir()
-    (tmp_path / "actors" / "mixed.yaml").write_text(
-        "- kind: walker\n  controller: external\n- kind: walker\n  controller: scripted\n  speed_mps: 0.7\n"
-    )
-    conf = compose_environment("flat", ["actors=mixed"], config_dirs=[str(tmp_path)])
-    assert [(group.name, group.controller) for group in conf.groups] == [
-        ("rover", "external"),
-        ("walker", "external"),
-        ("walker_b", "path"),
-    ]
+    bodies = [group.body for group in compose_environment("flat", ["robots=[rover_zero,leo_rover]"]).groups]
+    assert bodies[:2] == [RoverZeroConf(), LeoRoverConf()]
 
 
 def test_actors_change_by_their_names() -> None:
@@ -207,16 +173,6 @@ def test_settings_of_a_run_with_groups_stay() -> None:
     assert [group.count for group in changed.groups] == [3, 1]
     other = compose_evaluation(["policy=random", "agents={rover: {body: leo_rover}}"], (), saved)
     assert [group.name for group in other.groups] == ["rover"]
-
-
-def test_a_job_of_hydra_knows_options_by_name() -> None:
-    import hydra
-
-    from dune_rl.core import paths
-
-    with hydra.initialize_config_dir(str(paths.conf_folder()), version_base="1.3"):
-        config = hydra.compose("train", ["+world=flat", f"++{TEAM}", "run_dir=runs/x"])
-        assert from_hydra(config).groups == compose(["+world=flat", TEAM]).groups
 
 
 @pytest.mark.parametrize(

@@ -11,17 +11,16 @@ from dune_rl.bodies.animals import CowConf, DogConf, SheepConf
 from dune_rl.bodies.drone import DroneConf
 from dune_rl.bodies.person import ChildConf, PersonConf
 from dune_rl.bodies.vehicles import CarConf, TractorConf, TruckConf
-from dune_rl.config.agents import AgentGroupConf
+from dune_rl.config.agents import AgentGroupConf, roaming_task, walker_sensors
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import (
     compose,
     compose_environment,
     compose_evaluation,
 )
+from dune_rl.config.group_options import MARK
 from dune_rl.config.hydra_session import WHOLE_SETTINGS
-from dune_rl.config.resolved_groups import roaming_task, walker_sensors
 from dune_rl.config.schema import Conf, EnvConf
-from dune_rl.config.world_actors import MARK
 from dune_rl.core import paths
 from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
@@ -72,6 +71,7 @@ BODY = RandomisationConf(
     action_latency_s=Uniform(low=0.0, high=0.1),
 )
 WALKERS = AgentGroupConf(body=PersonConf(), count=2, controller="path", path=PathConf())
+EXTERNAL_WALKERS = AgentGroupConf(body=PersonConf(), count=2, path=PathConf())
 
 
 def people(controller: dict[str, Any], count: int, speed_mps: float = 1.0) -> AgentGroupConf:
@@ -186,7 +186,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "none"): {},
     ("actors", "default"): {"walker": WALKERS},
     ("actors", "walkers"): {"walker": WALKERS},
-    ("actors", "external_walkers"): {"walker": WALKERS.model_copy(update={"controller": "external"})},
+    ("actors", "external_walkers"): {"walker": EXTERNAL_WALKERS},
     ("actors", "cars"): {"car": roaming(CarConf(), 2, speed_mps=3.0, **TRAFFIC)},
     ("actors", "cows"): {
         "cow": AgentGroupConf(
@@ -233,8 +233,8 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         "walker": seen_as_figures(people({"name": "crossing", "speed_mps": 1.4}, 3), speed_mps=1.4)
     },
     ("actors", "learning_walkers"): {
-        "walker": WALKERS.model_copy(
-            update={"controller": "external", "count": 4, "sensors": actor_sensors(), "task": COOPERATIVE}
+        "walker": EXTERNAL_WALKERS.model_copy(
+            update={"count": 4, "sensors": actor_sensors(), "task": COOPERATIVE}
         )
     },
     ("actors", "orca"): {"walker": people({"name": "orca"}, 8, 1.5)},
@@ -349,7 +349,8 @@ def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
         composed = compose_environment(
             option if group == "world" else place(group), words_given, {group: option}
         )
-    assert getattr(composed, group) == PLAIN[group, option]
+    found = composed.groups[0].body if group == "robot" else getattr(composed, group)
+    assert found == PLAIN[group, option]
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
@@ -359,7 +360,7 @@ def test_yaml_states_every_setting(group: str, option: str) -> None:
     if isinstance(plain, dict):
         plain = EnvConf(world=FlatConf(), actors=plain)
         stated = {"actors": stated}
-        settings = leaves({"actors": plain.model_dump()["actors"]})
+        settings = leaves({"actors": {name: each.model_dump() for name, each in plain.actors.items()}})
         inherits = "defaults" in stated["actors"]
         stated["actors"].pop("defaults", None)
         # A name stands for all settings of that option.

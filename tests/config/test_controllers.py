@@ -81,7 +81,7 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
         check_group_files(compose(words))
     said = [line for line in str(error.value).splitlines() if "There is no" in line]
     assert said == [
-        f"actors.foe.controller.checkpoint: There is no {tmp_path / 'b.pt'}.",
+        f"agents.foe.controller.checkpoint: There is no {tmp_path / 'b.pt'}.",
         f"learning.start_from: There is no {tmp_path / 'c.pt'}.",
         f"learning.groups.walker.frozen: There is no {tmp_path / 'a.pt'}.",
     ]
@@ -125,8 +125,8 @@ def test_a_file_without_the_groups_policy_names_those_that_it_has(tmp_path: Path
     with pytest.raises(CheckpointError) as error:
         check_group_files(compose_environment("flat", (), {"actors": {"foe": foe}}))
     assert str(error.value).splitlines() == [
-        f"actors.foe.controller.checkpoint: {both} has no policy for the group foe, but for rover, walker.",
-        "Set actors.foe.controller.group to rover or walker, after the one whose policy it is to play, or "
+        f"agents.foe.controller.checkpoint: {both} has no policy for the group foe, but for rover, walker.",
+        "Set agents.foe.controller.group to rover or walker, after the one whose policy it is to play, or "
         "take another checkpoint.",
     ]
     foe["controller"] = {"checkpoint": str(both), "group": "rover"}
@@ -171,10 +171,10 @@ def test_missing_files_are_named_at_once_before_the_world_is_built(tmp_path: Pat
         make_simulation(compose_environment("flat", (), {"actors": actors}), 1, 0, make_world=refuse)
     said = [line for line in str(error.value).splitlines() if line.startswith("actors.")]
     assert said == [
-        f"actors.foe.controller.checkpoint: There is no {tmp_path / 'three.pt'}.",
-        f"actors.patrol.controller.trajectory: there is no file {files[0]}: name one with trajectories "
+        f"agents.foe.controller.checkpoint: There is no {tmp_path / 'three.pt'}.",
+        f"agents.patrol.controller.trajectory: there is no file {files[0]}: name one with trajectories "
         "(.sdf, .csv, .json).",
-        "actors.patrol.controller.trajectory: two.csv has no column y_m, z_m, yaw_rad: its first line names "
+        "agents.patrol.controller.trajectory: two.csv has no column y_m, z_m, yaw_rad: its first line names "
         "the columns.",
     ]
 
@@ -210,10 +210,8 @@ def test_who_is_resumed_needs_no_file_that_it_began_with(tmp_path: Path) -> None
     assert read_group_files(conf) == {}
 
 
-def test_what_a_policy_is_for_is_told_of_robots_and_walkers() -> None:
-    robots = describe_owner(str(POLICY), "rover", "")
-    assert robots == (
-        "The policy is that of rover: write robot=rover_zero and sensors=default, or take another checkpoint."
+def test_what_a_policy_is_for_is_told() -> None:
+    assert describe_owner(str(POLICY), "rover", "agents.robot") == (
+        "The policy is that of rover: write agents.robot.body=rover_zero and agents.robot.sensors=default, "
+        "or take another checkpoint."
     )
-    walkers = describe_owner(str(POLICY), "walker", "actors.walker")
-    assert walkers == "The policy is that of rover, a rover_zero: take another checkpoint."

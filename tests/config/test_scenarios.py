@@ -110,11 +110,6 @@ def test_lists_of_actors_compose(actors: str | list[str]) -> None:
     assert counts(compose_environment("flat", (), {"actors": actors})) == {"walker": 2, "car": 2, "herd": 8}
 
 
-def test_lists_of_bodies_are_no_options() -> None:
-    bodies = [group.body.name for group in compose_environment("flat", (), {"actors": ["cow"]}).groups[1:]]
-    assert bodies == ["cow"]
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -106,8 +106,8 @@ def test_more_actors_than_fit_is_said_before_anything_is_built() -> None:
         first,
     )
     assert last == (
-        "Lower actors.fleet.count, widen actors.fleet.task.spawn.region, lower "
-        "actors.fleet.task.spawn.robots_apart_m, or choose a smaller body."
+        "Lower actors.fleet.count, widen agents.fleet.task.spawn.region, lower "
+        "agents.fleet.task.spawn.robots_apart_m, or choose a smaller body."
     )
 
 

@@ -30,13 +30,13 @@ def lines_of_fault(**actors: Any) -> list[str]:
 @pytest.mark.parametrize("name", ["patrol", "herd"])
 def test_places_where_nobody_can_be_are_named_with_their_setting(name: str) -> None:
     sheep = {"body": "sheep", "controller": {"name": name, "places": GIVEN}}
-    setting = "actors.flock.controller.places"
+    setting = "agents.flock.controller.places"
     assert lines_of_fault(flock=sheep) == [
         f"{setting}: place 4, (0.00, 99.00), is outside the world, which has x from -10 to 10 m and y from "
         "-10 to 10 m: move it",
         f"{setting}: place 2, (2.00, 0.50), is in an obstacle: move it",
-        f"{setting}: place 3, (-4.00, -4.00), is in water (0.50 m deep, and actors.flock.body.max_water_m is "
-        "0.3): move it, or raise actors.flock.body.max_water_m",
+        f"{setting}: place 3, (-4.00, -4.00), is in water (0.50 m deep, and agents.flock.body.max_water_m is "
+        "0.3): move it, or raise agents.flock.body.max_water_m",
     ]
 
 
@@ -50,13 +50,13 @@ def test_faults_of_all_groups_are_told_at_once() -> None:
     children = {"body": "child", "controller": "path", "path": {"waypoints": [[-4.0, -4.0], [0.0, -20.0]]}}
     between, outside, water = lines_of_fault(walkers=walkers, children=children)
     assert between.startswith(
-        "actors.walkers.path.waypoints: between way-points 1 and 2 the way is in an obstacle at (1."
+        "agents.walkers.path.waypoints: between way-points 1 and 2 the way is in an obstacle at (1."
     )
     assert outside.startswith(
-        "actors.children.path.waypoints: way-point 2, (0.00, -20.00), is outside the world"
+        "agents.children.path.waypoints: way-point 2, (0.00, -20.00), is outside the world"
     )
     assert water.startswith(
-        "actors.children.path.waypoints: way-point 1, (-4.00, -4.00), is in water (0.50 m"
+        "agents.children.path.waypoints: way-point 1, (-4.00, -4.00), is in water (0.50 m"
     )
 
 

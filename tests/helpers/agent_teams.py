@@ -3,6 +3,7 @@
 from typing import Any
 
 from simulations import started_simulation
+from walker_groups import walker_groups
 
 from dune_rl.env.simulation import VectorSimulation
 
@@ -12,8 +13,11 @@ TWO_WALKERS = [{"controller": "external"}, {"controller": "external"}]
 SCRIPTED = {"speed_mps": 0.7}
 SCENES: dict[str, dict[str, Any]] = {
     "team": {"robots": ["rover_zero"] * 3, "actors": "none"},
-    "kinds": {"robots": ["rover_zero", "rover_zero", "hyperdog"], "actors": [*TWO_WALKERS, SCRIPTED]},
-    "crowd": {"robots": ["rover_zero"], "actors": [{"controller": "external"}] * 20},
+    "kinds": {
+        "robots": ["rover_zero", "rover_zero", "hyperdog"],
+        "actors": walker_groups([*TWO_WALKERS, SCRIPTED]),
+    },
+    "crowd": {"robots": ["rover_zero"], "actors": walker_groups([{"controller": "external"}] * 20)},
 }
 WORLDS = {"team": "flat", "kinds": "inspection", "crowd": "flat"}
 # Groups as they are configured one by one: equal robots apart by their sensors, and a behaviour beside them.

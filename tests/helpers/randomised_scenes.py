@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from simulations import act, metrics, new_simulation, observation, state_of_group
+from walker_groups import walker_groups
 
 from dune_rl.env.simulation import VectorSimulation
 
@@ -22,7 +23,9 @@ EVERY_SENSE = {
 ISLANDS: dict[str, Any] = {
     "world": {"name": "island", "grass_cover": 0.3},
     "sensors": EVERY_SENSE,
-    "actors": [{"length_range_m": [3.0, 10.0]}, {"controller": "external", "length_range_m": [3.0, 10.0]}],
+    "actors": walker_groups(
+        [{"length_range_m": [3.0, 10.0]}, {"controller": "external", "length_range_m": [3.0, 10.0]}]
+    ),
     "weather": {"fog_visibility_m": 20.0},
     "randomisation": {
         "world_seed": [1, 2, 3],

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from walker_groups import walker_groups
 
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
@@ -24,8 +25,13 @@ _composed: dict[str, EnvConf] = {}
 
 
 def environment_conf(world: Any = "flat", **settings: Any) -> EnvConf:
-    """Settings of an environment; `settings` are as for `dune_rl.make`, but without actors by default."""
+    """Settings of an environment; `settings` are as for `dune_rl.make`, but without actors by default.
+
+    `actors` may be a list of walkers, as `walker_groups` has it.
+    """
     asked = settings if "agents" in settings else {"actors": "none"} | settings
+    if isinstance(asked.get("actors"), list) and not all(isinstance(each, str) for each in asked["actors"]):
+        asked = asked | {"actors": walker_groups(asked["actors"])}
     key = repr((world, asked))
     if key not in _composed:
         # Hydra takes as long as all else that a short test does.

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from published_tasks import DUNE_CODE, PAPER, begun
 from term_states import agents, state_of
+from walker_groups import walker_groups
 
 import dune_rl
 from dune_rl.config.build import make_simulation
@@ -270,7 +271,9 @@ def test_a_walker_goes_on_to_its_next_way_point() -> None:
 @pytest.mark.parametrize("control_hz", [4, 20, 50])
 def test_a_walker_earns_its_progress_at_any_control_rate(control_hz: int) -> None:
     path = {"controller": "external", "waypoints": [[-8.0, 8.0], [8.0, 8.0]], "start_distance_m": 0.0}
-    conf = compose_environment("flat", [f"physics.control_hz={control_hz}"], {"actors": [path]})
+    conf = compose_environment(
+        "flat", [f"physics.control_hz={control_hz}"], {"actors": walker_groups([path])}
+    )
     simulation = make_simulation(conf, 1, seed=0)
     simulation.reset()
     simulation.group("walker").body.poses[0] = -6.0, 8.0, 0.0, 0.0, 0.0, 0.0

@@ -10,6 +10,7 @@ from dune_rl.commands.benchmark.timing import median_ratio, time_calls, time_in_
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import BenchmarkConf
 from dune_rl.config.schema import EnvConf
+from dune_rl.config.shorthands import replace_actors
 
 _ACTORS = 20
 # The field of the result, and the controller of the actors.
@@ -55,5 +56,5 @@ def _with_actors(conf: BenchmarkConf, controller: str | None) -> EnvConf:
     """The environment of `conf` with its robots, and twenty persons of this controller, or nobody."""
     values = conf.model_dump(include=set(EnvConf.model_fields))
     crowd = {"body": {"name": "person"}, "count": _ACTORS, "controller": controller}
-    values["actors"] = {} if controller is None else {"crowd": crowd}
+    values["agents"] = replace_actors(values["agents"], {} if controller is None else {"crowd": crowd})
     return EnvConf.model_validate(values)

@@ -55,6 +55,6 @@ def measure_groups(conf: BenchmarkConf) -> dict[str, Any]:
 def _with_robots(conf: BenchmarkConf, count: int) -> EnvConf:
     """The environment of `conf` with `count` of its robot and no other agents."""
     values = conf.model_dump(include=set(EnvConf.model_fields))
-    values["robots"] = [values["robot"]] * count
-    values["actors"] = ()
+    body = next(group.body for group in conf.external_groups)
+    values["agents"] = {"robots": {"body": body, "count": count}}
     return EnvConf.model_validate(values)

@@ -5,9 +5,11 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
+from dune_rl.config.agents import SHARED
 from dune_rl.config.build import build_robot
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
+from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.distributions import Choice, WholeNumbers
 from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
@@ -26,7 +28,7 @@ _ONE_ROBOT = ("agents", "robots")
 
 def refuse_several_robots(name: str, conf: EnvConf) -> None:
     """Raise ConfigError unless `conf` has the one robot that the set `name` is for."""
-    if conf.agents is not None or conf.robots is not None:
+    if [(group.count, group.task) for group in conf.agents.values() if group.is_robot] != [(1, SHARED)]:
         raise ConfigError(
             f"set={name} is for one robot, and these settings have agents or robots of their own; evaluate "
             "them with +world=NAME episodes=N"
@@ -58,6 +60,8 @@ def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
     for section, values in episode_set.header.settings.items():
         if section == "task":
             data["task"] = {**data["task"], **values}
+        elif section == "actors":
+            data["agents"] = replace_actors(data["agents"], values)
         else:
             data[section] = values
     first = episode_set.episodes[0].world_seed

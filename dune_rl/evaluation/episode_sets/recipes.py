@@ -89,7 +89,8 @@ class SetRecipe:
     def header(self, sites: int) -> dict[str, Any]:
         """The header of the set's file; see `SetHeader`."""
         data = self.settings.model_dump(mode="json")
-        determined = {key: data[key] for key in ("world", "weather", "actors", "randomisation")}
+        determined = {key: data[key] for key in ("world", "weather", "randomisation")}
+        determined["actors"] = {name: data["agents"][name] for name in self.settings.actors}
         determined["task"] = {key: data["task"][key] for key in ("spawn", "terminations")}
         seeded = self.words or hasattr(self.settings.world, "seed")
         places = f"{sites} sites" if sites > 1 else "one site" + ("" if seeded else _NO_SEED)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from dune_rl.config.agents import SHARED
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import MOST_RUN_STEPS, EvaluateConf
 from dune_rl.config.compose import compose_environment
@@ -39,7 +40,7 @@ def settings_of_protocol(conf: EvaluateConf) -> EvaluateConf:
     ConfigError where several agents are driven.
     """
     external = conf.external_groups
-    if conf.agents is not None or conf.robots is not None or [one.count for one in external] != [1]:
+    if [(one.count, conf.agents[one.name].task) for one in external] != [(1, SHARED)]:
         raise ConfigError(
             f"protocol={conf.protocol} is for one robot, and these settings have several agents; evaluate "
             "them with episodes=N"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from PIL import Image
 from tensorboard.compat.proto.summary_pb2 import Summary
@@ -139,8 +140,13 @@ def choose_hyperparameters(config: Mapping[str, Any], words: Sequence[str] = ())
     column, also in the run that has the default. TensorBoard shows few columns at first: there are no others.
     """
     found: dict[str, HParam] = {}
-    for name, section in (("world", "world"), ("robot", "robot"), ("algorithm", "learning")):
-        option = config.get(section)
+    # Robots are the first of the groups.
+    first: Mapping[str, Any] = next(iter((config.get("agents") or {}).values()), {})
+    for name, option in (
+        ("world", config.get("world")),
+        ("robot", first.get("body")),
+        ("algorithm", config.get("learning")),
+    ):
         if isinstance(option, Mapping) and "name" in option:
             found[name] = str(option["name"])
     for name in ("seed", "total_frames"):
@@ -161,4 +167,8 @@ def _value(config: Mapping[str, Any], name: str, text: str) -> HParam:
         found = found.get(key) if isinstance(found, Mapping) else None
     if isinstance(found, bool | int | float | str):
         return found
-    return text if found is None or isinstance(found, Mapping) else str(found)
+    if isinstance(found, list):
+        return str(found)
+    # Shorthands of agent groups are in no resolved settings.
+    value = yaml.safe_load(text) if found is None and text[0] not in "[{" else text
+    return value if isinstance(value, bool | int | float) else text

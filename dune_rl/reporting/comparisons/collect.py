@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from dune_rl.config.commands import BuiltInPolicy
+from dune_rl.config.saved import robot_names, split_groups
 from dune_rl.evaluation.episode_sets import read_episode_set
 from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.reporting.csv_rows import is_number
@@ -16,7 +17,7 @@ from dune_rl.reporting.origins import installed_checksum
 from dune_rl.reporting.runs import EvaluationRun, Row, differing_settings
 
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
-_DECISIVE = ("world", "weather", "agents", "robots", "actors", "randomisation", "protocol", "run_steps")
+_DECISIVE = ("world", "weather", "randomisation", "protocol", "run_steps")
 _DECISIVE_IN_TASK = ("spawn", "terminations")
 _SETTINGS_SHOWN, _SHOWN_OF_SUM = 3, 12
 
@@ -73,6 +74,9 @@ def cases_of(run: EvaluationRun, group: str) -> Cases:
 def _decisive_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     task, physics = config.get("task"), config.get("physics")
     parts = {name: config.get(name) for name in _DECISIVE}
+    robots, parts["actors"] = split_groups(config)
+    if sum(group["count"] for group in robots.values()) > 1:
+        parts["robots"] = robots
     if isinstance(physics, dict):
         # A time limit is a number of control steps.
         parts["physics.control_hz"] = physics.get("control_hz")
@@ -177,7 +181,7 @@ def describe_oddities(comparison: Comparison) -> list[str]:
             f"{', '.join(trained)}: measured on the site that it was trained on; on others it may do worse."
         )
     robots = {
-        str((run.config.get("robot") or {}).get("name")) for one in comparison.methods for run in one.runs
+        ", ".join(robot_names(run.config)) for one in comparison.methods for run in one.runs
     }
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dune_rl.config.saved import robot_names
 from dune_rl.metrics.number_text import NOTHING, format_range
 from dune_rl.reporting.comparisons.comparison import Comparison
 from dune_rl.reporting.csv_rows import is_number
@@ -158,12 +159,8 @@ def _checksum(comparison: Comparison) -> str:
 
 
 def _robots(comparison: Comparison) -> list[str]:
-    found = {
-        str(_mapping(run.config.get("robot")).get("name", NOTHING))
-        for method in comparison.methods
-        for run in method.runs
-    }
-    return sorted(found)
+    runs = [run for method in comparison.methods for run in method.runs]
+    return sorted({", ".join(robot_names(run.config)) or NOTHING for run in runs})
 
 
 def _distances(rows: Sequence[Row]) -> str:
