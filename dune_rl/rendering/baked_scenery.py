@@ -5,8 +5,8 @@ from copy import copy
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
@@ -99,14 +99,14 @@ class BakedScenery:
         points = _ground_grid(self.terrain, rows, columns).reshape(-1, 3)
         normals = smooth_normals(self.terrain, points[:, :2])
         share = sky_share(self.rays, points, normals).reshape(rows, columns)
-        return ndimage.gaussian_filter(share, 0.7)
+        return scipy.ndimage.gaussian_filter(share, 0.7)
 
     def _bake_ground(self) -> NDArray[np.uint8]:
         albedo = self.scenery.ground.albedo
         points = self.ground_texel_positions().reshape(-1, 3)
         normals = smooth_normals(self.terrain, points[:, :2])
         zoom = [a / b for a, b in zip(albedo.shape[:2], self.sky_share.shape, strict=True)]
-        share = ndimage.zoom(self.sky_share, zoom, order=1, mode="nearest", grid_mode=True)
+        share = scipy.ndimage.zoom(self.sky_share, zoom, order=1, mode="nearest", grid_mode=True)
         lit = self.light.shade(
             albedo.reshape(-1, 3), normals, sunlit(self.rays, self.light, points, normals), share.ravel()
         )
@@ -144,7 +144,7 @@ def smooth_normals(terrain: HeightField, xy: Array) -> Floats:
     """Unit normals (N, 3) at points (N, 2), interpolated between the terrain's vertices."""
     rise_y, rise_x = np.gradient(terrain.heights, terrain.spacing_m)
     at = ((xy - terrain.origin) / terrain.spacing_m).T[::-1]
-    slopes = [ndimage.map_coordinates(rise, at, order=1, mode="nearest") for rise in (rise_x, rise_y)]
+    slopes = [scipy.ndimage.map_coordinates(rise, at, order=1, mode="nearest") for rise in (rise_x, rise_y)]
     normals = np.stack([-slopes[0], -slopes[1], np.ones(len(xy))], axis=1)
     unit: Floats = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
     return unit

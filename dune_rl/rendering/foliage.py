@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
@@ -60,7 +60,7 @@ class Foliage:
         cell_x, cell_y = (xmax - xmin) / columns, (ymax - ymin) / rows
         steepest = float(terrain.normal(_triangle_centres(terrain))[..., 2].min())
         # From anywhere in a cell, a lower bound of the distance to interpolated density above 0.
-        away = ndimage.distance_transform_edt(density <= 0.0, sampling=(cell_y, cell_x))
+        away = scipy.ndimage.distance_transform_edt(density <= 0.0, sampling=(cell_y, cell_x))
         if not (density > 0.0).any():
             away = np.full(density.shape, np.inf)
         reach = np.maximum(away - 1.5 * np.hypot(cell_x, cell_y), 0.0).astype(np.float32)
@@ -171,7 +171,9 @@ def _tufts() -> Floats:
     draws = np.random.default_rng(11).standard_normal((3, TEXELS, TEXELS))
 
     def noise(layer: int, *sigmas: float) -> Array:
-        total = sum(ndimage.gaussian_filter(draws[layer], sigma, mode="wrap") * sigma for sigma in sigmas)
+        total = sum(
+            scipy.ndimage.gaussian_filter(draws[layer], sigma, mode="wrap") * sigma for sigma in sigmas
+        )
         unit: Array = total / np.std(total)
         return unit
 

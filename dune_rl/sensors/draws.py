@@ -1,11 +1,11 @@
 """Random numbers that depend on nothing but where they are used: nothing is kept between two draws."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from hashlib import blake2b
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from dune_rl.geometry.arrays import Counts, Floats
 
@@ -19,7 +19,12 @@ _SHIFTS = tuple(np.uint64(bits) for bits in (30, 27, 31))
 # The normal distribution cut into 65,536 parts of equal weight: a look-up costs a sixth of Box and
 # Muller's logarithm and cosine, and gives the same bytes on every processor. No part is beyond 4.33.
 _PARTS = 2**16
-_QUANTILES = ndtri((np.arange(_PARTS) + 0.5) / _PARTS).astype(np.float32)
+
+
+@cache
+def _quantiles() -> Floats:
+    quantiles: Floats = scipy.special.ndtri((np.arange(_PARTS) + 0.5) / _PARTS).astype(np.float32)
+    return quantiles
 
 
 def uniform(seed: int, name: str, episodes: Counts, steps: Counts, entries: int) -> Floats:
@@ -36,7 +41,7 @@ def uniform(seed: int, name: str, episodes: Counts, steps: Counts, entries: int)
 def normal(seed: int, name: str, episodes: Counts, steps: Counts, entries: int) -> Floats:
     """Normal numbers (M, entries) of mean 0 and deviation 1, at most 4.33; otherwise as `uniform`."""
     quarters = _words(seed, name, episodes, steps, -(-entries // 4)).view(np.uint16)
-    drawn: Floats = _QUANTILES.take(quarters[:, :entries])
+    drawn: Floats = _quantiles().take(quarters[:, :entries])
     return drawn
 
 

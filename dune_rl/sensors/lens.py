@@ -4,8 +4,8 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
+import scipy
 from pydantic import Field, model_validator
-from scipy.optimize import brentq
 
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array
@@ -94,7 +94,7 @@ class Lens:
             if excess(low) >= 0.0:
                 break
             low /= 1.02
-        self.focal_px = plain if low == high else float(brentq(excess, low, high, xtol=1e-10))
+        self.focal_px = plain if low == high else float(scipy.optimize.brentq(excess, low, high, xtol=1e-10))
 
     @cached_property
     def directions(self) -> Array:

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.grid_loops import interpolate_bilinear
@@ -66,7 +66,7 @@ class ClearanceField:
         free = np.ones((self.rows, self.columns), dtype=bool)
         free[rows[blocked], columns[blocked]] = False
         # An obstacle's true edge is up to a cell beyond its outermost grid point.
-        distance = distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
+        distance = scipy.ndimage.distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
         return np.maximum(distance, 0.0).astype(np.float32).reshape(-1)
 
     def _in_bounding_boxes(self, meshes: Sequence[Mesh]) -> Flags:
@@ -149,7 +149,7 @@ class ObstacleSearch:
         if field.distance is None:
             return
         free = field.distance.reshape(field.rows, field.columns) > 0.0
-        row, column = distance_transform_edt(
+        row, column = scipy.ndimage.distance_transform_edt(
             free, sampling=field.cell_m, return_distances=False, return_indices=True
         )
         self._nearest = (row * field.columns + column).astype(np.int32).reshape(-1)

@@ -3,8 +3,8 @@
 from typing import TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import label
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.worlds.world import World
@@ -59,7 +59,7 @@ class FreeSpace:
         self.inside: Flags = inside_y[:, None] & inside_x
         self.traversable: Flags = self.inside & ~self.steep & ~self.blocked
         self.components: NDArray[np.int32]
-        self.components, _ = label(self.traversable)
+        self.components, _ = scipy.ndimage.label(self.traversable)
 
     def centres(self, cells: Flags) -> Array:
         """Centres (K, 2) [m] of the True cells of a grid (rows, columns)."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags, Floats
@@ -89,7 +89,7 @@ def grow_grass(
     noise = np.zeros((rows, columns))
     for wavelength, weight in zip(_PATCHES_M, (1.0, 0.5), strict=True):
         sigma = (wavelength / 4 / cell_y, wavelength / 4 / cell_x)
-        layer = ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap")
+        layer = scipy.ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap")
         noise += weight * layer / layer.std()
     free = ~_occupied_cells(terrain, obstacles, rows, columns)
     free[[0, -1]] = free[:, [0, -1]] = False
@@ -138,4 +138,4 @@ def _occupied_cells(terrain: HeightField, obstacles: Sequence[Mesh], rows: int, 
     row = ((points[:, 1] - ymin) * rows / (ymax - ymin)).astype(np.intp)
     occupied[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True
     # Density is interpolated between cells, so the neighbours of occupied cells must be bare, too.
-    return ndimage.binary_dilation(occupied, np.ones((3, 3), bool))
+    return scipy.ndimage.binary_dilation(occupied, np.ones((3, 3), bool))

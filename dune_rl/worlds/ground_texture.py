@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags, Floats
@@ -87,7 +87,7 @@ def ground_texture_from_picture(
     rows, columns = albedo.shape[:2]
     plain = ground_texture(terrain, ground, seed).albedo
     zoom = (rows / plain.shape[0], columns / plain.shape[1], 1.0)
-    grain = ndimage.zoom(plain / plain.mean(axis=(0, 1)), zoom, order=1, mode="nearest", grid_mode=True)
+    grain = scipy.ndimage.zoom(plain / plain.mean(axis=(0, 1)), zoom, order=1, mode="nearest", grid_mode=True)
     grain[picture.detailed] = 1.0
     return GroundTexture(np.clip(albedo * grain, 0.01, 0.95).astype(np.float32))
 
@@ -105,7 +105,7 @@ def ground_texture(
     grain = _noise(rng, rows, columns, [0.5, 0.2, 0.1], texel_m)
     xy = cell_centres(terrain.extent, rows, columns)
     slope = terrain.slope(xy)
-    slope = ndimage.gaussian_filter(slope, 0.5 / texel_m)
+    slope = scipy.ndimage.gaussian_filter(slope, 0.5 / texel_m)
     growth = smooth_step((patches + 0.8) / 1.6)[..., None]
     layers = [(ground, np.ones((rows, columns)))]
     if surfaces is not None:
@@ -133,7 +133,7 @@ def _surface_layers(
     return [
         (
             SURFACE_COLOURS.get(surfaces.names[number], ground),
-            ndimage.gaussian_filter((numbers == number).astype(np.float64), blend),
+            scipy.ndimage.gaussian_filter((numbers == number).astype(np.float64), blend),
         )
         for number in np.unique(numbers).tolist()
     ]
@@ -151,6 +151,6 @@ def _noise(
             np.linspace(1, cells[0] - 2, rows), np.linspace(1, cells[1] - 2, columns), indexing="ij"
         )
         weight = 0.65**level
-        total += weight * ndimage.map_coordinates(coarse, at, order=2, mode="nearest")
+        total += weight * scipy.ndimage.map_coordinates(coarse, at, order=2, mode="nearest")
         power += weight**2
     return total / (0.7 * np.sqrt(power))

@@ -6,8 +6,8 @@ The fields are made once for each world and kept with it (`World.memoize`).
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter, uniform_filter
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.grid_loops import interpolate_bilinear
@@ -108,18 +108,21 @@ def _measure_passage(world: World, limits: GroundLimits) -> GridField | None:
     points, origin, cell = _lattice(world)
     heights = world.terrain.height(points)
     window = 1 + 2 * round(limits.reach_m / cell)
-    level = uniform_filter(heights, window, mode="nearest")
+    level = scipy.ndimage.uniform_filter(heights, window, mode="nearest")
     along_y, along_x = np.gradient(level, cell)
     passable: Flags = np.hypot(along_x, along_y) <= np.tan(np.deg2rad(min(limits.max_slope_deg, 89.9)))
-    low, high = minimum_filter(heights - level, window), maximum_filter(heights - level, window)
+    low, high = (
+        scipy.ndimage.minimum_filter(heights - level, window),
+        scipy.ndimage.maximum_filter(heights - level, window),
+    )
     passable &= (high <= limits.roughness_m) & (low >= -limits.roughness_m)
     depth = water_depth(world, points)
     if depth.any():
-        passable &= maximum_filter(depth, window, mode="nearest") <= limits.max_water_m
+        passable &= scipy.ndimage.maximum_filter(depth, window, mode="nearest") <= limits.max_water_m
     if passable.all():
         return None
-    inside = distance_transform_edt(passable, sampling=cell)
-    outside = distance_transform_edt(~passable, sampling=cell)
+    inside = scipy.ndimage.distance_transform_edt(passable, sampling=cell)
+    outside = scipy.ndimage.distance_transform_edt(~passable, sampling=cell)
     # Half a cell each, so that the border lies between a point that can be crossed and one that cannot.
     signed = np.where(passable, inside - cell / 2, cell / 2 - outside)
     return GridField(signed if passable.any() else np.full(passable.shape, -_FAR_M), origin, cell)
@@ -137,4 +140,6 @@ def _measure_roof(world: World, reach_m: float) -> GridField:
         columns, rows = np.round((vertices[:, :2] - origin) / cell).astype(int).T
         known = (rows >= 0) & (rows < top.shape[0]) & (columns >= 0) & (columns < top.shape[1])
         np.maximum.at(top, (rows[known], columns[known]), vertices[known, 2])
-    return GridField(maximum_filter(top, 1 + 2 * int(np.ceil(reach_m / cell + 0.5))), origin, cell)
+    return GridField(
+        scipy.ndimage.maximum_filter(top, 1 + 2 * int(np.ceil(reach_m / cell + 0.5))), origin, cell
+    )

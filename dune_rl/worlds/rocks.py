@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
@@ -99,7 +99,7 @@ def _rock_mesh(rng: np.random.Generator, width: float) -> Mesh:
     scaled = points * [1.0, rng.uniform(0.65, 0.95), rng.uniform(0.6, 0.85)]
     turned = np.column_stack([scaled[:, :1] * ahead + scaled[:, 1:2] * left, scaled[:, 2]])
     turned *= width / np.ptp(turned @ [*ahead, 0.0])
-    hull = ConvexHull(turned)
+    hull = scipy.spatial.ConvexHull(turned)
     used, faces = np.unique(hull.simplices, return_inverse=True)
     vertices, faces = turned[used], faces.reshape(-1, 3)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
@@ -170,14 +170,16 @@ def _patches(terrain: HeightField, seed: int, parts: Sequence[SurfaceShare]) -> 
     columns, rows = (int(np.clip(round(side / CELL_M), 1, MOST_CELLS)) for side in (xmax - xmin, ymax - ymin))
     xy = cell_centres(terrain.extent, rows, columns)
     slope, height = (
-        _standardise(ndimage.gaussian_filter(field, 1.0 / CELL_M))
+        _standardise(scipy.ndimage.gaussian_filter(field, 1.0 / CELL_M))
         for field in (terrain.slope(xy), terrain.height(xy))
     )
     rng = stream(seed, "surfaces")
     sigma = (_PATCH_M / 4 * rows / (ymax - ymin), _PATCH_M / 4 * columns / (xmax - xmin))
     fields = np.stack(
         [
-            _standardise(ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap"))
+            _standardise(
+                scipy.ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap")
+            )
             + part.steep * slope
             + part.high * height
             for part in parts

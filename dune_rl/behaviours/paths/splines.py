@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from dune_rl.behaviours.paths.loops import interpolate_paths
 from dune_rl.core.errors import WorldError
@@ -60,7 +60,7 @@ def _spline(way_points: Array, *, closed: bool = False) -> tuple[Array, Array, A
     chords = np.hypot(*np.diff(way_points, axis=0).T)
     knots = np.concatenate([[0.0], np.cumsum(chords)])
     # A line through two points is its own spline; three points bend freely at their ends.
-    spline = CubicSpline(knots, way_points, bc_type="periodic" if closed else "natural")
+    spline = scipy.interpolate.CubicSpline(knots, way_points, bc_type="periodic" if closed else "natural")
     places = np.linspace(0.0, knots[-1], max(16, int(knots[-1] / 0.01)))
     fine = spline(places)
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])

@@ -1,9 +1,8 @@
 """Connectivity of triangle meshes, and closing of open surfaces."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from dune_rl.geometry.arrays import Array
 
@@ -38,8 +37,8 @@ def label_face_components(ids: Ids) -> Ids:
     face = np.tile(np.arange(count), 3)
     # A bipartite graph of faces and edges.
     nodes = count + len(keys)
-    graph = coo_array((np.ones(len(face), np.int8), (face, count + edge)), shape=(nodes, nodes))
-    _, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(face), np.int8), (face, count + edge)), shape=(nodes, nodes))
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return np.unique(label[:count], return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
