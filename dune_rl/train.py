@@ -1,6 +1,8 @@
 """`python -m dune_rl.train`: train a robot."""
 
-from dune_rl.commands.train import main
+from dune_rl.commands.command_line import command
+
+main = command("train")
 
 if __name__ == "__main__":
     main()

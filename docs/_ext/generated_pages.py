@@ -13,10 +13,8 @@ from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
-from dune_rl.commands import report, trajectory
-from dune_rl.commands.engines import command_line as engines_command
 from dune_rl.commands.engines.job import EnginesConf
-from dune_rl.commands.help_page import HelpPage
+from dune_rl.commands.pages import PAGES, HelpPage
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.compose import compose_environment
@@ -55,9 +53,9 @@ SECTIONS: Mapping[str, tuple[Any, str]] = {
 }
 # Commands that take no settings of an environment.
 _ALONE: Mapping[str, tuple[type[Settings], HelpPage]] = {
-    "engines": (EnginesConf, engines_command.PAGE),
-    "report": (ReportConf, report.PAGE),
-    "trajectory": (TrajectoryConf, trajectory.PAGE),
+    "engines": (EnginesConf, PAGES["engines"]),
+    "report": (ReportConf, PAGES["report"]),
+    "trajectory": (TrajectoryConf, PAGES["trajectory"]),
 }
 _TAGS = frozenset({"name", "term", "sensor"})
 

@@ -10,11 +10,12 @@ import threading
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
-from dune_rl.commands.help_page import HelpPage, show_help
+from dune_rl.commands.pages import PAGES, HelpPage, show_help
 from dune_rl.core.errors import ConfigError, DuneError, DuneWarning
 
 # Everything else is imported in the functions that need it: `--help` shall be there at once.
@@ -62,11 +63,23 @@ class Terminated(BaseException):
     """SIGTERM as an exception, so that every `finally` runs."""
 
 
-def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bool = False) -> NoReturn:
-    """Call `body` with the parsed command line and end the process.
+def command(name: str) -> Callable[[], NoReturn]:
+    """The `main` of `python -m dune_rl.NAME`: it calls `run` of the module NAME of this folder.
+
+    The module is not loaded for `--help`.
+    """
+
+    def main() -> NoReturn:
+        run_command(PAGES[name], lambda words: import_module(f"dune_rl.commands.{name}").run(words))
+
+    return main
+
+
+def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoReturn:
+    """Call `body` with the words of the command line and end the process.
 
     The exit code is 0, 2 for errors that a user can mend, 130 for Ctrl-C and
-    143 for SIGTERM. `--help` prints the page; without `sweeps`, `-m` is refused.
+    143 for SIGTERM. `--help` prints the page.
     """
     signal.signal(signal.SIGTERM, _terminate)
     warnings.showwarning = _warn
@@ -75,13 +88,11 @@ def run_command(page: HelpPage, body: Callable[[Namespace], None], *, sweeps: bo
     # TorchRL logs each buffer that it allocates.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
-        parsed = parse_arguments(sys.argv[1:])
-        if parsed.help:
+        words = sys.argv[1:]
+        if {"-h", "--help"} & {*words}:
             show_help(page)
-        elif parsed.multirun and not sweeps:
-            raise ConfigError("this command runs once; leave -m out")
         else:
-            body(parsed)
+            body(words)
     except ReportedError:
         sys.exit(2)
     except (DuneError, OSError) as error:
@@ -153,14 +164,19 @@ def print_error(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
-def parse_arguments(words: Sequence[str]) -> Namespace:
-    """Hydra's flags and the overrides among the words of a command line; `ConfigError` for unknown flags."""
+def parse_arguments(words: Sequence[str], *, sweeps: bool = False) -> Namespace:
+    """Hydra's flags and the overrides among the words of a command line; `ConfigError` for unknown flags.
+
+    Without `sweeps`, `-m` is refused.
+    """
     from hydra._internal.utils import get_args_parser
 
     parsed, unknown = get_args_parser().parse_known_args(list(words))
     flags = [word for word in unknown if word.startswith("-")]
     if flags:
         raise ConfigError(f"there is no flag {flags[0]}; settings are written key=value (see --help)")
+    if parsed.multirun and not sweeps:
+        raise ConfigError("this command runs once; leave -m out")
     # argparse takes overrides after a flag for unknown words.
     parsed.overrides += unknown
     return parsed

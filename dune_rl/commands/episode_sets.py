@@ -1,13 +1,13 @@
 """`python -m dune_rl.episode_sets`: lists, makes and checks episode sets."""
 
-import signal
-import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dune_rl.core.errors import DuneError
+from dune_rl.commands.command_line import command, describe_user_error
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import closest
 
 if TYPE_CHECKING:
     from dune_rl.evaluation.episode_sets.recipes import SetRecipe
@@ -17,31 +17,23 @@ if TYPE_CHECKING:
 _OF_OWN_SETS = ("episodes", "sites", "farthest", "seed")
 
 
+def run(words: Sequence[str]) -> None:
+    """List, make or check sets, as the command line says."""
+    parsed = parse(words)
+    {"list": _list, "make": _make, "check": _check}[parsed.command](parsed)
+
+
 def parse(words: Sequence[str]) -> Namespace:
     """The words of a command line: its `command`, the `names` of sets, and `settings` (key=value)."""
-    parser = ArgumentParser(prog="python -m dune_rl.episode_sets", description=__doc__)
+    parser = ArgumentParser(prog="python -m dune_rl.episode_sets", add_help=False)
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("list", help="the sets of the package, with their checksums")
-    make = commands.add_parser(
-        "make",
-        help="make sets again from their recipes, or one of your own from settings",
-        description="Make sets of the package again (none named: all), which builds all their sites; or one "
-        "of your own: make mine-v1 +world=NAME robot=NAME --episodes 50",
-    )
-    make.add_argument("names", nargs="*", metavar="NAME", help="a set")
-    make.add_argument("--out", type=Path, default=Path("episode_sets"), help="the folder to write to")
-    own = make.add_argument_group("for a set of your own, beside settings (key=value)")
-    own.add_argument("--episodes", type=int, help="how many (default: 100)")
-    own.add_argument("--sites", type=int, help="of a generated world (default: 1, its world.seed)")
-    own.add_argument("--farthest", type=float, metavar="M", help="largest distance of a goal from its start")
-    own.add_argument("--seed", type=int, help="of all that episodes draw (default: 0)")
-    check = commands.add_parser("check", help="start every episode of sets, and report what is not free")
-    check.add_argument(
-        "names",
-        nargs="*",
-        metavar="NAME",
-        help="a set, by name or path (none: all of the package), or a setting of the robot (key=value)",
-    )
+    commands.add_parser("list", add_help=False)
+    make = commands.add_parser("make", add_help=False)
+    make.add_argument("names", nargs="*")
+    make.add_argument("--out", type=Path, default=Path("episode_sets"))
+    for name in _OF_OWN_SETS:
+        make.add_argument(f"--{name}", type=float if name == "farthest" else int)
+    commands.add_parser("check", add_help=False).add_argument("names", nargs="*")
     parsed, unknown = parser.parse_known_args(words)
     if any("=" not in word or word.startswith("-") for word in unknown):
         parser.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -50,19 +42,6 @@ def parse(words: Sequence[str]) -> Namespace:
     parsed.names = [word for word in names if "=" not in word]
     parsed.settings = [word for word in names if "=" in word]
     return parsed
-
-
-def main() -> None:
-    """Run the command line; ends the process."""
-    parsed = parse(sys.argv[1:])
-    try:
-        {"list": _list, "make": _make, "check": _check}[parsed.command](parsed)
-    except DuneError as error:
-        from dune_rl.commands.command_line import exit_with_error
-
-        exit_with_error(str(error))
-    except KeyboardInterrupt:
-        sys.exit(128 + signal.SIGINT)
 
 
 def _list(_: Namespace) -> None:
@@ -74,8 +53,6 @@ def _list(_: Namespace) -> None:
 
 
 def _make(parsed: Namespace) -> None:
-    from dune_rl.commands.command_line import describe_user_error
-    from dune_rl.core.errors import ConfigError
     from dune_rl.evaluation.episode_sets.files import write_episode_set
     from dune_rl.evaluation.episode_sets.recipes import generate_episodes
 
@@ -97,8 +74,6 @@ def _make(parsed: Namespace) -> None:
 
 def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
     """The recipes that the command line names, or the one of its settings."""
-    from dune_rl.core.errors import ConfigError
-    from dune_rl.core.suggestions import closest
     from dune_rl.evaluation.episode_sets.recipes import all_recipes, own_recipe
 
     if parsed.settings:
@@ -120,7 +95,6 @@ def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
 
 
 def _check(parsed: Namespace) -> None:
-    from dune_rl.core.errors import ConfigError
     from dune_rl.evaluation.episode_sets.check import faulty_episodes
     from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
 
@@ -131,3 +105,6 @@ def _check(parsed: Namespace) -> None:
         faults += [f"{name}: {fault}" for fault in found]
     if faults:
         raise ConfigError("\n".join(faults))
+
+
+main = command("episode_sets")

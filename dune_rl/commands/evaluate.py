@@ -1,50 +1,207 @@
-"""Measure a policy on numbered episodes: `python -m dune_rl.evaluate checkpoint=runs/NAME episodes=100`."""
+"""`python -m dune_rl.evaluate`: run the episodes, show the tables and write the results folder."""
 
+import os
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
 
 from dune_rl.commands import command_line
-from dune_rl.commands.help_page import HelpPage
-
-USAGE = (
-    ("python -m dune_rl.evaluate checkpoint=runs/NAME set=inspection-v1", "on an episode set"),
-    ("python -m dune_rl.evaluate checkpoint=runs/NAME", "on the world of its run"),
-    ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in policy"),
-    ("python -m dune_rl.evaluate checkpoint=[A,B] against=go_to_goal", "several, in pairs"),
-    ("python -m dune_rl.evaluate resume=FOLDER", "go on where one was cut off"),
-    ("python -m dune_rl.evaluate verify=FOLDER", "repeat a sample of its rows"),
-)
-CLOSING = (
-    "A checkpoint brings the settings of its run; what you write changes them. Equal\n"
-    "seeds and settings give every policy the same episodes, so that results pair."
-)
-SETTINGS = (
-    ("checkpoint=PATH", "a run's folder, or a file of weights; [A,B] are several"),
-    ("policy=NAME", "go_to_goal, planner, mppi, random, FILE.onnx or MODULE:FUNCTION"),
-    ("against=NAME", "likewise, to compare with in pairs"),
-    ("set=NAME", "an episode set: python -m dune_rl.episode_sets list"),
-    ("episodes=N", "how many to run"),
-    ("protocol=NAME", "paper or dune_code: runs of 10 minutes, as the paper's"),
-    ("runs=N", "with a protocol: how many; run_steps=N, of how many steps each"),
-    ("cross_play=true", "each policy among each of populations=[NAME,RUN] of actors"),
-    ("seed=N", "of the episodes"),
-    ("scenes=N", "episodes side by side in each process"),
-    ("processes=N", "processes that share them; no result depends on it"),
-    ("steps=true", "a row for each step too; steps=N for each N-th"),
-    ("actor_steps=true", "with steps: rows of walkers too"),
-    ("out=FOLDER", "of the results; overwrite=true replaces what is there"),
-    ("sample=N", "with verify: how many episodes to repeat"),
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose_evaluation, override_value
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import unused_folder
+from dune_rl.learning.checkpoint import (
+    POLICY_SOURCES,
+    find_checkpoint_file,
+    read_checkpoint_file,
 )
 
+if TYPE_CHECKING:
+    from dune_rl.evaluation.running import EvaluationPlan
 
-def main() -> None:
-    """Run the command line; ends the process."""
-    command_line.run_command(
-        HelpPage("Measure a policy on numbered episodes.", USAGE, SETTINGS, CLOSING), _main
-    )
+_DEFAULT_EPISODES = 100
+_DEFAULT_SAMPLE = 16
+_SEEDS_SHOWN = 3
+_OTHER_LIBRARIES = (".onnx", ".zip")
 
 
-def _main(parsed: Namespace) -> None:
-    # Only now: `--help` shall be there at once.
-    from dune_rl.commands.evaluate_job import run
+def run(words: Sequence[str]) -> None:
+    """Evaluate, go on with an evaluation, or verify one, as the command line says."""
+    parsed = command_line.parse_arguments(words)
+    chosen = [key for key in ("verify", "resume") if override_value(parsed.overrides, key) is not None]
+    if chosen:
+        _run_on_folder(parsed, chosen[0])
+        return
+    conf = _compose(parsed)
+    if parsed.cfg:
+        print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+        return
+    if conf.cross_play:
+        _cross_play(conf, command_line.config_folders(parsed))
+        return
+    _evaluate(conf)
 
-    run(parsed)
+
+def _run_on_folder(parsed: Namespace, action: str) -> None:
+    allowed = {"verify": ("verify", "sample"), "resume": ("resume", "processes")}[action]
+    others = [word for word in parsed.overrides if word.partition("=")[0] not in allowed]
+    if others:
+        raise ConfigError(
+            f"{action}=FOLDER has the settings of its folder; leave {others[0]} out (it takes {allowed[1]}=N)"
+        )
+    folder = Path(str(override_value(parsed.overrides, action)))
+    number = override_value(parsed.overrides, allowed[1])
+    if number is not None and (not isinstance(number, int) or number < 1):
+        raise ConfigError(f"{allowed[1]} must be a whole number of at least 1 (got {number})")
+    if action == "verify":
+        _verify(folder, _DEFAULT_SAMPLE if number is None else number)
+    else:
+        _resume(folder, number)
+
+
+def _compose(parsed: Namespace) -> EvaluateConf:
+    """The settings, with those that an episode set determines, and the number of episodes."""
+    from dune_rl.config.checks import validate
+    from dune_rl.evaluation.episode_sets import check_set_overrides, read_episode_set, settings_on_set
+    from dune_rl.evaluation.protocols import check_protocol_overrides, settings_of_protocol
+
+    overrides = list(parsed.overrides)
+    name = override_value(overrides, "set")
+    episode_set = None if name is None else read_episode_set(str(name))
+    saved = _saved_settings(overrides)
+    if episode_set is not None:
+        check_set_overrides(str(name), overrides)
+        if saved is None:
+            overrides.append(f"+world={episode_set.world}")
+    protocol = override_value(overrides, "protocol")
+    if protocol is not None:
+        check_protocol_overrides(str(protocol), parsed.overrides)
+    conf = compose_evaluation(overrides, command_line.config_folders(parsed), saved)
+    if conf.protocol is not None:
+        return settings_of_protocol(conf)
+    episodes = conf.episodes
+    if episode_set is not None:
+        conf = settings_on_set(conf, episode_set)
+        number = episode_set.header.episodes
+        if episodes is not None and episodes > number:
+            raise ConfigError(f"set={name} has {number} episodes, fewer than episodes={episodes}")
+        episodes = number if episodes is None else episodes
+    data = {**conf.model_dump(mode="json"), "episodes": episodes or _DEFAULT_EPISODES}
+    return validate(EvaluateConf, data)
+
+
+def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
+    """The settings of the run of the first checkpoint; None without one."""
+    given = override_value(overrides, "checkpoint")
+    checkpoints = given if isinstance(given, list) else [] if given is None else [given]
+    for each in checkpoints:
+        if str(each).endswith(_OTHER_LIBRARIES):
+            raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
+    if not checkpoints:
+        return None
+    file = find_checkpoint_file(Path(str(checkpoints[0])), *POLICY_SOURCES)
+    saved: Mapping[str, Any] = read_checkpoint_file(file, "policy", "checkpoint")["config"]
+    return saved
+
+
+def _plan(conf: EvaluateConf) -> "EvaluationPlan":
+    from dune_rl.evaluation.running import EvaluationPlan
+
+    return EvaluationPlan.of_settings(conf)
+
+
+def _evaluate(conf: EvaluateConf) -> None:
+    # Only now, since loading PyTorch and the physics engine takes seconds.
+    from dune_rl.evaluation.folder import ResultsFolder, check_free
+    from dune_rl.evaluation.provenance import describe_provenance
+    from dune_rl.evaluation.run_plan import prepare_run, run_plan
+
+    plan = _plan(conf)
+    out = Path(conf.out) if conf.out else default_folder(plan)
+    _check_writable(out)
+    check_free(out, overwrite=conf.overwrite)
+    # Before the folder is made: a policy that does not fit leaves nothing behind.
+    prepared = prepare_run(plan)
+    console = command_line.make_console()
+    command_line.print_world_notes(console, conf)
+    provenance = describe_provenance(plan)
+    _note_sites_of_training(conf, provenance)
+    with ResultsFolder.create(out, conf, provenance, overwrite=conf.overwrite) as folder:
+        run_plan(plan, folder, prepared, console, conf.processes)
+
+
+def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -> None:
+    for policy in provenance["policies"]:
+        seeds = policy["sites_of_training"]
+        if seeds:
+            more = f" and {len(seeds) - _SEEDS_SHOWN} others" if len(seeds) > _SEEDS_SHOWN else ""
+            command_line.print_error(
+                f"note: {policy['name']} was trained on sites of {conf.set} "
+                f"(world.seed {', '.join(map(str, seeds[:_SEEDS_SHOWN]))}{more}): its results there are not "
+                "those of unseen sites"
+            )
+
+
+def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:
+    from dune_rl.evaluation.actor_populations import find_populations
+    from dune_rl.evaluation.cross_play import begin_cross_play, run_cross_play
+
+    populations = find_populations(conf, config_dirs)
+    out = Path(conf.out) if conf.out else default_folder(_plan(conf))
+    _check_writable(out)
+    begin_cross_play(conf, populations, out, overwrite=conf.overwrite)
+    run_cross_play(out, command_line.make_console())
+
+
+def _resume(path: Path, processes: int | None) -> None:
+    from dune_rl.evaluation.cross_play import is_cross_play, run_cross_play
+
+    if is_cross_play(path):
+        run_cross_play(path, command_line.make_console(), processes)
+        return
+    from dune_rl.evaluation.folder import ResultsFolder, read_provenance, read_settings
+    from dune_rl.evaluation.provenance import check_same_sources
+    from dune_rl.evaluation.run_plan import prepare_run, run_plan
+
+    provenance, conf = read_provenance(path), read_settings(path)
+    if provenance.get("complete"):
+        raise ConfigError(f"{path} is complete; there is nothing to resume")
+    plan = _plan(conf)
+    check_same_sources(plan, provenance, path)
+    prepared = prepare_run(plan)
+    with ResultsFolder.reopen(path) as folder:
+        run_plan(plan, folder, prepared, command_line.make_console(), processes or conf.processes)
+
+
+def _verify(path: Path, sample: int) -> None:
+    from dune_rl.evaluation.folder import read_provenance, read_settings
+    from dune_rl.evaluation.provenance import check_same_sources
+    from dune_rl.evaluation.verify import verify_folder
+
+    provenance = read_provenance(path)
+    plan = _plan(read_settings(path))
+    check_same_sources(plan, provenance, path)
+    verify_folder(path, plan, sample, command_line.make_console())
+
+
+def default_folder(plan: "EvaluationPlan") -> Path:
+    """A folder that no other evaluation has: evaluations/<date>_<policy>_<set or world>."""
+    cases = plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
+    protocol = [] if plan.conf.protocol is None else [plan.conf.protocol]
+    return unused_folder(Path("evaluations"), datetime.now(), [plan.sources[0].name, cases, *protocol])
+
+
+def _check_writable(out: Path) -> None:
+    # Before the episodes are run, not after.
+    parent = next((each for each in (out, *out.parents) if each.exists()), Path())
+    if not parent.is_dir():
+        raise ConfigError(f"cannot write {out}: {parent} is a file; choose another place")
+    if not os.access(parent, os.W_OK):
+        raise ConfigError(f"out={out} cannot be written; choose another folder")
+
+
+main = command_line.command("evaluate")

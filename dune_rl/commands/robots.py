@@ -1,6 +1,5 @@
 """Check of a URDF: `python -m dune_rl.robots FILE` prints the robot's derived values, or what is wrong."""
 
-import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +9,8 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 from yaml import YAMLError
 
-from dune_rl.core.errors import RobotError
+from dune_rl.commands.command_line import command, print_error
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import closest
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.robot import UrdfRobot
@@ -18,36 +18,26 @@ from dune_rl.robots.urdf.robot import UrdfRobot
 _USAGE = "usage: python -m dune_rl.robots FILE.urdf [robot.SETTING=VALUE ...]"
 
 
-def main(words: Sequence[str]) -> int:
-    """Print a summary of the URDF that `words` begin with; returns 2 if it cannot be used.
+def run(words: Sequence[str]) -> None:
+    """Print a summary of the URDF that `words` begin with.
 
     Further words are settings of the robot, as on other command lines: `robot.drive.kind=skid_steer`.
     """
-    if {"-h", "--help"} & {*words}:
-        print(f"{__doc__}\n\n{_USAGE}\nSettings: conf/robot/urdf.yaml; more in docs/how_to/bring_a_robot.md")
-        return 0
     if not words or any("=" not in word for word in words[1:]):
-        print(_USAGE, file=sys.stderr)
-        return 2
+        raise ConfigError(_USAGE)
     try:
         conf = UrdfConf(**_settings(words[1:]) | {"path": words[0]})
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             summary = UrdfRobot(conf, 1).summary()
-    except RobotError as error:
-        print(error, file=sys.stderr)
-        return 2
     except ValidationError as error:
-        for fault in error.errors():
-            print(_sentence(fault["type"], fault["loc"], fault["msg"]), file=sys.stderr)
-        return 2
+        faults = [_sentence(fault["type"], fault["loc"], fault["msg"]) for fault in error.errors()]
+        raise ConfigError("\n".join(faults)) from None
     except (OmegaConfBaseException, YAMLError) as error:
-        print(f"{' '.join(words[1:])}: {str(error).splitlines()[0]}\n{_USAGE}", file=sys.stderr)
-        return 2
+        raise ConfigError(f"{' '.join(words[1:])}: {str(error).splitlines()[0]}\n{_USAGE}") from None
     for warning in caught:
-        print(f"warning: {warning.message}", file=sys.stderr)
+        print_error(f"warning: {warning.message}")
     print(summary)
-    return 0
 
 
 def _sentence(kind: str, path: Sequence[int | str], message: str) -> str:
@@ -72,3 +62,6 @@ def _settings(words: Sequence[str]) -> dict[str, Any]:
     found = OmegaConf.to_container(OmegaConf.from_dotlist([word.removeprefix("robot.") for word in words]))
     assert isinstance(found, dict), "a list of dotted words makes a dict"
     return {str(key): value for key, value in found.items()}
+
+
+main = command("robots")

@@ -1,46 +1,312 @@
-"""Train a rover: `python -m dune_rl.train +world=inspection`."""
+"""`python -m dune_rl.train`: compose the settings, train, and show how it ended."""
 
-from argparse import Namespace
+import multiprocessing
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hydra
+import numpy as np
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from numpy.typing import NDArray
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
 
 from dune_rl.commands import command_line
-from dune_rl.commands.help_page import HelpPage
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.compose import check_sweep, compose, compose_resumed, override_value
+from dune_rl.config.group_files import describe_owner
+from dune_rl.config.schema import Conf, EnvConf
+from dune_rl.core import paths
+from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
+from dune_rl.learning.run.lock import refuse_locked
+from dune_rl.robots.settings import RobotSettings
 
-USAGE = (
-    ("python -m dune_rl.train +world=inspection", "train; settings follow"),
-    ("python -m dune_rl.train +experiment=quick", "a taste: some minutes"),
-    ("python -m dune_rl.train resume=runs/NAME", "go on with a run"),
-    ("python -m dune_rl.train -m +world=flat seed=1,2", "a sweep: a folder a job"),
-)
-CLOSING = (
-    "conf/ holds every setting with its meaning and unit. To see what a command would\n"
-    "use, add --cfg job. Own options go in a folder of the same shape as conf/:\n"
-    "--config-dir FOLDER. docs/ has the rest."
-)
-SETTINGS = (
-    ("+experiment=NAME", "a study's settings in one word"),
-    ("seed=N", "of everything drawn at random"),
-    ("total_frames=N", "control steps in all"),
-    ("device=cpu|cuda", "of the learner"),
-    ("run_dir=FOLDER", "folder of the run"),
-    ("task.terminations.time_limit.max_steps=N", "length of an episode"),
-    ("learning.collector.workers=N", "processes that step environments"),
-    ("learning.collector.scenes=N", "scenes in each process"),
-    ("learning.batch_size=N", "transitions in an update"),
-)
+if TYPE_CHECKING:
+    from dune_rl.learning.trainer import TrainingResult
+
+FILM_FILE = "film.mp4"
+_SIDE_BY_SIDE = ("joblib", "submitit_local")
 
 
-def main() -> None:
-    """Run the command line; ends the process."""
-    command_line.run_command(
-        HelpPage("Train a rover to drive to goals off the road.", USAGE, SETTINGS, CLOSING),
-        _main,
-        sweeps=True,
+def run(words: Sequence[str]) -> None:
+    """Train, resume or sweep, as the command line says."""
+    parsed = command_line.parse_arguments(words, sweeps=True)
+    folders = command_line.config_folders(parsed)
+    source = override_value(parsed.overrides, "resume")
+    if source is not None:
+        if parsed.multirun:
+            raise ConfigError("resume goes on with one run; leave -m out")
+        _resume(str(source), parsed.overrides, folders)
+        return
+    if not parsed.multirun:
+        conf = compose(parsed.overrides, folders)
+        if parsed.cfg == "job":
+            print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+            return
+        # Before Hydra writes its own files.
+        _check_device(conf)
+        # Only now: it loads what simulates, which a misspelt setting need not wait for.
+        from dune_rl.config.group_files import check_group_files
+
+        check_group_files(conf)
+        _refuse_used_folder(Path(conf.run_dir))
+    ready = check_sweep(parsed.overrides, folders)
+    flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
+    _run_hydra([*flags, *ready])
+
+
+def _run_hydra(words: Sequence[str]) -> None:
+    # Hydra raises what happens in a job only if told so; otherwise it prints a traceback and exits with 1.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    sys.argv[1:] = words
+    try:
+        hydra.main(version_base="1.3", config_path=str(paths.conf_folder()), config_name="train")(_job)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_explain(str(error).splitlines()[0], words)) from error
+
+
+def _explain(message: str, words: Sequence[str]) -> str:
+    """Hydra's message with the settings of Hydra's own that it may be about, which it does not name."""
+    own = [word for word in words if word.lstrip("+~").startswith("hydra.")]
+    if not own:
+        return message
+    return (
+        f"{' '.join(own)}: {message}; quote a value that holds a comma, as in 'hydra.sweep.dir=\"a,b\"', and "
+        r"write \${ for ${ that is no reference"
     )
 
 
-def _main(parsed: Namespace) -> None:
-    # Only now: `--help` shall be there at once, and collectors' processes, which import this module too, need
-    # neither Hydra nor the settings.
-    from dune_rl.commands.train_job import run
+def _job(config: DictConfig) -> float | None:
+    """Train; returns the objective, which sweepers optimise."""
+    engine = HydraConfig.get()
+    # In joblib's workers new processes would start in a way of theirs, which TorchRL's collectors cannot.
+    if multiprocessing.get_start_method(allow_none=True) not in (None, "spawn", "fork", "forkserver"):
+        multiprocessing.set_start_method("spawn", force=True)
+    try:
+        # Hydra knows neither the shorthands of agent groups nor options that groups name.
+        conf = compose(engine.overrides.task, _folders_of(engine))
+        conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
+        with _cores_of_a_sweep(conf, engine):
+            result = train(conf, words=engine.overrides.task)
+        from dune_rl.statistics.measures import mean_of_known
 
-    run(parsed)
+        rows = result.evaluation[conf.driven_group.name]
+        return mean_of_known(row[conf.objective] for row in rows)
+    except (DuneError, OSError) as error:
+        message = command_line.describe_user_error(error)
+        if message is None:
+            raise
+        if engine.mode is not RunMode.MULTIRUN:
+            command_line.exit_with_error(message)
+        # The other jobs of the sweep go on; Hydra raises this one's error after the last.
+        command_line.print_error(f"job {engine.job.num} failed: {message}")
+        raise command_line.ReportedError from error
+    return None
+
+
+def _folders_of(engine: Any) -> list[str]:
+    """The further folders of options that Hydra was given."""
+    sources = engine.runtime.config_sources
+    return [source.path for source in sources if source.provider == "command-line"]
+
+
+@contextmanager
+def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
+    """Wait for cores where jobs of a sweep run side by side on this machine.
+
+    Slurm gives each job cores of its own, and Hydra's basic launcher runs one job at a time.
+    """
+    launcher = engine.runtime.choices.get("hydra/launcher")
+    if engine.mode is not RunMode.MULTIRUN or launcher not in _SIDE_BY_SIDE:
+        yield
+        return
+    from dune_rl.learning.collector import available_cores, learner_threads
+    from dune_rl.learning.run.cores import reserve_cores
+
+    collector = conf.learning.collector
+    needed = collector.processes + (conf.learning.threads or learner_threads(collector))
+    number = engine.job.num
+    with reserve_cores(
+        Path(engine.sweep.dir).absolute() / ".cores",
+        needed,
+        available_cores(),
+        lambda: print(f"job {number} waits for {needed} free cores", flush=True),
+    ):
+        yield
+
+
+def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
+    checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
+    saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
+    if override_value(overrides, "run_dir") is None:
+        saved["run_dir"] = str(checkpoint.parent)
+    conf, before = compose_resumed(overrides, folders, saved), compose_resumed((), folders, saved)
+    for group in conf.external_groups:
+        setting, start = conf.learning.start_of(group.name)
+        if start != before.learning.start_of(group.name)[1]:
+            raise ConfigError(
+                f"{setting}={start}: a resumed run goes on with its own weights; leave it out, or leave out "
+                "resume and begin a new run"
+            )
+    train(conf, resume=checkpoint)
+
+
+def _refuse_used_folder(run_dir: Path) -> None:
+    if (run_dir / CHECKPOINT_FILE).exists():
+        raise CheckpointError(
+            f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
+        )
+    refuse_locked(run_dir)
+
+
+def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> "TrainingResult":
+    """Run or resume a training, and show how it ended; a signal ends the process once all is saved.
+
+    `words` are those of the command line, KEY=VALUE: TensorBoard compares runs by what they set.
+    """
+    # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
+    # import this module too, do not need.
+    from dune_rl.config.build import make_learning_env
+    from dune_rl.learning.policy_spec import GroupMismatchError
+    from dune_rl.learning.run.progress import BarReporter, LineReporter
+    from dune_rl.learning.run.tensorboard import choose_hyperparameters
+    from dune_rl.learning.trainer import Trainer
+    from dune_rl.reporting.views.evaluation_pictures import EvaluationTracks
+
+    _check_machine(conf)
+    console = command_line.make_console()
+    reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
+    run_dir = Path(conf.run_dir)
+    config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
+    try:
+        trainer = Trainer(
+            partial(make_learning_env, conf),
+            run_dir,
+            conf.learning,
+            seed=conf.seed,
+            total_frames=conf.total_frames,
+            device=conf.device,
+            config=config,
+            resume=resume,
+            reporter=reporter,
+            title=f"{conf.world.name}, seed {conf.seed}",
+            hyperparameters=choose_hyperparameters(config, words),
+            make_pictures=EvaluationTracks,
+            judged=conf.driven_group.name,
+        )
+    except GroupMismatchError as error:
+        owner = describe_owner(error.location, error.group, conf.path_of(error.group))
+        what_differs = str(error).splitlines()[0]
+        raise CheckpointError(f"{what_differs}\n{owner}" if owner else str(error)) from None
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
+    console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
+    command_line.print_world_notes(console, conf)
+    result = trainer.train()
+    if result.signal is not None:
+        command_line.print_error(
+            f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}"
+        )
+        sys.exit(128 + result.signal)
+    if conf.film:
+        try:
+            _film(console, conf, result)
+        except (DuneError, OSError) as error:
+            # All else of the run is there, a sweep's objective too.
+            command_line.print_error(f"note: {FILM_FILE} is left out: {error}")
+    _show_end(console, conf, result)
+    return result
+
+
+def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    """Write the film of the best policy in the first episode of the run's evaluations."""
+    from dune_rl.learning.run.tensorboard import log_film
+    from dune_rl.reporting.views.episode import EpisodeView
+    from dune_rl.reporting.views.outputs import write_video
+
+    environment = {name: getattr(conf, name) for name in EnvConf.model_fields}
+    view = ViewConf(
+        **environment,
+        checkpoint=str(result.run_dir),
+        seed=conf.seed + conf.learning.evaluation.seed_offset,
+        width=640,
+        height=360,
+        samples=1,
+    )
+    console.print("Filming an episode of the trained policy", highlight=False)
+    episode = EpisodeView(view)
+    pictures: list[NDArray[np.uint8]] = []
+    try:
+        write_video(episode, result.run_dir / FILM_FILE, console, pictures.append)
+    finally:
+        episode.close()
+    log_film(result.run_dir, pictures, view.frames_per_s, result.frames)
+
+
+def _check_device(conf: Conf) -> None:
+    if conf.device == "cpu":
+        return
+    import torch
+
+    if not torch.cuda.is_available():
+        raise ConfigError("device=cuda, but PyTorch finds no GPU here; use device=cpu")
+
+
+def _check_machine(conf: Conf) -> None:
+    _check_device(conf)
+    processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
+    if processes + (conf.learning.threads or 1) > cores:
+        command_line.print_error(
+            f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
+            f"{cores} cores; fewer may be faster (learning.collector.workers, learning.threads)"
+        )
+
+
+def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    from dune_rl.evaluation.tables import metric_notes, results_table
+    from dune_rl.learning.policies import go_to_goal_fault
+    from dune_rl.statistics.measures import estimate_metrics
+
+    for group, rows in result.evaluation.items():
+        name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
+        episodes = conf.learning.evaluation.episodes
+        title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
+        estimates = estimate_metrics(rows)
+        notes = metric_notes(conf.metrics, estimates)
+        table = results_table({"trained": estimates}, title, num_agents=len(rows) // episodes, notes=notes)
+        console.print(table)
+    lines = [f"Files in {result.run_dir}:"]
+    lines += [
+        f"  {path.name}"
+        for path in sorted(result.run_dir.iterdir())
+        if path.suffix in (".png", ".mp4", ".csv", ".pt")
+    ]
+    can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
+    reference = "go_to_goal" if can_go else "random"
+    further = 2 * max(conf.total_frames, result.frames)
+    lines += [
+        "Try next:",
+        f"  python -m dune_rl.view checkpoint={result.run_dir}",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
+        f"  tensorboard --logdir {result.run_dir.parent}",
+        f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
+    ]
+    if any(not isinstance(group.body, RobotSettings) for group in conf.external_groups):
+        lines.append(
+            f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
+            f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
+        )
+    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+
+
+main = command_line.command("train")

@@ -1,50 +1,53 @@
-"""Plan the trajectory of an actor: `python -m dune_rl.trajectory world=NAME waypoints=... out=actor.sdf`."""
+"""`python -m dune_rl.trajectory`: plan, check, write the file, and draw the picture."""
 
-from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
 
 from dune_rl.commands import command_line
-from dune_rl.commands.help_page import HelpPage
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import write_atomically
+from dune_rl.trajectories.files import write_trajectory
+from dune_rl.trajectories.picture import draw_trajectory
+from dune_rl.trajectories.settings import choose_world, parse_words
 
-PAGE = HelpPage(
-    "Plan the trajectory of an actor through way-points on a world's ground, and write it to a file.",
-    (
-        ('python -m dune_rl.trajectory world=NAME waypoints="[[0,0],[4,2]]" out=actor.sdf', "for Gazebo"),
-        ('python -m dune_rl.trajectory world=FILE.dae waypoints="[[0,0],[4,2]]" out=actor.csv', "of a file"),
-    ),
-    (
-        (
-            "world=NAME",
-            "an option, with its settings world.SETTING=VALUE; or a file (SDF, mesh, map of heights)",
-        ),
-        ("waypoints=[[X,Y],...]", "two or more [m]; a cubic spline leads through them"),
-        ("out=FILE", "an SDF <actor> (.sdf), .csv or .json"),
-        ("velocity=V", "along the ground [m/s]; else 1"),
-        ("mode=MODE", "back_and_forth (default), loop (a closed way) or once"),
-        ("pauses_s=S", "at every way-point, or [S,S,...] at each [s]"),
-        ("delay_s=S", "before the start of each round [s]"),
-        ("spacing_m=M", "between the poses [m]; else 0.05"),
-        ("radius_m=M", "the least distance from obstacles [m]; else 0.25"),
-        ("max_slope_deg=A", "the steepest ground [degrees]; else 35"),
-        ("max_water_m=M", "the deepest water [m]; else 0"),
-        ("name=NAME", "of the actor; else walker"),
-        ("skin=FILE", "of an SDF: the mesh that Gazebo draws; else its walking actor"),
-        ("animation=FILE", "likewise the motion; else the skin's"),
-        ("origin_height_m=M", "likewise of the mesh's origin above its feet [m]"),
-        ("picture=FILE.png", "of the way on the map; else beside out"),
-        ("overwrite=true", "replaces the files that are there"),
-    ),
-    "Way-points and stretches between them that cannot be walked are named, and nothing is written.",
-    options=False,
-)
+_DPI = 120
 
 
-def main() -> None:
-    """Run the command line; ends the process."""
-    command_line.run_command(PAGE, _main)
+def run(words: Sequence[str]) -> None:
+    """Write the trajectory that the command line asks for, and its picture."""
+    parsed = command_line.parse_arguments(words)
+    world_name, world_words, conf = parse_words(parsed.overrides)
+    out, picture = Path(conf.out), conf.picture_path
+    for path in (out, picture):
+        _check_free(path, overwrite=conf.overwrite)
+    world = choose_world(world_name, world_words, command_line.config_folders(parsed))
+    actor = conf.plan(world)
+    title = f"{conf.name} in {Path(world_name).name}"
+    figure = draw_trajectory(world, actor, np.array(conf.waypoints), title, conf.max_slope_deg, _DPI)
+    for path in (out, picture):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_trajectory(out, actor, conf.appearance)
+    with write_atomically(picture) as temporary:
+        # Without the drawing library's version, the file stays the same when that changes.
+        figure.savefig(temporary, format="png", dpi=_DPI, metadata={"Software": None})
+    length_m = float(np.linalg.norm(np.diff(actor.poses[:, :3], axis=0), axis=1).sum())
+    console = command_line.make_console()
+    console.print(
+        f"{out}: {len(actor.times):,} poses, {length_m:.1f} m in {actor.duration_s:.1f} s, "
+        f"{'repeated' if actor.loop else 'once'}\n{picture}: the way on the map",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
 
 
-def _main(parsed: Namespace) -> None:
-    # Only now: `--help` shall be there at once.
-    from dune_rl.commands.trajectory_job import run
+def _check_free(path: Path, *, overwrite: bool) -> None:
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder: name a file")
+    if path.exists() and not overwrite:
+        raise ConfigError(f"{path} exists; choose another name, or overwrite=true")
 
-    run(parsed)
+
+main = command_line.command("trajectory")

@@ -1,40 +1,100 @@
-"""The command line of `python -m dune_rl.view`."""
+"""`python -m dune_rl.view`: compose the settings and write the pictures."""
 
-from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.console import Console
 
 from dune_rl.commands import command_line
-from dune_rl.commands.help_page import HelpPage
-
-USAGE = (
-    ("python -m dune_rl.view +world=inspection", "a contact sheet and a video"),
-    ("python -m dune_rl.view +world=inspection view=orbit", "the world from above"),
-    ("python -m dune_rl.view +world=inspection view=map", "its map"),
-    ("python -m dune_rl.view checkpoint=runs/NAME view=video", "a video of a trained policy"),
-    ("python -m dune_rl.view checkpoint=runs/NAME view=map", "its tracks on the map"),
-)
-CLOSING = "No display and no GPU are needed: the processor renders the pictures."
-SETTINGS = (
-    ("view=NAME", "sheet, video, both, orbit or map"),
-    ("checkpoint=PATH", "folder of a run, or file of weights, of the policy"),
-    ("policy=NAME", "go_to_goal, planner, mppi or random, instead of a checkpoint"),
-    ("agent=NAME", "agent to follow, such as rover_1; default: the first"),
-    ("seed=N", "seed of the episode"),
-    ("longest_s=S", "largest length of the video"),
-    ("width=N height=N", "size of the video"),
-    ("episodes=N", "number of episodes on the map"),
-    ("out=FOLDER", "folder of the files"),
-)
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.compose import compose_view, override_value
+from dune_rl.sensors.camera import Output
+from dune_rl.sensors.conf import ROBOT_SENSORS
+from dune_rl.sensors.lidar_3d import Lidar3dOutput
 
 
-def main() -> None:
-    """Run the command line; ends the process."""
-    command_line.run_command(
-        HelpPage("Render a world, its agents and their sensors.", USAGE, SETTINGS, CLOSING), _main
+def run(words: Sequence[str]) -> None:
+    """Write what the command line says."""
+    parsed = command_line.parse_arguments(words)
+    # A map shows no readings, so it needs no sensors beside the policy's.
+    on_map = override_value(parsed.overrides, "view") == "map"
+    conf = command_line.compose_with_checkpoint(
+        parsed, compose_view, (lambda saved: saved) if on_map else _with_all_sensors
     )
+    if conf is None:
+        return
+    if override_value(parsed.overrides, "sensors") is None:
+        conf = _drop_odometry_of_legs(conf)
+    _view(conf)
 
 
-def _main(parsed: Namespace) -> None:
-    # Only now: `--help` shall be there at once.
-    from dune_rl.commands.view_job import run
+def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run with all sensors enabled; its policy reads only its own."""
+    own = saved["sensors"]
+    sensors = {
+        **own,
+        "enabled": [*own["enabled"], *(name for name in ROBOT_SENSORS if name not in own["enabled"])],
+    }
+    for name, outputs in (("camera", get_args(Output)), ("lidar_3d", get_args(Lidar3dOutput))):
+        if name not in own["enabled"]:
+            sensors[name] = {**own.get(name, {}), "outputs": list(outputs)}
+    return {**saved, "sensors": sensors}
 
-    run(parsed)
+
+def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
+    """`conf` without odometry if a robot with these sensors has no wheels."""
+    from dune_rl.config.build import build_robot
+    from dune_rl.robots.settings import RobotSettings
+
+    robots = [
+        build_robot(group.body, 1)
+        for group in conf.groups
+        if group.sensors == conf.sensors and isinstance(group.body, RobotSettings)
+    ]
+    if all(robot.wheels is not None for robot in robots):
+        return conf
+    enabled = tuple(name for name in conf.sensors.enabled if name != "odometry")
+    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": enabled})})
+
+
+def _stem(conf: ViewConf) -> str:
+    """What the files are called: the world's name, or that of the file that it was imported from."""
+    path = getattr(conf.world, "path", None)
+    return conf.world.name if path is None else f"{conf.world.name}_{Path(path).stem}"
+
+
+def _view(conf: ViewConf) -> None:
+    folder = Path(conf.out)
+    console = command_line.make_console()
+    if conf.view == "map":
+        from dune_rl.reporting.views.maps import write_map
+
+        folder.mkdir(parents=True, exist_ok=True)
+        command_line.print_world_notes(console, conf)
+        _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console))
+        return
+    from dune_rl.reporting.views.episode import EpisodeView
+    from dune_rl.reporting.views.outputs import write_orbit, write_sheet, write_video
+
+    episode = EpisodeView(conf)
+    try:
+        # Only now, when nothing is wrong with the settings.
+        folder.mkdir(parents=True, exist_ok=True)
+        command_line.print_world_notes(console, conf)
+        if conf.view == "orbit":
+            _print_path(console, write_orbit(episode, folder / f"{_stem(conf)}_orbit.png"))
+        if conf.view in ("sheet", "both"):
+            _print_path(console, write_sheet(episode, folder / f"{_stem(conf)}_sheet.png"))
+        if conf.view in ("video", "both"):
+            path = folder / f"{_stem(conf)}_seed{conf.seed}.mp4"
+            _print_path(console, write_video(episode, path, console))
+    finally:
+        episode.close()
+
+
+def _print_path(console: Console, path: Path) -> None:
+    console.print(f"Written: {path}", highlight=False, soft_wrap=True)
+
+
+main = command_line.command("view")

@@ -105,7 +105,9 @@ def _expanded(
         if section == "sensors" and isinstance(value, list | tuple):
             value = out[section] = {"enabled": list(value)}
         changes = {"name": value} if isinstance(value, str) else value
-        name = changes.get("name") if isinstance(changes, Mapping) else None
+        if not isinstance(changes, Mapping):
+            continue
+        name = changes.get("name")
         if not isinstance(name, str) or name in presets:
             continue
         known = options.names(section)
@@ -242,8 +244,3 @@ def _count_in_world(world: Any) -> int:
     with suppress(WorldError, OSError):
         return count_actors(world["path"])
     return 0
-
-
-def names_options(actors: Any, loader: ConfigLoader) -> bool:
-    """Whether `actors`, as set in Python, is a list of names of options."""
-    return bool(actors) and isinstance(actors, list | tuple) and all(isinstance(each, str) for each in actors)

@@ -1,8 +1,6 @@
 """`python -m dune_rl.robots FILE.urdf`: check a robot's description."""
 
-import sys
-
-from dune_rl.commands.robots import main
+from dune_rl.commands.command_line import command
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    command("robots")()

@@ -169,7 +169,7 @@ def test_missing_files_are_named_at_once_before_the_world_is_built(tmp_path: Pat
 
     with pytest.raises(WorldError) as error:
         make_simulation(compose_environment("flat", (), {"actors": actors}), 1, 0, make_world=refuse)
-    said = [line for line in str(error.value).splitlines() if line.startswith("actors.")]
+    said = [line for line in str(error.value).splitlines() if line.startswith("agents.")]
     assert said == [
         f"agents.foe.controller.checkpoint: There is no {tmp_path / 'three.pt'}.",
         f"agents.patrol.controller.trajectory: there is no file {files[0]}: name one with trajectories "

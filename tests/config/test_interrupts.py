@@ -8,7 +8,7 @@ import pytest
 PROGRAM = """
 import ctypes, os, signal, time
 from dune_rl.commands.command_line import run_command
-from dune_rl.commands.help_page import HelpPage
+from dune_rl.commands.pages import HelpPage
 
 def at_once(parsed):
     os.kill(os.getpid(), signal.SIGINT)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dune_rl
-from dune_rl.commands.help_page import option_group_rows
+from dune_rl.commands.pages import option_group_rows
 from dune_rl.config.compose import (
     check_sweep,
     compose,

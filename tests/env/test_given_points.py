@@ -64,7 +64,7 @@ def test_a_way_too_near_an_obstacle_names_the_body() -> None:
     walkers = {"body": "person", "controller": "path", "path": {"waypoints": [[0.0, 2.1], [5.0, 2.1]]}}
     (line,) = lines_of_fault(walkers=walkers)
     assert "too near an obstacle at (1." in line and "the body's radius is 0.25)" in line
-    assert line.endswith("add way-points that lead round it, or choose a smaller actors.walkers.body")
+    assert line.endswith("add way-points that lead round it, or choose a smaller agents.walkers.body")
 
 
 def test_the_last_stretch_of_a_loop_is_checked() -> None:

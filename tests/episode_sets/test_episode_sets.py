@@ -5,7 +5,6 @@ import shlex
 import shutil
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from dune_rl.commands import episode_sets
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
+from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import conf_folder
 from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
@@ -45,8 +45,12 @@ ABOUT = 0.002
 def with_defaults(settings: dict[str, Any], conf: EnvConf) -> dict[str, Any]:
     """The settings of a set's header with what they leave out, as validation fills it in."""
     plain = conf.model_dump(mode="json")
-    merged = {**plain, **settings, "task": {**plain["task"], **settings["task"]}}
-    filled = EnvConf.model_validate(merged).model_dump(mode="json")
+    own = {section: values for section, values in settings.items() if section != "actors"}
+    own["agents"] = replace_actors(plain["agents"], settings["actors"])
+    merged = {**plain, **own, "task": {**plain["task"], **settings["task"]}}
+    conf = EnvConf.model_validate(merged)
+    filled = conf.model_dump(mode="json")
+    filled["actors"] = {name: filled["agents"][name] for name in conf.actors}
     return {
         section: {key: filled["task"][key] for key in values} if section == "task" else filled[section]
         for section, values in settings.items()
@@ -190,8 +194,7 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
 
 
 def make_own(*words: str) -> None:
-    with patch("sys.argv", ["episode_sets", "make", *words]):
-        episode_sets.main()
+    episode_sets.run(["make", *words])
 
 
 def test_the_command_makes_a_set_of_ones_own(
@@ -206,8 +209,7 @@ def test_the_command_makes_a_set_of_ones_own(
     assert made.header.robot == "hyperdog" and len(made.episodes) == 3
     for row in made.episodes:
         assert 2.0 <= np.hypot(*np.subtract(row.goal, row.start[:2])) <= 6.0
-    with patch("sys.argv", ["episode_sets", "check", "episode_sets/hills-v1.json"]):
-        episode_sets.main()
+    episode_sets.run(["check", "episode_sets/hills-v1.json"])
     assert "0 faults" in capsys.readouterr().out
     # What made it is in the file, and makes it again.
     words = shlex.split(made.header.command)[4:]

@@ -7,7 +7,7 @@ import torch
 from point_mass import make_point_mass, make_two_groups
 from training import small, trainer, weights
 
-from dune_rl.commands import train_job
+from dune_rl.commands import train
 from dune_rl.config.compose import compose
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
 from dune_rl.learning.checkpoint import (
@@ -149,9 +149,9 @@ def test_a_resumed_run_starts_from_nothing_else(
     content = {"groups": {}, "config": conf.model_dump(mode="json")}
     write_checkpoint_file(tmp_path / CHECKPOINT_FILE, "checkpoint", content)
     resumed = []
-    monkeypatch.setattr(train_job, "train", lambda conf, resume: resumed.append(conf))
+    monkeypatch.setattr(train, "train", lambda conf, resume: resumed.append(conf))
     with pytest.raises(ConfigError, match=r"start_from=runs/a: a resumed run goes on with its own weights"):
-        train_job._resume(str(tmp_path), [word], ())
-    train_job._resume(str(tmp_path), ["total_frames=7"], ())
+        train._resume(str(tmp_path), [word], ())
+    train._resume(str(tmp_path), ["total_frames=7"], ())
     assert [one.total_frames for one in resumed] == [7]
     assert resumed[0].learning.start_from == "runs/b"

@@ -18,7 +18,7 @@ from tensorboard.plugins.hparams.metadata import (
 )
 from training import small, trainer
 
-from dune_rl.commands.train_job import train
+from dune_rl.commands.train import train
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
 from dune_rl.learning.evaluation import evaluate

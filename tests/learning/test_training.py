@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from training import assert_halves_make_a_whole, small
 
-from dune_rl.commands.train_job import train
+from dune_rl.commands.train import train
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
 

@@ -11,7 +11,7 @@ import pytest
 from report_runs import episode_rows, write_evaluation, write_sweep, write_training
 
 from dune_rl.commands import report
-from dune_rl.commands.help_page import show_help
+from dune_rl.commands.pages import PAGES, show_help
 from dune_rl.metrics.number_text import MINUS, NOTHING
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.figures.style import draw_legend, method_styles, new_figure
@@ -266,6 +266,6 @@ def test_wrong_words_are_named(
 
 
 def test_help_lists_what_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
-    show_help(report.PAGE)
+    show_help(PAGES["report"])
     text = capsys.readouterr().out
     assert "overwrite=true" in text and "+world=NAME" not in text

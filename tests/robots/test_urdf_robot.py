@@ -13,7 +13,7 @@ from scenes import STEP_S, Drive, every_backend
 from simulations import act, motion_of_group, state_of_group
 from urdf_files import CART, write_cart
 
-from dune_rl.commands.robots import main
+from dune_rl.commands.robots import run
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError, RobotError
@@ -277,15 +277,15 @@ def test_a_mount_in_the_ground_is_refused(tmp_path):
 
 
 def test_the_check_prints_what_is_derived_or_wrong(tmp_path, capsys):
-    assert main([str(write_cart(tmp_path))]) == 0
+    run([str(write_cart(tmp_path))])
     assert "left wheels: wheel_l_joint" in capsys.readouterr().out
-    assert main([str(tmp_path / "absent.urdf")]) == 2
-    assert "there is no file" in capsys.readouterr().err
+    with pytest.raises(RobotError, match="there is no file"):
+        run([str(tmp_path / "absent.urdf")])
 
 
 def test_the_check_takes_settings_as_command_lines_do(tmp_path, capsys):
     path = str(write_cart(tmp_path))
-    assert main([path, "robot.drive.max_torque_nm=7", "robot.mounts.imu_b=[0,0,1]"]) == 0
+    run([path, "robot.drive.max_torque_nm=7", "robot.mounts.imu_b=[0,0,1]"])
     out = capsys.readouterr().out
     assert "torque of a wheel: 7.00 Nm, as set" in out and "inertial unit at (0.0, 0.0, 1.0)" in out
     for words, told in (
@@ -297,8 +297,9 @@ def test_the_check_takes_settings_as_command_lines_do(tmp_path, capsys):
         (["robot.left_wheels=[a"], "robot.left_wheels=[a: while parsing"),
         (["tank"], "usage: python -m dune_rl.robots FILE.urdf"),
     ):
-        assert main([path, *words]) == 2
-        assert told in capsys.readouterr().err
+        with pytest.raises(ConfigError) as caught:
+            run([path, *words])
+        assert told in str(caught.value)
 
 
 RUNNER = """

@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from dune_rl.commands.benchmark.steppers import (
+from dune_rl.commands.benchmark.measuring import (
     core_stepper,
     gymnasium_vector_stepper,
+    median_ratio,
+    peak_memory_mib,
     pettingzoo_stepper,
+    time_calls,
+    time_in_turns,
     torchrl_stepper,
 )
-from dune_rl.commands.benchmark.timing import median_ratio, peak_memory_mib, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import BenchmarkConf
 

@@ -2,23 +2,25 @@
 
 import json
 import sys
-from argparse import Namespace
+from collections.abc import Sequence
 from typing import Any
 
 from dune_rl.commands import command_line
-from dune_rl.commands.benchmark.actors import measure_actors
-from dune_rl.commands.benchmark.engines import measure_engines
+from dune_rl.commands.benchmark.comparisons import (
+    measure_actors,
+    measure_engines,
+    measure_groups,
+    measure_terrain,
+)
 from dune_rl.commands.benchmark.environment import measure_environment, measure_overhead, measure_processes
-from dune_rl.commands.benchmark.groups import measure_groups
-from dune_rl.commands.benchmark.new_world import measure_new_world
+from dune_rl.commands.benchmark.new_worlds import measure_new_world, measure_world_memory
 from dune_rl.commands.benchmark.sensors import measure_sensors
-from dune_rl.commands.benchmark.terrain import measure_terrain
-from dune_rl.commands.benchmark.world_memory import measure_world_memory
 from dune_rl.config.compose import compose_benchmark
 
 
-def run(parsed: Namespace) -> None:
+def run(words: Sequence[str]) -> None:
     """Measure what the command line says."""
+    parsed = command_line.parse_arguments(words)
     conf = compose_benchmark(parsed.overrides, command_line.config_folders(parsed))
     groups = {group.name: group.count for group in conf.groups}
     setting = {"world": conf.world.name, "groups": groups}
@@ -57,3 +59,6 @@ def run(parsed: Namespace) -> None:
 def _emit(**values: Any) -> None:
     sys.stdout.write(json.dumps(values) + "\n")
     sys.stdout.flush()
+
+
+main = command_line.command("benchmark")

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from dune_rl.commands.benchmark.timing import median_ratio, time_calls, time_in_turns
+from dune_rl.commands.benchmark.measuring import median_ratio, time_calls, time_in_turns
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import BenchmarkConf
 from dune_rl.core.errors import ConfigError

@@ -4,6 +4,6 @@
 drives at random for minutes and counts faults.
 """
 
-from dune_rl.commands.engines.command_line import main
+from dune_rl.commands.engines.job import main, run
 
-__all__ = ["main"]
+__all__ = ["main", "run"]

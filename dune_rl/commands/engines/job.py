@@ -1,13 +1,14 @@
 """What `python -m dune_rl.engines` does: compare the engines, and print the tables."""
 
 import sys
-from argparse import Namespace
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, cast
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
+from dune_rl.commands import command_line
 from dune_rl.commands.engines.agreement import agreement_tables
 from dune_rl.commands.engines.stability import count_faults
 from dune_rl.config.checks import validate
@@ -31,8 +32,9 @@ class EnginesConf(Settings):
     seed: int = Field(0, ge=0)
 
 
-def run(parsed: Namespace) -> None:
+def run(words: Sequence[str]) -> None:
     """Compare what the command line says."""
+    parsed = command_line.parse_arguments(words)
     conf = parse_settings(parsed.overrides)
     if "agreement" in conf.parts:
         for robot in conf.robots:
@@ -64,3 +66,6 @@ def parse_settings(words: list[str]) -> EnginesConf:
 def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
+
+
+main = command_line.command("engines")

@@ -75,7 +75,7 @@ def _decisive_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     task, physics = config.get("task"), config.get("physics")
     parts = {name: config.get(name) for name in _DECISIVE}
     robots, parts["actors"] = split_groups(config)
-    if sum(group["count"] for group in robots.values()) > 1:
+    if sum(group.get("count", 1) for group in robots.values()) > 1:
         parts["robots"] = robots
     if isinstance(physics, dict):
         # A time limit is a number of control steps.
@@ -180,9 +180,7 @@ def describe_oddities(comparison: Comparison) -> list[str]:
         notes.append(
             f"{', '.join(trained)}: measured on the site that it was trained on; on others it may do worse."
         )
-    robots = {
-        ", ".join(robot_names(run.config)) for one in comparison.methods for run in one.runs
-    }
+    robots = {", ".join(robot_names(run.config)) for one in comparison.methods for run in one.runs}
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes
