@@ -1,6 +1,5 @@
 """Settings composed by Hydra from `conf/` and overrides, and validated as a whole."""
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -14,10 +13,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from dune_rl.config.checks import unique_lines, validate
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
+from dune_rl.config.group_changes import change_groups, change_saved_groups, name_shorthands
 from dune_rl.config.group_options import (
     SCENARIO,
     WORLD_ACTORS,
-    OptionReader,
     describe_shared_groups,
     difference,
     drop_other_options,
@@ -39,9 +38,7 @@ from dune_rl.config.saved import copy_nested, upgrade_saved
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.config.shorthands import (
     SHORTHANDS,
-    change_group,
     complete_sections,
-    is_robot_group,
     join_groups,
     merged,
 )
@@ -261,14 +258,13 @@ def _finish(
     if has_scenario(request):
         given = set_in_python.get("world")
         drop_other_options(data, {*request.named_in("world"), *(given if isinstance(given, Mapping) else ())})
-    options = OptionReader(loader)
     data = merged(data, {name: value for name, value in changes.items() if name not in _GROUPS})
     faults = _request_faults(request, data, loader)
-    _change_groups(data, "actors", request, changes)
+    change_groups(data, "actors", request, changes)
     if changes.get("agents") is not None:
         data["agents"] = changes["agents"]
     faults += _describe_replaced(data, request, set_in_python)
-    faults += expand_robots(data, options)
+    faults += expand_robots(data, loader)
     keeps_actors = "actors" in set_in_python or (
         saved_groups is not None and "actors" not in request.chosen()
     )
@@ -284,87 +280,13 @@ def _finish(
     except ValueError as error:
         raise ConfigError("\n".join([*faults, str(error)])) from None
     if saved_groups is not None:
-        data["agents"], origins = _groups_of_run(saved_groups, data["agents"], request)
-    _change_groups(data, "agents", request, {})
-    faults += expand_groups(data, options)
+        data["agents"], origins = change_saved_groups(saved_groups, data["agents"], request)
+    change_groups(data, "agents", request, {})
+    faults += expand_groups(data, loader)
     try:
         return validate(model, complete_sections(data), faults)
     except ConfigError as error:
-        raise ConfigError(_name_shorthands(str(error), origins)) from None
-
-
-def _change_groups(
-    data: dict[str, Any], section: str, request: ParsedOverrides, changes: Mapping[str, Any]
-) -> None:
-    """Apply the changes of single groups, and of settings in them, to a section of agent groups."""
-    groups = data.get(section) or {}
-    wanted = [(str(each.key_or_group).split(".")[1:], each) for each in request.group_changes]
-    wanted = [(path, each) for path, each in wanted if str(each.key_or_group).startswith(f"{section}.")]
-    replacing = changes.get(section, {})
-    if not isinstance(replacing, Mapping):
-        groups = replacing
-    if not isinstance(groups, Mapping):
-        data[section] = groups
-        return
-    groups = dict(groups)
-    for path, each in wanted:
-        try:
-            change_group(groups, path, _value_of(each, data))
-        except ConfigError as error:
-            words = " ".join(str(each.input_line) for _, each in wanted)
-            raise ConfigError(f"{error}; write the whole value, or one of the two: {words}") from None
-    for name, value in replacing.items() if isinstance(replacing, Mapping) else ():
-        change_group(groups, [str(name)], value)
-    if groups:
-        data[section] = groups
-
-
-def _value_of(override: Override, data: Mapping[str, Any]) -> Any:
-    """The value of an override, with interpolations resolved."""
-    value = override.value()
-    if "${" not in str(override.input_line):
-        return value
-    return to_plain(OmegaConf.create({**data, "value_": value}))["value_"]
-
-
-def _groups_of_run(
-    saved: Mapping[str, Any], fresh: Mapping[str, Any], request: ParsedOverrides
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """The agent groups of a run, changed by overrides; `fresh` are those that the overrides compose alone."""
-    chosen = request.chosen()
-    if "agents" in chosen:
-        return dict(fresh), {}
-    robots = {name: group for name, group in saved.items() if is_robot_group(group)}
-    actors = {name: group for name, group in saved.items() if name not in robots}
-    origins: dict[str, str] = {}
-    if chosen & {"robot", "robots"}:
-        robots = {name: group for name, group in fresh.items() if is_robot_group(group)}
-    else:
-        changed = [each for each in request.values if str(each.key_or_group).startswith("robot.")]
-        for override in changed:
-            if len(robots) > 1:
-                raise ConfigError(
-                    f"{override.input_line}: there are the robots {', '.join(robots)}; write agents.NAME.body"
-                )
-            (name,) = robots
-            change_group(robots, [name, "body", *str(override.key_or_group).split(".")[1:]], override.value())
-            origins[f"agents.{name}.body"] = "robot"
-    if chosen & {"actors", SCENARIO}:
-        actors = {name: group for name, group in fresh.items() if not is_robot_group(group)}
-    else:
-        for override in request.group_changes:
-            section, *path = str(override.key_or_group).split(".")
-            if section == "actors":
-                change_group(actors, path, override.value())
-    origins |= {f"agents.{name}": f"actors.{name}" for name in request.named_in("actors")}
-    return {**robots, **actors}, origins
-
-
-def _name_shorthands(message: str, origins: Mapping[str, str]) -> str:
-    """An error's message, in which paths in `agents` are those of the shorthands that wrote there."""
-    for path, origin in sorted(origins.items(), key=lambda item: -len(item[0])):
-        message = re.sub(rf"(?<![\w.]){re.escape(path)}(?!\w)", origin, message)
-    return message
+        raise ConfigError(name_shorthands(str(error), origins)) from None
 
 
 def _describe_replaced(

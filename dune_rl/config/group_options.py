@@ -21,42 +21,27 @@ SCENARIO = "scenario"
 MARK, WORLD_ACTORS = "unless_in_world", "actor"
 
 
-class OptionReader:
-    """The options of Hydra's groups and their settings, each read once."""
-
-    def __init__(self, loader: ConfigLoader) -> None:
-        self._loader = loader
-        self._names: dict[str, list[str]] = {}
-
-    def names(self, group: str) -> list[str]:
-        """The options of a group, sorted."""
-        if group not in self._names:
-            self._names[group] = option_names(self._loader, group)
-        return self._names[group]
-
-    def changed(self, group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings of an option with `changes`, but for the name, which need not be that of its file."""
-        settings = OmegaConf.to_container(compose_words(f"{group}/{name}")[group], resolve=True)
-        assert isinstance(settings, dict)
-        return merged(
-            {str(key): value for key, value in settings.items()},
-            {key: value for key, value in changes.items() if key != "name"},
-        )
+def _settings_of(group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of an option with `changes`, but for the name, which need not be that of its file."""
+    settings = OmegaConf.to_container(compose_words(f"{group}/{name}")[group], resolve=True)
+    assert isinstance(settings, dict)
+    changed = {key: value for key, value in changes.items() if key != "name"}
+    return merged({str(key): value for key, value in settings.items()}, changed)
 
 
-def expand_robots(data: dict[str, Any], options: OptionReader) -> list[str]:
+def expand_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """Put settings in the place of the names in `robots`; the faults in the names."""
     robots = data.get("robots")
     if not isinstance(robots, list):
         return []
-    names = options.names("robot")
+    names = option_names(loader, "robot")
     chosen: list[Any] = []
     faults: list[str] = []
     for robot in robots:
         changes = robot if isinstance(robot, Mapping) else {"name": robot}
         name = changes.get("name")
         if name in names:
-            chosen.append(options.changed("robot", name, changes))
+            chosen.append(_settings_of("robot", name, changes))
         elif name is None:
             faults.append(f"robots: each is a name or has one: choose {one_of(names)} (got {robot!r})")
         else:
@@ -65,7 +50,7 @@ def expand_robots(data: dict[str, Any], options: OptionReader) -> list[str]:
     return faults
 
 
-def expand_groups(data: dict[str, Any], options: OptionReader) -> list[str]:
+def expand_groups(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """Put settings in the place of names of options in `agents`; the faults in the names.
 
     A group's `body`, `sensors`, `task` and `metrics` are the name of an option, or a mapping with its `name`
@@ -77,7 +62,7 @@ def expand_groups(data: dict[str, Any], options: OptionReader) -> list[str]:
     if isinstance(groups, Mapping):
         groups = {str(name): group for name, group in groups.items()}
         data["agents"] = {
-            name: _expanded(group, f"agents.{name}", options, faults) if isinstance(group, Mapping) else group
+            name: _expanded(group, f"agents.{name}", loader, faults) if isinstance(group, Mapping) else group
             for name, group in groups.items()
             if not name.isdigit()
         }
@@ -90,16 +75,14 @@ def expand_groups(data: dict[str, Any], options: OptionReader) -> list[str]:
     return faults
 
 
-def _expanded(
-    group: Mapping[str, Any], path: str, options: OptionReader, faults: list[str]
-) -> dict[str, Any]:
+def _expanded(group: Mapping[str, Any], path: str, loader: ConfigLoader, faults: list[str]) -> dict[str, Any]:
     out = dict(group)
     if "controller" in group:
         out["controller"] = plain_controller(group["controller"])
     body = {"name": group["body"]} if isinstance(group.get("body"), str) else group.get("body")
     # Persons, and robots of users' packages, are known to the schema alone.
-    if isinstance(body, Mapping) and body.get("name") in options.names("robot"):
-        out["body"] = options.changed("robot", str(body["name"]), body)
+    if isinstance(body, Mapping) and body.get("name") in option_names(loader, "robot"):
+        out["body"] = _settings_of("robot", str(body["name"]), body)
     for section, presets in PRESETS.items():
         value = group.get(section)
         if section == "sensors" and isinstance(value, list | tuple):
@@ -110,9 +93,9 @@ def _expanded(
         name = changes.get("name")
         if not isinstance(name, str) or name in presets:
             continue
-        known = options.names(section)
+        known = option_names(loader, section)
         if name in known:
-            out[section] = options.changed(section, name, changes)
+            out[section] = _settings_of(section, name, changes)
         else:
             near = closest(name, known)
             remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"

@@ -106,7 +106,7 @@ def is_robot_group(group: Any) -> bool:
     """Whether a group, as settings or as plain data, is one of robots."""
     body = group.get("body") if isinstance(group, Mapping) else getattr(group, "body", None)
     name = body.get("name") if isinstance(body, Mapping) else getattr(body, "name", body)
-    return name not in BODIES.names()
+    return name is not None and name not in BODIES.names()
 
 
 def replace_actors(groups: Mapping[str, Any], actors: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
-from dune_rl.core.errors import ConfigError
+from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.paths import conf_folder
 from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
 from dune_rl.evaluation.episode_sets import (
@@ -239,16 +239,12 @@ def test_the_command_makes_a_set_of_ones_own(
     ],
 )
 def test_a_set_that_cannot_be_made(
-    words: str,
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match="2"):
+    with pytest.raises(DuneError) as caught:
         make_own(*words.split())
-    assert message in capsys.readouterr().err
+    assert message in str(caught.value)
     assert not list(tmp_path.iterdir())
 
 
