@@ -200,17 +200,12 @@ def compose_with_checkpoint(
     import yaml
 
     from dune_rl.config.compose import override_value
-    from dune_rl.learning.checkpoint import (
-        POLICY_SOURCES,
-        find_checkpoint_file,
-        read_checkpoint_file,
-    )
+    from dune_rl.learning.checkpoint import read_policy_file
 
     checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None
     if checkpoint is not None:
-        file = find_checkpoint_file(Path(str(checkpoint)), *POLICY_SOURCES)
-        saved = adapt(read_checkpoint_file(file, "policy", "checkpoint")["config"])
+        saved = adapt(read_policy_file(Path(str(checkpoint)))[1]["config"])
     conf = compose(parsed.overrides, config_folders(parsed), saved)
     if not parsed.cfg:
         return conf

@@ -14,11 +14,7 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose_evaluation, override_value
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
-from dune_rl.learning.checkpoint import (
-    POLICY_SOURCES,
-    find_checkpoint_file,
-    read_checkpoint_file,
-)
+from dune_rl.learning.checkpoint import read_policy_file
 
 if TYPE_CHECKING:
     from dune_rl.evaluation.running import EvaluationPlan
@@ -103,8 +99,7 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
             raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
     if not checkpoints:
         return None
-    file = find_checkpoint_file(Path(str(checkpoints[0])), *POLICY_SOURCES)
-    saved: Mapping[str, Any] = read_checkpoint_file(file, "policy", "checkpoint")["config"]
+    saved: Mapping[str, Any] = read_policy_file(Path(str(checkpoints[0])))[1]["config"]
     return saved
 
 

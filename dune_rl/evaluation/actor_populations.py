@@ -18,16 +18,9 @@ from dune_rl.core.files import sha256_of
 from dune_rl.core.paths import conf_folder
 from dune_rl.core.suggestions import closest
 from dune_rl.evaluation.policies import checkpoint_name
-from dune_rl.learning.checkpoint import (
-    LAST_POLICY_FILE,
-    POLICY_SOURCES,
-    find_checkpoint_file,
-    read_checkpoint_file,
-)
+from dune_rl.learning.checkpoint import LAST_POLICY_FILE, read_policy_file
 
 OPTION, CHECKPOINT = "option", "checkpoint"
-# Of a run the last policy: its best is that of the robots, among which adversaries may do worst.
-_SOURCES = (LAST_POLICY_FILE, *POLICY_SOURCES)
 
 
 @dataclass(frozen=True)
@@ -97,8 +90,8 @@ def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
         else:
             what = f"and no run: there are {', '.join(sorted(options))}; options"
         raise ConfigError(f"{location} is no option of actors, {what} of your own need --config-dir FOLDER")
-    file = find_checkpoint_file(path, *_SOURCES)
-    content = read_checkpoint_file(file, "policy", "checkpoint")
+    # Of a run the last policy: its best is the robots' best, among which adversaries may do worst.
+    file, content = read_policy_file(path, LAST_POLICY_FILE)
     config = upgrade_saved(content["config"])
     saved = {name: config[name] for name in EnvConf.model_fields if name in config}
     conf = validate(EnvConf, saved)

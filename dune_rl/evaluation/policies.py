@@ -18,7 +18,7 @@ from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of
 from dune_rl.core.suggestions import closest
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_checkpoint_file
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_policy_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
@@ -55,7 +55,7 @@ class PolicySource:
             raise ConfigError(f"{self.location} cannot be read: {error.strerror or error}") from None
         trained = None
         if self.kind == "checkpoint" and self.file is not None:
-            trained = describe_selection(read_checkpoint_file(self.file, "policy", "checkpoint"))
+            trained = describe_selection(read_policy_file(self.file)[1])
         return {**asdict(self), "sha256": sha256, "trained": trained}
 
     def load(self, env: EnvBase) -> Policy:
@@ -114,7 +114,6 @@ class RandomByEpisode:
         self._specs = {group: PolicySpec.of(env, group) for group in env.group_map}
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the actions of all groups."""
         for name, spec in self._specs.items():
             group = self._simulation.state.groups[name]
             # Of the episodes that the observation is of: those of done scenes have been reset already.
@@ -140,7 +139,6 @@ class UserPolicy:
         self._specs = {group: PolicySpec.of(env, group) for group in env.group_map}
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the actions of all groups."""
         for group, spec in self._specs.items():
             parts = observation.get((group, "observation"))
             shape = parts.batch_size

@@ -15,7 +15,7 @@ from dune_rl.core.paths import package_folder
 from dune_rl.evaluation.episode_sets import sites_of_training
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.running import EvaluationPlan
-from dune_rl.learning.checkpoint import read_checkpoint_file
+from dune_rl.learning.checkpoint import read_policy_file
 
 _PACKAGES = (
     *("dune_rl", "numpy", "scipy", "numba", "torch", "torchrl", "tensordict", "gymnasium", "pettingzoo"),
@@ -53,7 +53,7 @@ def sites_of_training_of(source: PolicySource, plan: EvaluationPlan) -> list[int
     """World seeds of the plan's set that were sites of a checkpoint's training too."""
     if plan.episode_set is None or source.kind != "checkpoint" or source.file is None:
         return []
-    config = read_checkpoint_file(source.file, "policy", "checkpoint")["config"]
+    config = read_policy_file(source.file)[1]["config"]
     return sites_of_training(config, plan.episode_set)
 
 

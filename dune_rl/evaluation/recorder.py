@@ -68,7 +68,6 @@ class EpisodeRecorder:
         self._starts[group.name] = np.where(chosen[:, None], found, before)
 
     def step(self, after: TensorDictBase) -> None:
-        """Note the step, before scenes that are done are reset."""
         for group in self._groups:
             state = self._simulation.state.groups[group.name]
             if state.absent is not None:

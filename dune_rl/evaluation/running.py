@@ -50,7 +50,6 @@ class EvaluationPlan:
 
     @property
     def scenes(self) -> int:
-        """Number of scenes of each environment."""
         if self.conf.protocol is not None:
             return self.conf.scenes
         return min(self.conf.scenes, self.episodes)
@@ -143,7 +142,6 @@ class BlockRunner:
         }
 
     def close(self) -> None:
-        """Release the physics engine."""
         self.env.close()
 
 
@@ -158,15 +156,12 @@ class _Emitter:
         )
 
     def begin(self) -> None:
-        """Note starts and goals."""
         self._recorder.begin()
 
     def step(self, after: TensorDictBase) -> None:
-        """Note the step."""
         self._recorder.step(after)
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
-        """Emit an episode."""
         self._recorder.finish(rows)
         episode = int(next(iter(rows.values()))[0]["episode"])
         by_group = {

@@ -57,8 +57,6 @@ class Algorithm(ABC):
         self.updates = 0
         self.policy = self.make_policy(context.device)
 
-    # -- learning -------------------------------------------------------------------------------------
-
     @abstractmethod
     def absorb(self, batch: TensorDictBase, frames: int) -> None:
         """Store a batch (M, T, G) of the group from `select_group`, on the CPU; do not change it.
@@ -73,8 +71,6 @@ class Algorithm(ABC):
     def distributions(self) -> dict[str, Tensor]:
         """Values to log as histograms by name, at each evaluation; changes no state, random ones included."""
         return {}
-
-    # -- acting ---------------------------------------------------------------------------------------
 
     def make_policy(self, device: torch.device | str = "cpu") -> GroupPolicy:
         """A policy of the same architecture as `policy`, with newly initialised weights."""
@@ -100,8 +96,6 @@ class Algorithm(ABC):
     def network_settings(self) -> dict[str, Any]:
         """Settings that, with the spec, determine the policy's network, as plain containers."""
         return self.architecture.plain()
-
-    # -- saving ---------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
         """All state of the learner, as containers that `torch.load(weights_only=True)` reads."""

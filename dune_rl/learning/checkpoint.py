@@ -100,3 +100,12 @@ def find_checkpoint_file(path: Path, *names: str) -> Path:
         f"The folder {path} holds no {' or '.join(names)}.\n"
         "Give the folder of one run; one that was killed before its first save holds none."
     )
+
+
+def read_policy_file(path: Path, *first: str) -> tuple[Path, dict[str, Any]]:
+    """A file of policies, or the file of a run's folder, and its content; raises CheckpointError.
+
+    Of a folder it is the file of a name in `first`, else the best policy, else the published one.
+    """
+    file = find_checkpoint_file(path, *first, *POLICY_SOURCES)
+    return file, read_checkpoint_file(file, "policy", "checkpoint")

@@ -39,7 +39,6 @@ class GroupPolicy(TensorDictModuleBase):
         self.out_keys = [(group, key) for key in self._outputs]
 
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the action of every agent, done or not."""
         # A shallow copy, so that what the network writes in between does not become an observation.
         result = self.network(observation.get((self.group, "observation")).copy())
         for key in self._outputs:
@@ -58,7 +57,6 @@ class JointPolicy(TensorDictModuleBase):
         self.out_keys = [key for policy in members for key in policy.out_keys]
 
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the actions of all groups."""
         for policy in self.policies:
             observation = policy(observation)
         return observation

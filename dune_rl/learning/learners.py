@@ -13,12 +13,7 @@ from torchrl.envs import EnvBase
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
 from dune_rl.core.suggestions import one_of
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
-from dune_rl.learning.checkpoint import (
-    CHECKPOINT_FILE,
-    POLICY_SOURCES,
-    find_checkpoint_file,
-    read_checkpoint_file,
-)
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, read_policy_file
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError, PolicySpec
 from dune_rl.learning.registry import ALGORITHMS
@@ -63,7 +58,6 @@ class FrozenGroupPolicy(GroupPolicy):
     """A group's policy that acts without noise, also while data are collected."""
 
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the action of every agent, done or not."""
         return Deterministic(super().forward)(observation)
 
 
@@ -87,18 +81,15 @@ class FrozenPolicy(Algorithm):
         super().__init__(replace(context, spec=self._saved.spec, algorithm=self._saved.algorithm))
 
     def make_policy(self, device: torch.device | str = "cpu") -> GroupPolicy:
-        """The policy with its weights."""
         return FrozenGroupPolicy(self.context.group, self._saved.spec, self._saved.make_network(device))
 
     def network_settings(self) -> dict[str, Any]:
-        """Those in the file."""
         return dict(self._saved.network)
 
     def absorb(self, batch: TensorDictBase, frames: int) -> None:
         """Learns nothing."""
 
     def update(self) -> dict[str, float]:
-        """Learns nothing."""
         return {}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -120,8 +111,7 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
         if location is None:
             continue
         try:
-            source = find_checkpoint_file(Path(location), CHECKPOINT_FILE, *POLICY_SOURCES)
-            content = read_checkpoint_file(source, "policy", "checkpoint")
+            source, content = read_policy_file(Path(location), CHECKPOINT_FILE)
             if fault := describe_missing_start(content["groups"], source, group, conf, learners):
                 raise CheckpointError(fault)
             entry = saved_entry(content["groups"], source, group)

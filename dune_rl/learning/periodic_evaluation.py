@@ -52,7 +52,6 @@ class PeriodicEvaluation:
 
     @property
     def episodes(self) -> int:
-        """Episodes of an evaluation."""
         return self._conf.episodes
 
     @property
@@ -119,7 +118,6 @@ class PeriodicEvaluation:
         }
 
     def state(self) -> dict[str, Any]:
-        """Plain data for `restore`."""
         return {
             "best_score": self._best_score,
             "evaluated_at": self._evaluated_at,
@@ -127,11 +125,9 @@ class PeriodicEvaluation:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """The inverse of `state`."""
         self._best_score = state["best_score"]
         self._evaluated_at = state["evaluated_at"]
         self._next_at = state["next_evaluation"]
 
     def close(self) -> None:
-        """Close the environment."""
         self._env.close()

@@ -59,7 +59,6 @@ class AllGroups:
         self._policies = policies
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the actions of all groups."""
         for policy in self._policies:
             observation = policy(observation)
         return observation
@@ -98,7 +97,6 @@ class GoToGoal:
         return torch.stack([speed, heading], -1)
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the action of every agent of the group."""
         return observation.set((self._group, "action"), self.action(observation))
 
 
@@ -120,7 +118,6 @@ class WarmupPolicy(TensorDictModuleBase):
 
     @torch.no_grad()
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes (group, "action"), drawn with torch's global generator."""
         action = self._go_to_goal.action(observation)
         width = self._high - self._low
         noisy = action + _WARMUP_NOISE * width * torch.randn_like(action)
@@ -167,7 +164,6 @@ class DriverPolicy:
         bind_to_group(self._behaviour, name, group)
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the action of every agent of the group."""
         group = self._group
         state = self._simulation.state
         now = state.groups[group.name]

@@ -49,7 +49,6 @@ class PartSpec:
 
     @property
     def size(self) -> int:
-        """Number of values."""
         return math.prod(self.shape)
 
 
@@ -132,7 +131,6 @@ class PolicySpec:
 
     @property
     def action_size(self) -> int:
-        """Number of action components."""
         return len(self.low)
 
     @property

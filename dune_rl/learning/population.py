@@ -43,7 +43,6 @@ class OpponentDraws(Transform):
         return self._add(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Add the draws."""
         shape = (*observation_spec.shape, self._width)
         observation_spec[DRAWS] = Unbounded(shape, dtype=torch.float32)
         return observation_spec
@@ -154,7 +153,6 @@ class Population:
         return True
 
     def __len__(self) -> int:
-        """Snapshots of each group."""
         return min(self._taken, self.conf.size)
 
     def join(self, policies: Mapping[str, TensorDictModuleBase]) -> dict[str, TensorDictModuleBase]:
@@ -169,11 +167,9 @@ class Population:
 
     @property
     def num_groups(self) -> int:
-        """Groups that learn."""
         return len(self._learners)
 
     def state(self) -> dict[str, Any]:
-        """Plain data for `restore`."""
         return {
             "snapshots": {group: list(map(dict, found)) for group, found in self.snapshots.items()},
             "taken": self._taken,

@@ -11,11 +11,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm
-from dune_rl.learning.checkpoint import (
-    POLICY_SOURCES,
-    find_checkpoint_file,
-    read_checkpoint_file,
-)
+from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import algorithm_class
@@ -51,36 +47,9 @@ def policy_entry(learner: Algorithm) -> dict[str, Any]:
     }
 
 
-def load_group_policy(
-    path: Path, group: str, here: PolicySpec, *, trained_as: str | None = None, allow_more: bool = False
-) -> tuple[GroupPolicy, dict[str, Any]]:
-    """The policy of a file or run folder for `group`, on the CPU, and the resolved settings that made it.
-
-    A folder gives its best policy, or its published one. It is the policy of the group `trained_as`, by
-    default that of the same name; a file with one policy alone serves a group of any name. Raises
-    CheckpointError if the file is unreadable, has no policy for the group, or one for another spec than
-    `here`, which with `allow_more` may have further parts in its observation.
-    """
-    file = find_checkpoint_file(path, *POLICY_SOURCES)
-    content = read_checkpoint_file(file, "policy", "checkpoint")
-    return _group_policy(content, file, group, here, allow_more, trained_as), content["config"]
-
-
-def load_policy(
-    path: Path, env: EnvBase, *, allow_more: bool = False
-) -> tuple[Deterministic, dict[str, Any]]:
-    """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
-    file = find_checkpoint_file(path, *POLICY_SOURCES)
-    content = read_checkpoint_file(file, "policy", "checkpoint")
-    policies = [
-        _group_policy(content, file, group, PolicySpec.of(env, group), allow_more) for group in env.group_map
-    ]
-    return Deterministic(JointPolicy(policies)), content["config"]
-
-
 @dataclass(frozen=True)
 class SavedPolicy:
-    """What a file holds of one policy: its algorithm's name, spec, network's settings and weights."""
+    """One policy of a file: its algorithm's name, spec, network's settings and weights."""
 
     algorithm: str
     spec: PolicySpec
@@ -88,10 +57,39 @@ class SavedPolicy:
     weights: Mapping[str, torch.Tensor]
 
     def make_network(self, device: torch.device | str = "cpu") -> TensorDictModuleBase:
-        """The network with these weights; raises CheckpointError where its algorithm is not there."""
-        network = algorithm_class(self.algorithm, "the policy").make_network(self.spec, self.network, device)
+        """The network with these weights."""
+        network: TensorDictModuleBase = algorithm_class(self.algorithm, "the policy").make_network(
+            self.spec, self.network, device
+        )
         network.load_state_dict(self.weights)
         return network
+
+
+def load_group_policy(
+    path: Path, group: str, here: PolicySpec, *, trained_as: str | None = None, allow_more: bool = False
+) -> tuple[GroupPolicy, dict[str, Any]]:
+    """The policy of a file or run folder for `group`, on the CPU, and the resolved settings that made it.
+
+    A folder gives its best policy, or its published one. It is the policy of the group `trained_as`, by
+    default of the same name; a file with one policy alone serves a group of any name. Raises CheckpointError
+    if the file is unreadable, has no policy for the group, or one for another spec than `here`, which with
+    `allow_more` may have further parts in its observation.
+    """
+    file, content = read_policy_file(path)
+    saved = _saved_policy(content, file, trained_as or group, here, allow_more)
+    return GroupPolicy(group, saved.spec, saved.make_network()), content["config"]
+
+
+def load_policy(
+    path: Path, env: EnvBase, *, allow_more: bool = False
+) -> tuple[Deterministic, dict[str, Any]]:
+    """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
+    file, content = read_policy_file(path)
+    policies = []
+    for group in env.group_map:
+        saved = _saved_policy(content, file, group, PolicySpec.of(env, group), allow_more)
+        policies.append(GroupPolicy(group, saved.spec, saved.make_network()))
+    return Deterministic(JointPolicy(policies)), content["config"]
 
 
 def read_policy_groups(path: Path) -> tuple[list[str], dict[str, Any]]:
@@ -99,14 +97,13 @@ def read_policy_groups(path: Path) -> tuple[list[str], dict[str, Any]]:
 
     Raises CheckpointError if it cannot be read.
     """
-    content = read_checkpoint_file(find_checkpoint_file(path, *POLICY_SOURCES), "policy", "checkpoint")
+    _, content = read_policy_file(path)
     return sorted(content["groups"]), content["config"]
 
 
 def read_saved_policy(path: Path, group: str, here: PolicySpec) -> SavedPolicy:
     """The policy for `group` as `load_group_policy` finds it, whose observation may have fewer parts."""
-    file = find_checkpoint_file(path, *POLICY_SOURCES)
-    content = read_checkpoint_file(file, "policy", "checkpoint")
+    file, content = read_policy_file(path)
     return _saved_policy(content, file, group, here, allow_more=True)
 
 
@@ -118,33 +115,19 @@ def _saved_policy(
     spec.require(here.only(spec.keys) if allow_more else here, str(file))
     algorithm_class(entry["algorithm"], str(file))
     # A checkpoint has the weights among the learner's state.
-    weights: Mapping[str, torch.Tensor] = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
+    weights = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
     return SavedPolicy(entry["algorithm"], spec, entry["network"], weights)
 
 
-def _group_policy(
-    content: Mapping[str, Any],
-    file: Path,
-    group: str,
-    here: PolicySpec,
-    allow_more: bool,
-    trained_as: str | None = None,
-) -> GroupPolicy:
-    saved = _saved_policy(content, file, trained_as or group, here, allow_more)
-    return GroupPolicy(group, saved.spec, saved.make_network())
-
-
 def saved_entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, Any]:
-    """What the `groups` of a file have for `group`; raises CheckpointError where that is nothing.
+    """The entry for `group` among the `groups` of a file; raises CheckpointError where there is none.
 
-    One group alone serves one of any name.
+    One group alone serves a group of any name.
     """
-    if group in groups:
-        entry: Mapping[str, Any] = groups[group]
-        return entry
-    if len(groups) == 1:
-        return next(iter(groups.values()))
-    raise CheckpointError(
-        f"{file} has no policy for the group {group}, but for {', '.join(sorted(groups))}.\n"
-        "Use the agents that it was trained with (its run's folder holds its settings), or train again."
-    )
+    if group not in groups and len(groups) > 1:
+        raise CheckpointError(
+            f"{file} has no policy for the group {group}, but for {', '.join(sorted(groups))}.\n"
+            "Use the agents that it was trained with (its run's folder holds its settings), or train again."
+        )
+    entry: Mapping[str, Any] = groups[group] if group in groups else next(iter(groups.values()))
+    return entry

@@ -62,7 +62,6 @@ class AttemptRecorder:
             self._attempts[scene] = []
 
     def step(self) -> None:
-        """Note the step, before scenes that are done are reset."""
         state = self._simulation.state.groups[self._group]
         self._now_s = np.multiply(state.episode.steps, state.episode.step_s, dtype=np.float64)
         reached = state.ended_by(_GOAL)

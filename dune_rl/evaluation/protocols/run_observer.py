@@ -58,7 +58,6 @@ class RunObserver:
         self._next, self._used = length.first, 0
 
     def begin(self) -> None:
-        """Scenes that have made no step begin an episode."""
         self._began[self._simulation.steps == 0] = len(self._history)
         if self._attempts is not None:
             self._attempts.begin()
@@ -66,7 +65,6 @@ class RunObserver:
         self.inner.begin()
 
     def step(self, after: TensorDictBase) -> None:
-        """Note the metrics so far."""
         self._history.append(after["next", self._group, "metrics"][:, 0].numpy().copy())
         if self._attempts is not None:
             self._attempts.step()
@@ -74,7 +72,6 @@ class RunObserver:
         self.inner.step(after)
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
-        """An episode has ended."""
         episode = int(rows[self._group][0]["episode"])
         (scene,) = np.flatnonzero(self._simulation.episodes == episode).tolist()
         self._traces[episode] = np.stack([each[scene] for each in self._history[self._began[scene] :]])

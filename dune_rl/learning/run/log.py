@@ -42,8 +42,6 @@ class RunLog:
         self.history: list[dict[str, Any]] = []
         self._events = EventFile(folder, resumed_at=resumed_at)
 
-    # -- training -------------------------------------------------------------------------------------
-
     def log_batch(
         self, batch: TensorDictBase, frames: int, updates: Mapping[str, int], kind: str = "train"
     ) -> None:
@@ -88,8 +86,6 @@ class RunLog:
         for recent in self._recent.values():
             recent.clear()
 
-    # -- names ----------------------------------------------------------------------------------------
-
     def scalars(self, group: str | None, values: Mapping[str, float], frames: int) -> None:
         """Log statistics of a group, or with None of the whole run, under their names."""
         self._events.scalars(self._named(group, values), frames)
@@ -110,8 +106,6 @@ class RunLog:
         columns = {f"{kind}/{name}": [row[name] for row in rows] for name in self._distributed[group]}
         self.histograms(group, columns, frames)
 
-    # -- evaluations ----------------------------------------------------------------------------------
-
     def log_evaluation(
         self, rows: Mapping[str, Sequence[MetricsRow]], frames: int, updates: Mapping[str, int]
     ) -> None:
@@ -126,8 +120,6 @@ class RunLog:
     def picture(self, name: str, picture: Picture, frames: int) -> None:
         """Log a picture, RGB (height, width, 3)."""
         self._events.picture(name, picture, frames)
-
-    # -- hyperparameters ------------------------------------------------------------------------------
 
     def begin_session(self, settings: Mapping[str, HParam]) -> None:
         """Declare the run's hyperparameters and the names of its results, once in its life."""
@@ -153,8 +145,6 @@ class RunLog:
         values["objective"] = mean_of_known(row.get(objective, math.nan) for row in episodes)
         return {f"final/{name}": value for name, value in values.items()}
 
-    # -- files ----------------------------------------------------------------------------------------
-
     def write(self) -> None:
         """Bring metrics.csv and the TensorBoard file up to date."""
         self._events.flush()
@@ -174,12 +164,10 @@ class RunLog:
             draw_curve(self.history, self._folder / CURVE_FILE, title)
 
     def state(self) -> dict[str, Any]:
-        """Plain data for `restore`."""
         recent = {group: recent.state() for group, recent in self._recent.items()}
         return {"recent": recent, "history": self.history, "has_session": self._has_session}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """The inverse of `state`."""
         self.history = list(state["history"])
         self._has_session = state["has_session"]
         for group, recent in state["recent"].items():
@@ -187,7 +175,6 @@ class RunLog:
                 self._recent[group].restore(recent)
 
     def close(self) -> None:
-        """Write out what is pending."""
         self._events.close()
 
 
@@ -229,7 +216,6 @@ class RecentEpisodes:
         return sum(row[column] for row in self._rows) / len(self._rows)
 
     def state(self) -> dict[str, Any]:
-        """Plain data for `restore`."""
         window = torch.tensor(list(self._rows), dtype=torch.float64).reshape(-1, len(self.names))
         return {"names": list(self.names), "window": window, "unrecorded": self._uncounted}
 

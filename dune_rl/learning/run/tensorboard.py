@@ -33,7 +33,6 @@ class EventFile:
         self._writer = SummaryWriter(str(folder), purge_step=purge)
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
-        """Log numbers by name."""
         for name, value in values.items():
             self._writer.add_scalar(name, value, frames)
 
@@ -80,11 +79,9 @@ class EventFile:
         self._writer.file_writer.add_summary(summary, frames)
 
     def flush(self) -> None:
-        """Write out what is pending."""
         self._writer.flush()
 
     def close(self) -> None:
-        """Write out what is pending, and close the file."""
         self._writer.close()
 
 

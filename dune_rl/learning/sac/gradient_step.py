@@ -117,7 +117,6 @@ class GradientStep:
         self.loss.load_state_dict({**self.loss.state_dict(), **weights})
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """The inverse of `state_dict`."""
         self.load_weights(state["loss"])
         self.optimiser.load_state_dict(state["optimiser"])
 

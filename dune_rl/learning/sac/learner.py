@@ -53,8 +53,6 @@ class Sac(Algorithm):
         self._frames = 0
         self._updates_due = 0.0
 
-    # -- learning -------------------------------------------------------------------------------------
-
     def absorb(self, batch: TensorDictBase, frames: int) -> None:
         """Add the transitions of all agents that are not idle to the replay buffer and the statistics."""
         self._frames = frames
@@ -98,8 +96,6 @@ class Sac(Algorithm):
         make_batch = partial(self._codec.decode, rows, reward_scale=self._conf.reward_scale)
         return {"sac/action_value": self._step.action_values(make_batch)}
 
-    # -- acting ---------------------------------------------------------------------------------------
-
     @property
     def warmup_frames(self) -> int:
         """Frames before the first update in which another than the policy acts."""
@@ -111,14 +107,11 @@ class Sac(Algorithm):
             return None
         return WarmupPolicy(self.context.group, self.context.spec)
 
-    # -- saving ---------------------------------------------------------------------------------------
-
     def state_dict(self) -> dict[str, Any]:
         """Weights, statistics, targets, the optimiser's state, and the counts of updates."""
         return {**super().state_dict(), **self._step.state_dict(), "updates_due": self._updates_due}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """The inverse of `state_dict`."""
         super().load_state_dict(state)
         self._step.load_state_dict(state)
         self._updates_due = state["updates_due"]
@@ -146,5 +139,4 @@ class Sac(Algorithm):
         self._replay.load(folder / saved["file"], saved)
 
     def close(self) -> None:
-        """Delete the memory map, if there is one."""
         self._replay.close()
