@@ -1,4 +1,4 @@
-"""Actors that a cross-play tests robots among: options of `actors`, and those that runs trained."""
+"""Populations of actors for a cross-play: options of `actors`, and actors that runs trained."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -25,7 +25,7 @@ OPTION, CHECKPOINT = "option", "checkpoint"
 
 @dataclass(frozen=True)
 class ActorPopulation:
-    """Actors that robots are tested among: an option of `actors`, or those of a run, by its weights.
+    """A population of actors: an option of `actors`, or the actors of a run with its weights.
 
     `kind` is "option" or "checkpoint". `groups` are the agent groups as plain data; `weights` is the file by
     which they act, and `sha256` its checksum.

@@ -48,7 +48,7 @@ def settings_among(conf: EvaluateConf, population: ActorPopulation, out: Path) -
 def begin_cross_play(
     conf: EvaluateConf, populations: Sequence[ActorPopulation], out: Path, *, overwrite: bool
 ) -> None:
-    """Make the folder of a cross-play and those of its populations, with nothing evaluated yet.
+    """Make the folders of a cross-play and of its populations, with nothing evaluated yet.
 
     Raises ConfigError, and makes nothing, if the robots cannot be tested among one of them.
     """
@@ -107,7 +107,7 @@ def run_cross_play(out: Path, console: Console, processes: int | None = None) ->
 
 
 def is_cross_play(path: Path) -> bool:
-    """Whether a folder is that of a cross-play."""
+    """Whether a folder holds a cross-play."""
     return (path / RECORD).is_file()
 
 

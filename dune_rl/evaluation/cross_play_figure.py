@@ -111,7 +111,7 @@ def _draw(
 
 
 def row_title(robot: str, group: str, robots: Sequence[tuple[str, str]]) -> str:
-    """The name of a row: that of a policy, with its agent group where `robots` are of several groups."""
+    """The name of a row: the policy's, with its agent group where `robots` are of several groups."""
     return f"{robot}, {group}" if len({each for _, each in robots}) > 1 else robot
 
 

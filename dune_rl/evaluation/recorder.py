@@ -31,7 +31,7 @@ def steepest_slope_deg(terrain: HeightField, start: Array, goal: Array) -> Array
     its edge.
     """
     counts = 1 + np.maximum(1, np.ceil(np.linalg.norm(goal - start, axis=-1) / _SLOPE_STEP_M).astype(int))
-    # Each line has points of its own, so that its slope does not hang on who else starts.
+    # Each line has points of its own, so that its slope does not depend on other agents.
     lines = [np.linspace(first, last, n) for first, last, n in zip(start, goal, counts, strict=True)]
     return np.rad2deg([terrain.slope(points).max() for points in lines])
 
@@ -99,7 +99,7 @@ class EpisodeRecorder:
             self._steps[scene].append({"agent": agents[agent], **values})
 
     def _columns(self, state: GroupState) -> dict[str, NDArray[Any]]:
-        """What is known of every agent, (N,) each; steps and times are those of its scene's episode."""
+        """The columns of every agent, (N,) each; steps and times count from its episode's start."""
         motion, steps = state.motion, np.repeat(self._simulation.steps, state.count)
         return {
             "episode": state.episode.ids,

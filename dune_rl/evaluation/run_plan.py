@@ -141,7 +141,7 @@ def _report(
 
 
 def rows_in_common(results: Mapping[str, Sequence[MetricsRow]]) -> dict[str, list[MetricsRow]]:
-    """The rows, by policy, of the episodes and agents that all policies have: those who come may differ."""
+    """The rows, by policy, of the episodes and agents that all policies have: agents come and go."""
     common = set.intersection(
         *({(row["episode"], row["agent"]) for row in rows} for rows in results.values())
     )

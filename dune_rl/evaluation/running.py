@@ -86,7 +86,7 @@ class BlockRunner:
         self.watch(block, _Emitter(self, block.policy, emit))
 
     def watch(self, block: EpisodeBlock, observer: EpisodeObserver) -> None:
-        """Run a block of episodes, whose steps and ends `observer` is told."""
+        """Run a block of episodes; `observer` is called at their steps and ends."""
         try:
             evaluate(
                 self._policies[block.policy],

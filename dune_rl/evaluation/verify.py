@@ -1,4 +1,4 @@
-"""Repeats a sample of an evaluation's episodes and compares their rows with those that were stored."""
+"""Repeats a sample of an evaluation's episodes and compares their rows with the stored rows."""
 
 import csv
 import math

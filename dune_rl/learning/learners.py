@@ -131,8 +131,8 @@ def describe_missing_start(
 ) -> str:
     """Why `group` cannot start from `source`, which has policies of the groups `trained`; empty if it can.
 
-    `groups` are all that act by a policy. The only policy of a file is that of the only group that learns,
-    or of a group whose own setting names it.
+    `groups` are all groups that act by a policy. A file with one policy serves the only group that learns, or
+    a group whose own setting names the file.
     """
     setting, _ = conf.start_of(group)
     own = f"learning.groups.{group}.start_from"

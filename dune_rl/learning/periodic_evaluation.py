@@ -16,7 +16,7 @@ from dune_rl.statistics.measures import MetricsRow, average_metrics, mean_of_kno
 class PeriodicEvaluation:
     """Evaluates the learners' policies on the same episodes every so many frames, and knows the best result.
 
-    `env` has the scenes of the evaluation. `seed` is that of its episodes. What is best is decided by the
+    `env` has the scenes of the evaluation. `seed` is its episodes'. The best policies are chosen by the
     group `judged`; None: by all groups in the mean.
     """
 

@@ -43,25 +43,24 @@ def built_in_policy(name: str, env: EnvBase, seed: int = 0) -> Policy:
     `name` is go_to_goal, random, or a driver that reads the simulation: planner, mppi.
     """
     if name in DRIVERS:
-        return AllGroups(driver_policies(name, env, seed))
+        return act_in_turn(driver_policies(name, env, seed))
     specs = {group: PolicySpec.of(env, group) for group in env.group_map}
     if name == "random":
-        return AllGroups(
+        return act_in_turn(
             [UniformRandom(group, spec, seed + index) for index, (group, spec) in enumerate(specs.items())]
         )
-    return AllGroups([GoToGoal(group, spec) for group, spec in specs.items()])
+    return act_in_turn([GoToGoal(group, spec) for group, spec in specs.items()])
 
 
-class AllGroups:
-    """Applies the policies of several groups one after another."""
+def act_in_turn(policies: Sequence[Policy]) -> Policy:
+    """A policy that applies the policies of several groups one after another."""
 
-    def __init__(self, policies: Sequence[Policy]) -> None:
-        self._policies = policies
-
-    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        for policy in self._policies:
+    def act(observation: TensorDictBase) -> TensorDictBase:
+        for policy in policies:
             observation = policy(observation)
         return observation
+
+    return act
 
 
 class GoToGoal:

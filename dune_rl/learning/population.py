@@ -22,7 +22,7 @@ _COMMON_DRAWS = 2
 
 
 class OpponentDraws(Transform):
-    """Adds the draws (M, W) by which the policies of `num_groups` groups decide who acts in an episode.
+    """Adds the draws (M, W) that decide which policies of `num_groups` groups act in an episode.
 
     They are uniform in [0, 1), and depend on (seed, episode) alone. The environment must have `episode_keys`.
     """
@@ -52,7 +52,7 @@ class PopulationPolicy(GroupPolicy):
     """A group's policy, `present`, and `conf.size` places for past ones of the same architecture.
 
     For an episode that begins, its draws (`OpponentDraws`) decide which policy acts in it to its end: the
-    present one, or one of the first `filled` places. `number` is that of the group among `num_groups`. Beside
+    present one, or one of the first `filled` places. `number` is the group's among `num_groups`. Beside
     the action it writes under the group whether a past policy acted.
     """
 
@@ -75,7 +75,7 @@ class PopulationPolicy(GroupPolicy):
         self._draws, self._chosen = torch.zeros(0, 0), torch.zeros(0, dtype=torch.int64)
 
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
-        """Writes the actions, and who acted; scenes are the first axis."""
+        """Writes the actions, and whether a past policy acted; scenes are the first axis."""
         self._begin_episodes(observation.get(DRAWS))
         # For all scenes: a small network takes as long for a part of them.
         observation = super().forward(observation)
@@ -94,7 +94,7 @@ class PopulationPolicy(GroupPolicy):
         return observation
 
     def _begin_episodes(self, draws: Tensor) -> None:
-        """Choose who acts in the scenes whose episodes are new, by their `draws` (M, W)."""
+        """Choose the policies that act in the scenes whose episodes are new, by their `draws` (M, W)."""
         if self._draws.shape != draws.shape:
             # No draw is negative: all episodes are new.
             self._draws = torch.full_like(draws, -1.0)
@@ -110,7 +110,7 @@ class PopulationPolicy(GroupPolicy):
         self._draws = draws.clone()
 
     def episodes(self) -> dict[str, Tensor]:
-        """Who acts in the present episodes, as plain data."""
+        """The policies that act in the present episodes, as plain data."""
         return {"draws": self._draws, "chosen": self._chosen}
 
     def resume_episodes(self, saved: Mapping[str, Tensor]) -> None:
@@ -128,7 +128,7 @@ class PopulationPolicy(GroupPolicy):
 class Population:
     """The snapshots of the groups that learn (`learners`), of which the latest `conf.size` are kept.
 
-    A new one takes the place of the oldest; who acts by that in a running episode, acts by the new one on.
+    A new snapshot replaces the oldest, also in running episodes.
     """
 
     def __init__(self, conf: PopulationConf, learners: Mapping[str, Algorithm]) -> None:
@@ -156,7 +156,7 @@ class Population:
         return min(self._taken, self.conf.size)
 
     def join(self, policies: Mapping[str, TensorDictModuleBase]) -> dict[str, TensorDictModuleBase]:
-        """`policies` by group, those of the groups that learn with places for past ones."""
+        """`policies` by group, with places for past policies in the groups that learn."""
         joined = dict(policies)
         for number, (group, learner) in enumerate(self._learners.items()):
             present = policies[group]

@@ -1,4 +1,4 @@
-"""Registry of algorithms: built-in ones, those of installed packages, and those registered at run time."""
+"""Registry of learning algorithms."""
 
 import importlib
 from typing import Any

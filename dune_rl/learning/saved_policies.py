@@ -21,7 +21,7 @@ BEST_EVALUATION, LATEST = "best evaluation", "latest"
 
 
 def describe_selection(content: Mapping[str, Any]) -> str:
-    """Which policy of its run a file holds, in words; `content` is that of a policy or a checkpoint."""
+    """Which policy of its run a file holds, in words; `content` is a policy's or a checkpoint's."""
     frames = content["frames"] if "frames" in content else content["counters"]["frames"]
     selection = content.get("selection")
     if selection is None:

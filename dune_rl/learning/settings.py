@@ -11,7 +11,7 @@ Width = Annotated[int, Field(ge=1, le=8192)]
 
 
 class CollectorConf(Settings):
-    """Who steps the environments: `serial` is deterministic, `async` is fastest."""
+    """Processes that step the environments: `serial` is deterministic, `async` is fastest."""
 
     mode: Literal["serial", "sync", "async"] = "async"
     workers: int = Field(1, ge=1, le=1024, description="processes, in the modes sync and async")
@@ -124,7 +124,7 @@ class LearningConf(Settings):
     def resolved(self, device: str) -> Self:
         """These settings with what depends on the machine decided for this one and a learner on `device`.
 
-        A run uses and stores what comes out, so that it says what it did.
+        A run uses and stores the resolved settings.
         """
         return self
 

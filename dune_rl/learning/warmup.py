@@ -1,4 +1,4 @@
-"""Who drives at the beginning of a training, before the learners' policies do."""
+"""Warm-up policies, which drive at the beginning of a training in place of the learners' policies."""
 
 from collections.abc import Mapping
 
@@ -53,7 +53,7 @@ class WarmUp:
         }
 
     def describe(self, frames: int) -> str | None:
-        """Who drives after `frames`: "scripted" or "random"; None where the learners' policies do."""
+        """The warm-up after `frames`, "scripted" or "random"; None where the learners' policies drive."""
         if not self.goes_on(frames):
             return None
         return "random" if self._is_random else "scripted"

@@ -105,8 +105,8 @@ def estimate_ratio(
     (Efron & Tibshirani 1993, section 12.5). Clusters are drawn as a whole. Where fewer than ten numerators
     are above 0, and more are 0, the interval is that of a weighted sum of Poisson variables (Fay & Feuer
     1997), as a bootstrap knows nothing of what was not seen. Without any event it reaches to 3.7 events in
-    all, if numerators `are_counts` (the two-sided "rule of three", Hanley & Lippman-Hand 1983); else its
-    upper end cannot be told, and both are NaN. Entries of 0 and 0, and of NaN, have no share in it. A
+    all, if numerators `are_counts` (the two-sided "rule of three", Hanley & Lippman-Hand 1983); else there is
+    no upper end, and both are NaN. Entries of 0 and 0, and NaN, are left out. A
     bootstrap of fewer than four pairs, and anything of one, has an interval of NaN; equal ratios other than 0
     have equal ends.
     """

@@ -117,7 +117,7 @@ def compare_success(rows_a: Sequence[Mapping[str, Any]], rows_b: Sequence[Mappin
 class PairedComparison:
     """One measure of two policies on the same episodes.
 
-    `difference` is that of `first` minus `second`, with a 95 % interval; of means over the episodes in which
+    `difference` is `first` minus `second`, with a 95 % interval; of means over the episodes in which
     both have a value. `p_value` is of the exact McNemar test for shares, and of a permutation test for the
     rest. Where a site has several episodes, or an episode several agents, both are over whole sites or
     episodes (`cluster_rows`), and shares have a permutation test too. `adjusted_p` is the same by Holm's

@@ -1,4 +1,4 @@
-"""Tables of runs: by the paper's protocol, and by that of its published code."""
+"""Tables of runs, by the protocols of the paper and of its published code."""
 
 import math
 from collections import Counter

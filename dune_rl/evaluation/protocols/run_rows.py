@@ -36,7 +36,7 @@ def run_rows(rows: Sequence[Row], *, ends_at_goals: bool) -> list[dict[str, floa
 
 
 def describe_runs(rows: Sequence[Row], runs: Sequence[dict[str, float]]) -> list[dict[str, object]]:
-    """The rows of runs.csv: for each run its measures by name, without those of the episode."""
+    """The rows of runs.csv: for each run its measures by name, without the measures of episodes."""
     names = {measure.name for measure in CATALOGUE}
     found = []
     for run in runs:

@@ -27,7 +27,7 @@ class VectorEncoder(nn.Flatten):
 class ScanEncoder(nn.Sequential):
     """Convolutions round a scan (..., n): a return means the same in whatever direction it lies.
 
-    Several scans (..., C, n), the present one beside those of before, are the channels of one circle. The
+    Several scans (..., C, n), the present and earlier ones, are the channels of one circle. The
     first layer compares them direction by direction; a perceptron would have to learn that anew for every
     direction.
     """

@@ -132,7 +132,7 @@ def _make(conf: Mapping[str, Any], part: PartSpec) -> nn.Module:
 
 
 def _equal_scans(spec: PolicySpec, named: Mapping[str, Any]) -> list[list[str]]:
-    """The keys of the scans without an encoder of their own, those of equal length together, by length."""
+    """The keys of the scans without an encoder of their own, grouped by length, shortest first."""
     scans: dict[int, list[str]] = {}
     for key, length in spec.sizes.items():
         if key in spec.ranges and length >= _SHORTEST_SCAN and key not in named:

@@ -1,10 +1,10 @@
 """Shares the cores of a machine among jobs that a sweep runs side by side."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import TextIO
 
 try:
     import fcntl
@@ -27,47 +27,33 @@ def reserve_cores(
         yield
         return
     folder.mkdir(parents=True, exist_ok=True)
-    held: list[int] = []
-    gate = _open(folder / "gate")
-    try:
-        # One job at a time collects cores, lest two wait for what the other has.
-        if not _try_lock(gate):
-            waiting()
-            waiting = _nothing
-            fcntl.flock(gate, fcntl.LOCK_EX)
-        free = [_open(folder / f"core{number}") for number in range(cores)]
-        while len(held) < min(needed, cores):
-            taken = [handle for handle in free if _try_lock(handle)][: min(needed, cores) - len(held)]
-            for handle in free:
-                if handle not in taken:
-                    fcntl.flock(handle, fcntl.LOCK_UN)
-            held += taken
-            free = [handle for handle in free if handle not in taken]
-            if len(held) < min(needed, cores):
+    with ExitStack() as held:
+        with (folder / "gate").open("a") as gate:
+            # One job at a time collects cores, lest two wait for each other's.
+            has_told = not _try_lock(gate)
+            if has_told:
                 waiting()
-                waiting = _nothing
-                time.sleep(_POLL_S)
-        for handle in free:
-            os.close(handle)
-        os.close(gate)
-        gate = -1
+                fcntl.flock(gate, fcntl.LOCK_EX)
+            free = [(folder / f"core{number}").open("a") for number in range(cores)]
+            missing = min(needed, cores)
+            while missing:
+                for core in list(free):
+                    if missing and _try_lock(core):
+                        free.remove(held.enter_context(core))
+                        missing -= 1
+                if missing and not has_told:
+                    waiting()
+                    has_told = True
+                if missing:
+                    time.sleep(_POLL_S)
+            for core in free:
+                core.close()
         yield
-    finally:
-        for handle in (*held, *([gate] if gate >= 0 else [])):
-            os.close(handle)
 
 
-def _nothing() -> None:
-    """Called in place of what is to be called once."""
-
-
-def _open(path: Path) -> int:
-    return os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
-
-
-def _try_lock(handle: int) -> bool:
+def _try_lock(file: TextIO) -> bool:
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True

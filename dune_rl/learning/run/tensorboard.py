@@ -131,9 +131,9 @@ _LEFT_OUT = (
 
 
 def choose_hyperparameters(config: Mapping[str, Any], words: Sequence[str] = ()) -> dict[str, HParam]:
-    """What tells runs apart in a resolved `config`: world, robot, algorithm, seed, length, and all `words`.
+    """The hyperparameters of a run in a resolved `config`: world, robot, algorithm, seed, length and `words`.
 
-    `words` are those of the command line or of a job of a sweep, KEY=VALUE: whatever a sweep changes has a
+    `words` come from the command line or from a job of a sweep, KEY=VALUE: whatever a sweep changes has a
     column, also in the run that has the default. TensorBoard shows few columns at first: there are no others.
     """
     found: dict[str, HParam] = {}
