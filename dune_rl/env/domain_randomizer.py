@@ -9,8 +9,6 @@ from dune_rl.core.seeding import stream
 from dune_rl.env.episodes.plan import EpisodePlan
 from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
 from dune_rl.env.randomised_properties import EpisodeVariation
-from dune_rl.env.traction import Traction
-from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.world import World
 
@@ -24,7 +22,7 @@ _STREAMS = {"sun_bearing_deg": "sun_bearing_rad", "sun_elevation_deg": "sun_elev
 class DomainRandomizer:
     """Samples the properties of `randomisation` for an episode, and applies them.
 
-    `make_world` builds a world from settings such as `world_conf`; equal settings
+    `make_world` builds a world from its settings; equal settings
     should give the same object while it is in use. `prepare` gets the settings
     of the next worlds, and may build these in the background. `names` are the
     sampled properties, in the order of `Values`. The world seeds of a `plan`
@@ -79,7 +77,8 @@ class DomainRandomizer:
             variation = self._apply(name, variation, float(value))
         return variation
 
-    def _variation(self, values: Sequence[float]) -> EpisodeVariation:
+    def variation(self, values: Sequence[float]) -> EpisodeVariation:
+        """World settings, weather, contacts, body and latency of an episode with sampled `values`."""
         return self._vary_once(tuple(values))
 
     def draw(self, seed: int, episode: int, attempt: int = 0) -> Values:
@@ -96,35 +95,11 @@ class DomainRandomizer:
             values.append(self._distributions[name].draw(rng))
         return tuple(values)
 
-    def world_conf(self, values: Values) -> Any:
-        """World settings with sampled `values`."""
-        return self._variation(values).world
-
     def world(self, conf: Any) -> World:
         """The world of `conf`; raises WorldError if it cannot be built."""
         return self._make_world(conf)
 
-    def weather(self, values: Values) -> WeatherConf:
-        """Weather with sampled `values`."""
-        return self._variation(values).weather
-
-    def apply_to_contacts(self, traction: Traction, row: int, values: Sequence[float]) -> None:
-        """Set the contact factors of a robot's wheels, before its start."""
-        factors = self._variation(values).contacts
-        traction.friction_factor[row] = factors.friction
-        traction.stiffness_factor[row] = factors.stiffness
-        traction.tyre_factor[row] = factors.tyres
-        traction.load_factor[row] = factors.load
-
-    def body(self, values: Sequence[float]) -> BodyVariation:
-        """Masses and motor strength of the robot with sampled `values`."""
-        return self._variation(values).body
-
-    def latency_s(self, values: Sequence[float]) -> float:
-        """Delay of motor commands [s]."""
-        return self._variation(values).latency_s or 0.0
-
     def prepare(self, seed: int, episodes: Sequence[int]) -> None:
         """Announce the next episodes, so that their worlds can be built in the background."""
         if self.randomizes_worlds and self._prepare is not None:
-            self._prepare([self.world_conf(self.draw(seed, episode)) for episode in episodes])
+            self._prepare([self.variation(self.draw(seed, episode)).world for episode in episodes])

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from dune_rl.env.latency import LONGEST_S
+from dune_rl.env.traction import UNCHANGED_CONTACTS, ContactFactors
 from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
 from dune_rl.rendering.weather import WeatherConf
 
@@ -13,16 +14,6 @@ from dune_rl.rendering.weather import WeatherConf
 Seed = Annotated[int, Field(ge=0, le=2**24 - 1)]
 Factor = Annotated[float, Field(ge=0.01, le=10.0)]
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
-
-
-@dataclass(frozen=True)
-class ContactFactors:
-    """Factors on the contacts of a robot's wheels with the ground: see `Traction`."""
-
-    friction: float = 1.0
-    stiffness: float = 1.0
-    tyres: float = 1.0
-    load: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +26,7 @@ class EpisodeVariation:
 
     world: Any
     weather: WeatherConf
-    contacts: ContactFactors = ContactFactors()
+    contacts: ContactFactors = UNCHANGED_CONTACTS
     body: BodyVariation = AS_DESCRIBED
     latency_s: float | None = None
 

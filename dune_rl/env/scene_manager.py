@@ -106,17 +106,17 @@ class SceneManager:
         if self.randomizer.randomizes_worlds:
             values = self._enter_world(scene, seed, episode, check_room)
         elif self.values.shape[1]:
-            self.worlds.put(scene, self._world, self.randomizer.weather(values))
+            self.worlds.put(scene, self._world, self.randomizer.variation(values).weather)
         self.values[scene] = values
         if self.randomizer.randomizes_bodies:
             for robot in self._scene(scene).robots:
-                robot.set_body(self.randomizer.body(values))
+                robot.set_body(self.randomizer.variation(values).body)
         return self.worlds.worlds[scene]
 
     def _enter_world(self, scene: int, seed: int, episode: int, check_room: RoomCheck) -> Values:
         for attempt in range(_MAX_DRAWS):
             values = self.randomizer.draw(seed, episode, attempt)
-            conf = self.randomizer.world_conf(values)
+            conf = self.randomizer.variation(values).world
             try:
                 world = self._world_with_room(conf, check_room)
                 break
@@ -128,7 +128,7 @@ class SceneManager:
         if self._confs[scene] is None or self.worlds.worlds[scene] is not world:
             self._build_scene(scene, world)
         self._confs[scene] = conf
-        self.worlds.put(scene, world, self.randomizer.weather(values))
+        self.worlds.put(scene, world, self.randomizer.variation(values).weather)
         return values
 
     def _world_with_room(self, conf: Any, check_room: RoomCheck) -> World:

@@ -3,6 +3,7 @@ surface.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,16 +24,32 @@ _OFF_GROUND_M = 0.05
 _NOWHERE = 255
 
 
+@dataclass(frozen=True)
+class ContactFactors:
+    """Factors on all contacts of a robot's wheels.
+
+    `friction` and `tyres` both multiply the friction, and `stiffness` that of the ground's surfaces. `load`
+    multiplies the load on the wheels, and with it their rolling resistance; how far they sink stays that of
+    the robot as described.
+    """
+
+    friction: float = 1.0
+    tyres: float = 1.0
+    stiffness: float = 1.0
+    load: float = 1.0
+
+
+UNCHANGED_CONTACTS = ContactFactors()
+
+
 class Traction:
     """Contacts of the wheels of N robots with the ground, which follow the surfaces where a world has a map.
 
     Feet are wheels that do not roll, at the places where they are when the robot stands.
 
-    `friction_factor`, `tyre_factor` (both of friction) and `stiffness_factor` (N,) multiply those of all
-    the wheels' contacts of a robot; set them before the robot's `begin`. `load_factor` (N,) multiplies the
-    load on the wheels, and with it their rolling resistance; how far they sink stays that of the robot as
-    described. In worlds without a map contacts are rigid, and the factors of friction are the only ones
-    that act.
+    `friction_factor`, `tyre_factor`, `stiffness_factor` and `load_factor` (N,) are the `ContactFactors` of
+    the robots; set them before a robot's `begin`. In worlds without a map contacts are rigid, and only
+    the factors of friction act.
     """
 
     def __init__(self, robot: Robot, physics: PhysicsConf, num_rows: int) -> None:
@@ -50,6 +67,11 @@ class Traction:
         self._worlds: list[World | None] = [None] * num_rows
         self._groups: list[tuple[World, NDArray[np.intp], Array]] | None = None
         self.surfaces = np.full((num_rows, wheels), _NOWHERE, np.uint8)
+
+    def set_factors(self, row: int, factors: ContactFactors) -> None:
+        """Set the factors of the robot `row` from its next `begin` on."""
+        self.friction_factor[row], self.tyre_factor[row] = factors.friction, factors.tyres
+        self.stiffness_factor[row], self.load_factor[row] = factors.stiffness, factors.load
 
     def begin(
         self, scene: int, world: World, engine: PhysicsRobot, position_w: Array, quaternion: Array

@@ -212,15 +212,15 @@ class EpisodeStart:
         return starts
 
     def _reset_contacts(self, scene: int, world: World, starts: list[list[tuple[Array, Array]]]) -> None:
-        randomizer, values = self._scenes.randomizer, self._scenes.values[scene]
+        variation = self._scenes.randomizer.variation(self._scenes.values[scene])
         for group, engines, poses in zip(self._robots, self._engines_of(scene), starts, strict=True):
             body = group.body
             assert isinstance(body, ArticulatedBody)
             for agent, (engine, pose) in enumerate(zip(engines, poses, strict=True)):
                 row = scene * group.count + agent
-                randomizer.apply_to_contacts(body.traction, row, values)
+                body.traction.set_factors(row, variation.contacts)
                 if body.latency is not None:
-                    body.latency.set_delay(row, randomizer.latency_s(values))
+                    body.latency.set_delay(row, variation.latency_s or 0.0)
                 body.reset_contacts(row, engine, world, pose)
 
     def _engines_of(self, scene: int) -> list[list[PhysicsRobot]]:
